@@ -1,0 +1,1 @@
+"""Simulated DC motors: the plant whose parameters an observer has to find."""

@@ -1,0 +1,1 @@
+"""Gray-box online observer of DC motors."""

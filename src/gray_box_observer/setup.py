@@ -1,0 +1,35 @@
+"""Build description of the gray_box_observer package."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'gray_box_observer'
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    packages=find_packages(),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
+        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+    ],
+    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html']},
+    install_requires=['setuptools', 'numpy', 'PyYAML'],
+    extras_require={'test': ['pytest']},
+    zip_safe=False,
+    maintainer='Gray-box observer maintainers',
+    maintainer_email='maintainers@gray-box-observer.example',
+    description='Gray-box online observer of DC motors.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'observer = gray_box_observer.ros.observer_node:main',
+            'recorder = gray_box_observer.ros.recorder_node:main',
+            'player = gray_box_observer.ros.player_node:main',
+            'identify = gray_box_observer.identify:main',
+        ]
+    },
+)
