@@ -1,0 +1,7 @@
+"""The unknown physical parameters, held explicitly (thesis: parameter context nodes), and the rules that learn them."""
+
+from gray_box_observer.context_nodes.base import ContextUpdate
+from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictRules
+from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate
+
+__all__ = ['ContextUpdate', 'Estimate', 'GradientRules', 'GradientUpdate', 'Verdict', 'VerdictRules']

@@ -1,0 +1,18 @@
+"""The LSTM that forecasts torque from voltage and the context nodes, and its training (thesis 4.3, 5.1)."""
+
+from gray_box_observer.predictor.inputs import Variant
+from gray_box_observer.predictor.predictor import Prediction, Predictor
+from gray_box_observer.predictor.rules import TrainingRules
+from gray_box_observer.predictor.scores import Skill
+from gray_box_observer.predictor.training import InlineTraining, ProcessTraining, Training
+
+__all__ = [
+    'InlineTraining',
+    'Prediction',
+    'Predictor',
+    'ProcessTraining',
+    'Skill',
+    'Training',
+    'TrainingRules',
+    'Variant',
+]

@@ -1,0 +1,26 @@
+"""The contract of every rule that updates the context nodes."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from gray_box_observer.context_nodes.estimate import Estimate
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.base import Array
+
+
+class ContextUpdate(Protocol):
+    """Learns the context nodes of a group of motors, one sample at a time (thesis: parameter context nodes, 4.3)."""
+
+    def learn(self, sample: Sample) -> bool:
+        """Take one sample; tell whether the estimate has changed."""
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (motor, parameter); positive and inside their bounds."""
+
+    def estimate(self) -> Estimate:
+        """Return the present values with covariance and verdicts."""
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning; what was learnt stays."""

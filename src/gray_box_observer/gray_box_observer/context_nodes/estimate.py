@@ -1,0 +1,84 @@
+"""What is known of the parameters at one moment: values, covariance, verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array, Parameter
+
+
+class Verdict(str, Enum):
+    """How far a parameter can be believed."""
+
+    IDENTIFIED = 'identified'
+    CONVERGING = 'converging'
+    UNEXCITED = 'unexcited'
+    FROZEN = 'frozen'
+    IMPLAUSIBLE = 'implausible'
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Estimate of every context node of a group of motors.
+
+    Attributes:
+        stamp_ns: stamp of the last sample that was learnt.
+        parameters: what the columns are.
+        value: shape (motor, parameter), SI units.
+        covariance: shape (motor, parameter, parameter).
+        verdicts: verdicts[motor][parameter].
+    """
+
+    stamp_ns: int
+    parameters: tuple[Parameter, ...]
+    value: Array
+    covariance: Array
+    verdicts: tuple[tuple[Verdict, ...], ...]
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations, shape (motor, parameter)."""
+        result: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
+        return result
+
+    def identified(self, motor: int) -> bool:
+        """Tell whether every parameter of one motor is identified."""
+        return all(verdict is Verdict.IDENTIFIED for verdict in self.verdicts[motor])
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictRules:
+    """When a parameter counts as identified.
+
+    Attributes:
+        identified_relative_std: largest standard deviation, as a fraction of the value, that may be called identified.
+        excited_relative_std: a parameter whose standard deviation stays above this fraction has not been excited.
+        bound_tolerance: nearness to a bound, as a fraction of it, that is called implausible.
+    """
+
+    identified_relative_std: float = 0.02
+    excited_relative_std: float = 0.3
+    bound_tolerance: float = 1e-3
+
+    def judge(
+        self, parameters: tuple[Parameter, ...], value: Array, std: Array, *, frozen: bool = False
+    ) -> tuple[tuple[Verdict, ...], ...]:
+        """Judge every parameter of every motor from its value and standard deviation, shape (motor, parameter)."""
+        if frozen:
+            return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
+        return tuple(
+            tuple(self._judge_one(p, float(v), float(s)) for p, v, s in zip(parameters, values, stds, strict=True))
+            for values, stds in zip(value, std, strict=True)
+        )
+
+    def _judge_one(self, parameter: Parameter, value: float, std: float) -> Verdict:
+        at_lower = value <= parameter.lower * (1.0 + self.bound_tolerance)
+        at_upper = value >= parameter.upper * (1.0 - self.bound_tolerance)
+        if at_lower or at_upper:
+            return Verdict.IMPLAUSIBLE
+        if not std <= self.excited_relative_std * value:
+            return Verdict.UNEXCITED
+        return Verdict.IDENTIFIED if std <= self.identified_relative_std * value else Verdict.CONVERGING

@@ -1,0 +1,234 @@
+"""The thesis's rule: stage 1, a gradient step on the L1 loss of first differences (thesis 4.2.3, 4.2.4, 4.3.2).
+
+What is kept: one trainable number a parameter, the L1 norm, Adam, weights by the rate of change plus a small constant,
+learning-rate cuts on plateaus, a bounded replay of past data. What is mended: the thesis compares a difference with one
+forward Euler step and so reads L a tenth too low; here the equation is integrated over the window between two samples,
+exactly in time. Parameters live on a logarithmic scale, so they are positive by construction (thesis 4.3.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.dynamics import integrated_regressors
+
+
+@dataclass(frozen=True, slots=True)
+class GradientRules:
+    """Settings of the gradient rule; defaults are for tens to hundreds of samples in an electrical time constant.
+
+    Attributes:
+        batch_size: new samples between two updates.
+        steps: Adam steps an update.
+        minibatch: windows drawn from the replay buffer for an update.
+        window: samples between the two ends of a difference; longer ones see less of the sensor's noise.
+        learning_rate: of Adam, on the logarithm of the parameters (thesis: 0.01).
+        smallest_learning_rate: where plateau cuts end.
+        weight_floor: constant added to the transition weights, so that steady state is not lost (thesis: 0.07).
+        patience: updates without a better loss before the learning rate is halved.
+        drift_ratio: loss on the newest data over its usual level that is taken for a changed motor.
+        drift_floor: and it must be at least this fraction of the current: below, it is the quadrature's own error.
+        replay_capacity: samples remembered.
+    """
+
+    batch_size: int = 25
+    steps: int = 8
+    minibatch: int = 128
+    window: int = 10
+    learning_rate: float = 0.02
+    smallest_learning_rate: float = 1e-5
+    weight_floor: float = 0.07
+    patience: int = 6
+    drift_ratio: float = 4.0
+    drift_floor: float = 5e-3
+    replay_capacity: int = 6000
+
+
+class GradientUpdate:
+    """Context nodes learnt by the thesis's gradient rule.
+
+    Args:
+        white_box: the physics.
+        initial: shape (motor, parameter): where to start, SI units.
+        seed: of the draws from the replay buffer.
+        rules: settings.
+        verdict_rules: when a parameter counts as identified.
+    """
+
+    def __init__(
+        self,
+        white_box: WhiteBox,
+        initial: Array,
+        seed: int = 0,
+        rules: GradientRules | None = None,
+        verdict_rules: VerdictRules | None = None,
+    ) -> None:
+        self._white_box = white_box
+        self._rules = rules or GradientRules()
+        self._verdict_rules = verdict_rules or VerdictRules()
+        self._random = np.random.default_rng(seed)
+        self._lower = np.log([p.lower for p in white_box.parameters])
+        self._upper = np.log([p.upper for p in white_box.parameters])
+        self._z = np.clip(np.log(np.asarray(initial, dtype=float)), self._lower, self._upper)
+        motors = self._z.shape[0]
+        self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
+        self._first = np.zeros_like(self._z)
+        self._second = np.zeros_like(self._z)
+        self._adam_steps = np.zeros((motors, 1))
+        self._rate = np.full((motors, 1), self._rules.learning_rate)
+        self._loss = np.full((motors, 1), np.nan)
+        self._best = np.full((motors, 1), np.inf)
+        self._stale = np.zeros((motors, 1), dtype=int)
+        self._covariance = self._prior_covariance()
+        self._new = 0
+        self._stamp_ns = 0
+        self._frozen = False
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (motor, parameter)."""
+        return np.exp(self._z)
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning; samples are remembered all the same."""
+        self._frozen = frozen
+
+    def estimate(self) -> Estimate:
+        """Return the present values with covariance and verdicts."""
+        theta = self.theta
+        std = np.sqrt(np.diagonal(self._covariance, axis1=1, axis2=2))
+        verdicts = self._verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
+        return Estimate(self._stamp_ns, self._white_box.parameters, theta, self._covariance, verdicts)
+
+    def learn(self, sample: Sample) -> bool:
+        """Remember one sample; on every full batch of them, update. Tell whether the estimate has changed."""
+        self.replay.append(sample)
+        self._stamp_ns = sample.stamp_ns
+        self._new += 1
+        rules = self._rules
+        if self._new < rules.batch_size or len(self.replay) < 2 * (rules.window + 1):
+            return False
+        self._new = 0
+        if self._frozen:
+            return False
+        newest = np.arange(len(self.replay) - rules.batch_size, len(self.replay))
+        fresh = self._weighted_loss(*self._weigh(self._windows(newest)))[0]
+        self._follow_drift(fresh)
+        ends = self._random.integers(rules.window, len(self.replay), size=rules.minibatch)
+        minibatch = self._weigh(self._windows(np.sort(ends)))
+        for _ in range(rules.steps):
+            self._adam_step(*minibatch)
+        self._cut_on_plateau(fresh)
+        self._covariance = self._sandwich()
+        return True
+
+    def _windows(self, ends: Array) -> tuple[Array, Array, Array]:
+        """Regressors (motor, window, parameter), targets and validity of the windows that end at these samples."""
+        n = self._rules.window
+        index = np.maximum(ends, n)[:, None] + np.arange(-n, 1)
+        intervals = self.replay.interval_s()[:, index[:, 1:]]
+        voltage = np.where(intervals > 0.0, self.replay.voltage_v()[:, index[:, 1:]], 0.0)
+        speed = self.replay.speed_rad_s()[:, index]
+        current = self._white_box.state(self.replay.torque_nm()[:, index])
+        phi, target = integrated_regressors(self._white_box, voltage, current, speed, intervals)
+        phi, target = phi.sum(axis=2), target.sum(axis=2)
+        valid = np.all(intervals > 0.0, axis=2) & np.isfinite(target)
+        return np.where(valid[..., None], phi, 0.0), np.where(valid, target, 0.0), valid
+
+    def _residual(self, phi: Array, target: Array) -> tuple[Array, Array]:
+        """First-difference residual in A and its derivative by log theta."""
+        theta = self.theta
+        leading = theta[:, None, 0]
+        gap = (target - (phi @ theta[:, :, None])[..., 0]) / leading
+        slope = -phi * theta[:, None, :] / leading[..., None]
+        slope[..., 0] -= gap
+        return gap, slope
+
+    def _weigh(self, windows: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Replace validity by transition weights: |change| scaled to 0..1 plus the floor (thesis 4.3.2), sum one."""
+        phi, target, valid = windows
+        change = np.abs(phi[..., 0]) * valid
+        largest = np.maximum(change.max(axis=1, keepdims=True), 1e-300)
+        weights = (change / largest + self._rules.weight_floor) * valid
+        return phi, target, weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+
+    def _weighted_loss(self, phi: Array, target: Array, weights: Array) -> tuple[Array, Array]:
+        """L1 loss, shape (motor, 1), and its gradient by log theta, shape (motor, parameter)."""
+        gap, slope = self._residual(phi, target)
+        loss = np.sum(weights * np.abs(gap), axis=1, keepdims=True)
+        gradient = ((weights * np.sign(gap))[:, None, :] @ slope)[:, 0, :]
+        return loss, gradient
+
+    def _adam_step(self, phi: Array, target: Array, weights: Array) -> None:
+        loss, gradient = self._weighted_loss(phi, target, weights)
+        scale = np.maximum(np.abs(gradient).max(axis=1, keepdims=True), 1e-300)
+        gradient = gradient / np.maximum(scale, loss)  # Adam's epsilon must not depend on the motor's size
+        self._adam_steps += 1
+        self._first = 0.9 * self._first + 0.1 * gradient
+        self._second = 0.999 * self._second + 0.001 * gradient**2
+        first = self._first / (1.0 - 0.9**self._adam_steps)
+        second = self._second / (1.0 - 0.999**self._adam_steps)
+        step = self._rate * first / (np.sqrt(second) + 1e-8)
+        self._z = np.clip(self._z - step, self._lower, self._upper)
+
+    def _cut_on_plateau(self, fresh: Array) -> None:
+        """Halve the learning rate where the loss has stopped to fall (thesis 4.3.2)."""
+        started = np.isfinite(self._loss)
+        self._loss = np.where(started, 0.8 * self._loss + 0.2 * fresh, fresh)
+        better = self._loss < 0.95 * self._best
+        self._best = np.where(better, self._loss, self._best)
+        self._stale = np.where(better, 0, self._stale + 1)
+        cut = self._stale >= self._rules.patience
+        self._rate = np.where(cut, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate)
+        self._stale = np.where(cut, 0, self._stale)
+
+    def _follow_drift(self, fresh: Array) -> None:
+        """Start over from where we stand when the newest data no longer fit (the old ones tell of another motor)."""
+        settled = self._rate <= 0.25 * self._rules.learning_rate
+        newest = self._white_box.state(self.replay.torque_nm(self._rules.batch_size))
+        floor = self._rules.drift_floor * np.abs(newest).mean(axis=1, keepdims=True)
+        drifted = settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
+        if not np.any(drifted):
+            return
+        self.replay.forget(2 * self._rules.batch_size)
+        self._rate = np.where(drifted, self._rules.learning_rate, self._rate)
+        self._best = np.where(drifted, np.inf, self._best)
+        self._loss = np.where(drifted, fresh, self._loss)
+        self._second = np.where(drifted, 0.0, self._second)
+        self._first = np.where(drifted, 0.0, self._first)
+        self._adam_steps = np.where(drifted, 0, self._adam_steps)
+
+    def _prior_covariance(self) -> Array:
+        theta = self.theta
+        return np.einsum('mp,pq->mpq', theta**2, np.eye(theta.shape[1]))
+
+    def _sandwich(self) -> Array:
+        """Covariance from the curvature and scatter of the remembered windows, plus the distance still to go.
+
+        Windows that do not overlap are nearly independent. The last term is one Newton step of least squares from the
+        present values: what has not converged yet is not certain yet.
+        """
+        n = self._rules.window
+        phi, target, valid = self._windows(np.arange(n, len(self.replay), n))
+        gap, slope = self._residual(phi, target)
+        weights = valid.astype(float)
+        freedom = np.maximum(weights.sum(axis=1) - phi.shape[-1], 1.0)
+        variance = np.sum(weights * gap**2, axis=1) / freedom
+        information = np.einsum('mw,mwp,mwq->mpq', weights, slope, slope)
+        information += 1e-9 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(phi.shape[-1])
+        information += 1e-300 * np.eye(phi.shape[-1])
+        inverse = np.linalg.pinv(information, hermitian=True)
+        newton = -np.einsum('mpq,mw,mwq,mw->mp', inverse, weights, slope, gap)
+        newton = np.clip(newton, -1.0, 1.0)
+        in_log = np.minimum(variance, 1e6)[:, None, None] * inverse + np.einsum('mp,mq->mpq', newton, newton)
+        theta = self.theta
+        limit = np.maximum(1.0, np.sqrt(np.diagonal(in_log, axis1=1, axis2=2)))  # nothing is vaguer than the prior
+        in_log = in_log / (limit[:, :, None] * limit[:, None, :])
+        covariance: Array = in_log * theta[:, :, None] * theta[:, None, :]
+        return covariance

@@ -1,0 +1,190 @@
+"""The observer: white box, context nodes and predictor, fed one measurement at a time.
+
+One core, three doors: live topics, a replayed bag and the offline command all feed this object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.configuration import Configuration, MotorConfiguration
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, GradientRules, GradientUpdate, VerdictRules
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor import Prediction, Predictor, Skill, Training, TrainingRules, Variant
+from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+
+TrainingFactory = Callable[[dict[str, Any]], Training]
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What one sample of one motor has led to.
+
+    Attributes:
+        motor: its name.
+        sample: the sample that was learnt.
+        prediction: what had been predicted of it; None without predictor.
+        estimate: the new estimate; None where the sample did not change it.
+    """
+
+    motor: str
+    sample: Sample
+    prediction: Prediction | None
+    estimate: Estimate | None
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Torque expected of one motor at a stamp that is still to come."""
+
+    motor: str
+    stamp_ns: int
+    torque_nm: float
+
+
+class MotorObserver:
+    """White box, context nodes and predictor of motors that are sampled together.
+
+    Args:
+        white_box: the physics.
+        context_nodes: the rule that learns the parameters.
+        predictor: forecasts torque; None where there is none.
+    """
+
+    def __init__(self, white_box: MotorWhiteBox, context_nodes: ContextUpdate, predictor: Predictor | None) -> None:
+        self.white_box = white_box
+        self.context_nodes = context_nodes
+        self.predictor = predictor
+        self._foreseen: tuple[bytes, Prediction] | None = None
+
+    def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
+        """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
+        if self.predictor is None:
+            return None
+        question = interval_s.tobytes() + voltage_v.tobytes()
+        if self._foreseen is None or self._foreseen[0] != question:
+            prediction = self.predictor.predict(interval_s, voltage_v, self.context_nodes.theta)
+            self._foreseen = question, prediction
+        return self._foreseen[1]
+
+    def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
+        """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
+        prediction = self.predict(sample.interval_s, sample.voltage_v)
+        if self.predictor is not None and prediction is not None:
+            self.predictor.learn(sample, prediction, self.context_nodes.theta)
+        changed = self.context_nodes.learn(sample)
+        self._foreseen = None
+        return prediction, self.context_nodes.estimate() if changed else None
+
+
+class Observer:
+    """Observes the configured motors.
+
+    Args:
+        configuration: parameters of the observer and of every motor.
+        training: makes the trainer of a motor from its configuration; None: no predictor.
+    """
+
+    def __init__(self, configuration: Configuration, training: TrainingFactory | None = None) -> None:
+        self.configuration = configuration
+        self._training = training if configuration['predictor'] else None
+        self._frozen = bool(configuration['freeze'])
+        rules = PairingRules(configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s'])
+        self.pairing = {name: Pairing(rules) for name in configuration.motors}
+        self.motors: dict[str, MotorObserver] = {}
+
+    def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
+        """Take one armature voltage in V; return what the samples that it completes have led to."""
+        return self._learn(motor, self.pairing[motor].voltage(stamp_ns, voltage_v))
+
+    def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
+        """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
+        return self._learn(motor, self.pairing[motor].torque(stamp_ns, torque_nm, speed_rad_s))
+
+    def flush(self) -> list[Result]:
+        """Learn what still waits for a voltage (end of a bag)."""
+        return [r for motor, pairing in self.pairing.items() for r in self._learn(motor, pairing.flush())]
+
+    def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
+        """Predict the torque at a stamp whose voltage is known and whose torque is still to come; changes nothing."""
+        observer = self.motors.get(motor)
+        ahead = self.pairing[motor].ahead(stamp_ns)
+        if observer is None or ahead is None:
+            return None
+        prediction = observer.predict(*(np.array([value]) for value in ahead))
+        if prediction is None or not math.isfinite(prediction.torque_nm[0]):
+            return None
+        return Forecast(motor, stamp_ns, float(prediction.torque_nm[0]))
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Return the present estimate of every motor that has been seen."""
+        return {name: observer.context_nodes.estimate() for name, observer in self.motors.items()}
+
+    def skill(self, motor: str) -> Skill | None:
+        """Return the predictor's scores; None where there is no predictor."""
+        observer = self.motors.get(motor)
+        return observer.predictor.scores.skill(0) if observer is not None and observer.predictor is not None else None
+
+    @property
+    def frozen(self) -> bool:
+        """Whether learning is stopped."""
+        return self._frozen
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning of every motor; predictions go on."""
+        self._frozen = frozen
+        for observer in self.motors.values():
+            observer.context_nodes.freeze(frozen)
+
+    def close(self) -> None:
+        """Stop whatever trains in the background."""
+        for observer in self.motors.values():
+            if observer.predictor is not None:
+                observer.predictor.close()
+
+    def _learn(self, motor: str, samples: list[Sample]) -> list[Result]:
+        results = []
+        for sample in samples:
+            if motor not in self.motors:
+                measured = bool(np.isfinite(sample.speed_rad_s[0]))
+                self.motors[motor] = self._make(self.configuration.motors[motor], measured)
+            prediction, estimate = self.motors[motor].step(sample)
+            results.append(Result(motor, sample, prediction, estimate))
+        return results
+
+    def _make(self, motor: MotorConfiguration, measured: bool) -> MotorObserver:
+        """Build a motor's observer at its first sample, when it is known whether speed is measured."""
+        source = motor.values['speed_source']
+        if source == 'measured' and not measured:
+            raise ConfigurationError(
+                f'motor {motor.name}: speed_source is measured, but its first torque sample came without speed'
+            )
+        white_box = motor.white_box(speed_measured=measured and source != 'torque_constant')
+        values = self.configuration
+        seed = [values['seed'], *motor.name.encode()]
+        seed_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
+        initial = np.array([motor.initial()])
+        rules, verdicts = GradientRules(**values.group('gradient')), VerdictRules(**values.group('verdict'))
+        nodes = GradientUpdate(white_box, initial, seed_number, rules, verdicts)
+        nodes.freeze(self._frozen)
+        predictor = None
+        if self._training is not None:
+            training_rules = TrainingRules(variant=Variant(values['variant']), **values.group('training'))
+            job = {
+                'white_box': white_box.to_dict(),
+                'rules': training_rules.to_dict(),
+                'theta_reference': initial[0].tolist(),
+                'seed': seed_number,
+            }
+            predictor = Predictor(
+                white_box, 1, initial[0], training_rules, self._training(job), speed_measured=white_box.speed_measured
+            )
+        return MotorObserver(white_box, nodes, predictor)

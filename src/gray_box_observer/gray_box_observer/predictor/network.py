@@ -1,0 +1,87 @@
+"""The predictor's network: one LSTM layer and a linear output, as plain arrays (thesis 4.3, 5.1.2).
+
+Streaming inference needs no torch: one step is two small matrix products. Training lives in the trainer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Weights of the network; gates stand in the order input, forget, cell, output.
+
+    Attributes:
+        input: shape (4 hidden, input).
+        recurrent: shape (4 hidden, hidden).
+        bias: shape (4 hidden,).
+        output: shape (hidden,).
+        output_bias: shape (1,).
+    """
+
+    input: Array
+    recurrent: Array
+    bias: Array
+    output: Array
+    output_bias: Array
+
+    @classmethod
+    def initial(cls, inputs: int, hidden: int, seed: int) -> Weights:
+        """Draw a fresh network: uniform within one over the root of the hidden size, forget gates open."""
+        random = np.random.default_rng(seed)
+        bound = hidden**-0.5
+        bias = random.uniform(-bound, bound, 4 * hidden)
+        bias[hidden : 2 * hidden] += 1.0
+        return cls(
+            random.uniform(-bound, bound, (4 * hidden, inputs)),
+            random.uniform(-bound, bound, (4 * hidden, hidden)),
+            bias,
+            random.uniform(-bound, bound, hidden),
+            np.full(1, 0.5),
+        )
+
+    @property
+    def hidden(self) -> int:
+        """Number of hidden units."""
+        return self.recurrent.shape[1]
+
+    def arrays(self) -> dict[str, Array]:
+        """Return every array by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What the network remembers: hidden and cell state, each of shape (motor, hidden)."""
+
+    hidden: Array
+    cell: Array
+
+    @classmethod
+    def blank(cls, motors: int, hidden: int) -> Memory:
+        """Return the memory of a network that has seen nothing."""
+        return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
+
+
+def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory]:
+    """Run the network one sample on.
+
+    Args:
+        weights: the network.
+        memory: its memory before the sample.
+        inputs: shape (motor, input), normalised.
+
+    Returns:
+        The output, shape (motor,), normalised, and the new memory.
+    """
+    n = weights.hidden
+    gates = inputs @ weights.input.T + memory.hidden @ weights.recurrent.T + weights.bias
+    squashed = 0.5 * (1.0 + np.tanh(0.5 * gates))  # the logistic function, safe at both ends
+    cell = squashed[:, n : 2 * n] * memory.cell + squashed[:, :n] * np.tanh(gates[:, 2 * n : 3 * n])
+    hidden = squashed[:, 3 * n :] * np.tanh(cell)
+    return hidden @ weights.output + weights.output_bias, Memory(hidden, cell)

@@ -1,0 +1,76 @@
+"""Skill of the prediction: errors made before the truth was revealed, against rivals that cost nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array
+
+RIVALS = ('predictor', 'persistence', 'white_box')
+
+
+@dataclass(frozen=True, slots=True)
+class Skill:
+    """Scores of one motor.
+
+    Attributes:
+        samples: predictions scored.
+        nmae: mean absolute error as a fraction of the torque's standard deviation over the same samples.
+        skill_vs_persistence: ``1 - MAE / MAE of "torque stays what it was"``; above 0 is better.
+        skill_vs_white_box: the same against the white box's own rollout with the present parameters, which sees
+            voltages only, like the predictor. With perfect physics that rollout is the limit.
+    """
+
+    samples: int
+    nmae: float | None
+    skill_vs_persistence: float | None
+    skill_vs_white_box: float | None
+
+    def to_dict(self) -> dict[str, float | int | None]:
+        """Plain values for JSON and diagnostics."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+
+class Scores:
+    """Sums over the newest predictions of a group of motors.
+
+    Args:
+        motors: number of motors.
+        window: predictions remembered; older ones are forgotten.
+    """
+
+    def __init__(self, motors: int, window: int = 6000) -> None:
+        self._errors = {rival: np.full((motors, window), np.nan) for rival in RIVALS}
+        self._torque = np.full((motors, window), np.nan)
+        self._window = window
+        self._count = 0
+
+    def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
+        """Score one sample: measured torque and what every rival had said, each of shape (motor,); NaN is not scored."""
+        column = self._count % self._window
+        self._torque[:, column] = torque_nm
+        scored = np.ones(torque_nm.shape, dtype=bool)
+        for rival in RIVALS:
+            error = np.abs(predictions[rival] - torque_nm)
+            self._errors[rival][:, column] = error
+            scored &= np.isfinite(error)
+        self._torque[:, column] = np.where(scored, torque_nm, np.nan)
+        self._count += 1
+
+    def skill(self, motor: int) -> Skill:
+        """Return the scores of one motor over the samples that every rival predicted."""
+        scored = np.isfinite(self._torque[motor])
+        count = int(scored.sum())
+        if count < 2:
+            return Skill(count, None, None, None)
+        mae = {rival: float(np.mean(self._errors[rival][motor, scored])) for rival in RIVALS}
+        spread = float(np.std(self._torque[motor, scored]))
+        return Skill(
+            count,
+            mae['predictor'] / spread if spread > 0.0 else None,
+            1.0 - mae['predictor'] / mae['persistence'] if mae['persistence'] > 0.0 else None,
+            1.0 - mae['predictor'] / mae['white_box'] if mae['white_box'] > 0.0 else None,
+        )

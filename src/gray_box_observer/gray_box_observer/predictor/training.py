@@ -1,0 +1,130 @@
+"""Where training runs: inline, or in a process of its own, out of the way of sampling."""
+
+from __future__ import annotations
+
+import queue
+import subprocess
+import sys
+import threading
+from typing import Any, Protocol
+
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.predictor import messages
+
+
+class Training(Protocol):
+    """Takes one job at a time and gives its result back later."""
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Start a job."""
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the finished job's result, or None while it still runs."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs whose result has not been collected."""
+
+    def close(self) -> None:
+        """Stop training for good."""
+
+
+class InlineTraining:
+    """Trains while the caller waits: for the offline command, where there is nothing else to do."""
+
+    def __init__(self, configuration: dict[str, Any]) -> None:
+        try:
+            import torch
+
+            from gray_box_observer.predictor.trainer import Trainer
+        except ImportError as error:
+            raise GrayBoxError(TORCH_MISSING) from error
+        torch.set_num_threads(1)
+        self._trainer = Trainer(configuration)
+        self._result: dict[str, Any] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether a result waits to be collected."""
+        return self._result is not None
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Run a job to its end."""
+        self._result = self._trainer.train(job)
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the result."""
+        result, self._result = self._result, None
+        return result
+
+    def close(self) -> None:
+        """Nothing runs behind the caller's back."""
+
+
+class ProcessTraining:
+    """Trains in a child process, so that neither torch's import nor its work ever holds up a sample."""
+
+    def __init__(self, configuration: dict[str, Any]) -> None:
+        command = [sys.executable, '-m', 'gray_box_observer.predictor.worker']
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self._jobs: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._busy = False
+        self.failure: str | None = None
+        threading.Thread(target=self._write, daemon=True, name='training jobs').start()
+        threading.Thread(target=self._read, daemon=True, name='training results').start()
+        self._complaints: list[str] = []
+        threading.Thread(target=self._listen, daemon=True, name='training messages').start()
+        self._jobs.put(configuration)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs whose result has not been collected."""
+        return self._busy
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Hand a job over; returns at once. Its arrays are copied, for the caller's buffer moves on."""
+        if self.failure is None:
+            self._busy = True
+            self._jobs.put({k: v.copy() if hasattr(v, 'copy') else v for k, v in job.items()})
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the result if it is there; never waits."""
+        try:
+            result = self._results.get_nowait()
+        except queue.Empty:
+            return None
+        self._busy = False
+        return result
+
+    def close(self) -> None:
+        """End the child; it has nothing to save."""
+        self._jobs.put(None)
+        self._process.kill()
+        self._process.wait(timeout=5.0)
+
+    def _write(self) -> None:
+        assert self._process.stdin is not None
+        while (job := self._jobs.get()) is not None:
+            try:
+                messages.write(self._process.stdin, job)  # type: ignore[arg-type]
+            except (BrokenPipeError, OSError, ValueError):
+                return
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while (result := messages.read(self._process.stdout)) is not None:  # type: ignore[arg-type]
+            self._results.put(result)
+        reason = self._complaints[-1] if self._complaints else f'exit status {self._process.poll()}'
+        self.failure = TORCH_MISSING if 'torch' in reason and 'No module' in reason else f'training ended: {reason}'
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._complaints = [*self._complaints[-20:], line.decode(errors='replace').rstrip()]
+
+
+TORCH_MISSING = (
+    'the predictor needs torch, which this Python does not have: install it with "pip install torch", '
+    'or go on without prediction (parameter predictor:=false, or identify --skip-predictor)'
+)

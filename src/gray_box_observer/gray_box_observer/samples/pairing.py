@@ -1,0 +1,192 @@
+"""Pairing voltage and torque of one motor by stamp, whatever order their messages come in.
+
+A voltage sample holds from its stamp to the stamp of the next one; a torque sample is the torque at its stamp. A torque
+sample is therefore complete as soon as the voltage is known up to its stamp, that is when a voltage stamped at or after
+it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
+the wall clock, so that live topics and a replayed bag make the same samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+
+from gray_box_observer.samples.sample import Sample, seconds
+
+
+class Rejection(str, Enum):
+    """Why something that came in was not used."""
+
+    NON_FINITE = 'non_finite'
+    DUPLICATE = 'duplicate'
+    OUT_OF_ORDER = 'out_of_order'
+    NO_VOLTAGE = 'no_voltage'
+    ABSURD = 'absurd'
+    MALFORMED = 'malformed'
+
+
+ABSURD_MAGNITUDE = 1e9
+"""No armature voltage, torque or speed in SI units comes near; beyond it squares would soon overflow."""
+
+
+MAX_WAITING_VOLTAGES = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class PairingRules:
+    """How patient pairing is.
+
+    Attributes:
+        gap_s: a longer silence of torque starts the signal history anew; it never becomes a derivative.
+        hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on.
+        jump_back_s: a stamp that is earlier than the newest by more than this means that the clock was set back or a
+            bag began again (the signal history restarts); by less, that the message was merely out of order.
+    """
+
+    gap_s: float = 0.5
+    hold_s: float = 0.25
+    jump_back_s: float = 1.0
+
+
+class Pairing:
+    """Turns stamped voltages and torques of one motor into samples, counting what cannot be used.
+
+    Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``.
+    """
+
+    def __init__(self, rules: PairingRules | None = None) -> None:
+        self._rules = rules or PairingRules()
+        self._gap_ns = round(self._rules.gap_s * 1e9)
+        self._hold_ns = round(self._rules.hold_s * 1e9)
+        self._jump_ns = round(self._rules.jump_back_s * 1e9)
+        self.rejected: Counter[Rejection] = Counter()
+        self.received_torque = 0
+        self.received_voltage = 0
+        self.used = 0
+        self.restarts = 0
+        self._restart()
+
+    def _restart(self) -> None:
+        self._voltages: deque[tuple[int, float]] = deque()
+        self._torques: deque[tuple[int, float, float]] = deque()
+        self._held_v = math.nan  # the voltage in force
+        self._newest_voltage_ns: int | None = None
+        self._newest_torque_ns: int | None = None
+        self._previous_ns: int | None = None
+
+    @property
+    def waiting(self) -> int:
+        """Number of torque samples that wait for their voltage."""
+        return len(self._torques)
+
+    def restart(self) -> list[Sample]:
+        """Begin the signal history anew (clock set back); what still waited is completed first and returned."""
+        left = self.flush()
+        self._restart()
+        self.restarts += 1
+        return left
+
+    def voltage(self, stamp_ns: int, voltage_v: float) -> list[Sample]:
+        """Take one voltage sample in V; return the samples it completes, oldest first."""
+        self.received_voltage += 1
+        if not self._usable(voltage_v):
+            return []
+        done = self._order(stamp_ns, self._newest_voltage_ns)
+        if done is None:
+            return []
+        self._newest_voltage_ns = stamp_ns
+        self._voltages.append((stamp_ns, voltage_v))
+        if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
+            self._held_v = self._voltages.popleft()[1]
+        return done + self._complete(stamp_ns)
+
+    def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Sample]:
+        """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes."""
+        self.received_torque += 1
+        if not self._usable(torque_nm) or not (math.isnan(speed_rad_s) or self._usable(speed_rad_s)):
+            return []
+        done = self._order(stamp_ns, self._newest_torque_ns)
+        if done is None:
+            return []
+        self._newest_torque_ns = stamp_ns
+        self._torques.append((stamp_ns, torque_nm, speed_rad_s))
+        known_ns = max(stamp_ns - self._hold_ns, -1 if self._newest_voltage_ns is None else self._newest_voltage_ns)
+        return done + self._complete(known_ns)
+
+    def ahead(self, stamp_ns: int) -> tuple[float, float] | None:
+        """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
+
+        None where torque before that stamp still waits, where the voltage is not known up to it, or where no signal
+        history leads there.
+        """
+        start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
+        if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
+            return None
+        if stamp_ns - start_ns > self._gap_ns:
+            return None
+        mean_v = self._mean_voltage(start_ns, stamp_ns)
+        return None if math.isnan(mean_v) else (seconds(stamp_ns - start_ns), mean_v)
+
+    def flush(self) -> list[Sample]:
+        """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
+        return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
+
+    def _usable(self, value: float) -> bool:
+        if not math.isfinite(value):
+            self.rejected[Rejection.NON_FINITE] += 1
+            return False
+        if abs(value) > ABSURD_MAGNITUDE:
+            self.rejected[Rejection.ABSURD] += 1
+            return False
+        return True
+
+    def _order(self, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
+        """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
+        if newest_ns is None or stamp_ns > newest_ns:
+            return []
+        if newest_ns - stamp_ns > self._jump_ns:
+            return self.restart()
+        self.rejected[Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
+        return None
+
+    def _complete(self, known_until_ns: int) -> list[Sample]:
+        samples = []
+        while self._torques and self._torques[0][0] <= known_until_ns:
+            sample = self._pair(*self._torques.popleft())
+            if sample is not None:
+                samples.append(sample)
+                self.used += 1
+        return samples
+
+    def _pair(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
+        """Join a torque sample with the voltage that was held since the one before it."""
+        start_ns = self._previous_ns
+        anew = start_ns is None or stamp_ns - start_ns > self._gap_ns
+        mean_v = math.nan if anew or start_ns is None else self._mean_voltage(start_ns, stamp_ns)
+        while self._voltages and self._voltages[0][0] < stamp_ns:
+            self._held_v = self._voltages.popleft()[1]
+        if anew or start_ns is None:
+            self._previous_ns = stamp_ns
+            return Sample.of_one_motor(stamp_ns, 0.0, self._held_v, torque_nm, speed_rad_s)
+        if math.isnan(mean_v):
+            self.rejected[Rejection.NO_VOLTAGE] += 1
+            self._previous_ns = None
+            return None
+        self._previous_ns = stamp_ns
+        return Sample.of_one_motor(stamp_ns, seconds(stamp_ns - start_ns), mean_v, torque_nm, speed_rad_s)
+
+    def _mean_voltage(self, start_ns: int, end_ns: int) -> float:
+        """Mean of the held voltage over an interval; NaN where it begins before any voltage is known."""
+        held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
+        for since_ns, voltage_v in self._voltages:
+            if since_ns >= end_ns:
+                break
+            if since_ns > cursor_ns:
+                integral_vns += held_v * (since_ns - cursor_ns)
+                cursor_ns = since_ns
+            held_v = voltage_v
+        if cursor_ns == start_ns:
+            return held_v  # unchanged over the interval: exact, no division
+        return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)

@@ -1,0 +1,45 @@
+"""One sample of a group of motors that are measured together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
+
+
+def seconds(duration_ns: int) -> float:
+    """Turn integer nanoseconds into float seconds: the one place where time changes its type."""
+    return duration_ns / NANOSECONDS_PER_SECOND
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Torque at one instant, and the voltage that led to it.
+
+    Attributes:
+        stamp_ns: instant of the torque measurement.
+        interval_s: shape (motor,): time since the motor's previous sample; 0 where the signal history starts anew
+            (first sample, gap, clock that jumped back), and then the sample teaches nothing but where the motor stands.
+        voltage_v: shape (motor,): mean voltage over that interval; the held value where it did not change in between.
+        torque_nm: shape (motor,): torque at the stamp.
+        speed_rad_s: shape (motor,): measured speed at the stamp; NaN where none is measured.
+    """
+
+    stamp_ns: int
+    interval_s: Array
+    voltage_v: Array
+    torque_nm: Array
+    speed_rad_s: Array
+
+    @classmethod
+    def of_one_motor(
+        cls, stamp_ns: int, interval_s: float, voltage_v: float, torque_nm: float, speed_rad_s: float = np.nan
+    ) -> Sample:
+        """Build the sample of a single motor from plain numbers."""
+        return cls(
+            stamp_ns, np.array([interval_s]), np.array([voltage_v]), np.array([torque_nm]), np.array([speed_rad_s])
+        )
