@@ -1,10 +1,11 @@
 """Every parameter of the observer, declared once: node, ``identify``, YAML, documentation and tests read this list.
 
-Names are those of ROS parameters. One YAML file serves the node and ``identify``; each motor has a group under its name.
+Names are those of ROS parameters. One YAML file serves the node and ``identify``; each motor has a group of its own.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,9 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
 
 NODE_NAME = 'gray_box_observer'
+
+NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+"""What ROS allows between two slashes of a topic: a motor's name stands there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,11 @@ def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool,
     specs = [
         ParameterSpec(f'{name}.topic', topic, f'Topic that carries {what}; empty: none of its own.'),
         ParameterSpec(f'{name}.type', type_name, f'Message type of {name}.topic.'),
-        ParameterSpec(f'{name}.field', field_path, f'Field path of {what} in the message, such as data or wrench.torque.z.'),
+        ParameterSpec(
+            f'{name}.field',
+            field_path,
+            f'Field path of {what} in the message, such as data or wrench.torque.z.',
+        ),
     ]
     if scale:
         specs.append(
@@ -112,8 +120,12 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
-    ParameterSpec('verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0),
-    ParameterSpec('verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0),
+    ParameterSpec(
+        'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
+    ),
+    ParameterSpec(
+        'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0
+    ),
     ParameterSpec('checkpoint.path', 'gray_box_observer.npz', 'File that save writes and load reads.', live=True),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
 )
@@ -121,13 +133,23 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
-    ParameterSpec('back_emf_constant', 0.01, 'Back-EMF constant Kb in V s/rad; known unless among context_nodes.', 0.0, 1e6),
+    ParameterSpec(
+        'back_emf_constant',
+        0.01,
+        'Back-EMF constant Kb in V s/rad; known unless among context_nodes.',
+        0.0,
+        1e6,
+    ),
     ParameterSpec('brush_drop', 0.0, 'Brush drop V_b in V; known unless among context_nodes.', 0.0, 1e3),
-    ParameterSpec('context_nodes', ['inductance', 'resistance', 'hysteresis'], 'Parameters to identify; inductance first.'),
+    ParameterSpec(
+        'context_nodes',
+        ['inductance', 'resistance', 'hysteresis'],
+        'Parameters to identify; inductance first.',
+    ),
     ParameterSpec(
         'speed_source',
         'auto',
-        'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque comes with speed.',
+        'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque brings speed.',
         choices=('auto', 'measured', 'torque_constant'),
     ),
     *(
@@ -168,10 +190,18 @@ class MotorConfiguration:
 
 @dataclass(frozen=True)
 class Configuration:
-    """The whole configuration; values by the names of OBSERVER_PARAMETERS, and one entry a motor."""
+    """The whole configuration.
+
+    Attributes:
+        values: by the names of OBSERVER_PARAMETERS.
+        motors: one entry a motor.
+        unknown: names that were given but nobody declared, for the caller to warn of: a file with ``/**`` may hold
+            parameters of other nodes.
+    """
 
     values: Mapping[str, Any]
     motors: Mapping[str, MotorConfiguration] = field(default_factory=dict)
+    unknown: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]
@@ -185,17 +215,21 @@ class Configuration:
         """Build the configuration from dotted names; what is not given has its default.
 
         Raises:
-            ConfigurationError: a value out of range, a name nobody declared, or motors that fit no white box.
+            ConfigurationError: a value out of range, or motors that fit no white box.
         """
         rest = {name: value for name, value in given.items() if name not in FOREIGN_PARAMETERS}
         values = {spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS}
         names = values['motors']
-        if not names or len(set(names)) != len(names) or not all(isinstance(n, str) and n for n in names):
-            raise ConfigurationError(f'parameter motors must hold distinct, non-empty names, got {names!r}')
+        if (
+            not names
+            or len(set(names)) != len(names)
+            or not all(isinstance(n, str) and NAME.fullmatch(n) for n in names)
+        ):
+            raise ConfigurationError(
+                f'motors must be distinct names that can stand in a topic (letters, digits, _), got {names!r}'
+            )
         motors = {name: _motor(name, rest) for name in names}
-        if rest:
-            raise ConfigurationError(f'unknown parameter {sorted(rest)[0]}; see the parameter table of the README')
-        return cls(values, motors)
+        return cls(values, motors, tuple(sorted(rest)))
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
@@ -217,7 +251,9 @@ class Configuration:
                     raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
                 given.update(flatten(content['ros__parameters']))
         if not given:
-            raise ConfigurationError(f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"')
+            raise ConfigurationError(
+                f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"'
+            )
         return cls.from_flat(given)
 
 
@@ -250,4 +286,6 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
 
 
 def _default(spec: ParameterSpec) -> Any:
-    return list(spec.default) if isinstance(spec.default, Sequence) and not isinstance(spec.default, str) else spec.default
+    return (
+        list(spec.default) if isinstance(spec.default, Sequence) and not isinstance(spec.default, str) else spec.default
+    )

@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.configuration import Configuration, MotorConfiguration
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, GradientRules, GradientUpdate, VerdictRules
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    GradientRules,
+    GradientUpdate,
+    VerdictRules,
+)
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import Prediction, Predictor, Skill, Training, TrainingRules, Variant
 from gray_box_observer.samples import Pairing, Sample
@@ -84,6 +90,22 @@ class MotorObserver:
         self._foreseen = None
         return prediction, self.context_nodes.estimate() if changed else None
 
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        plain, arrays = self.context_nodes.state()
+        network = {} if self.predictor is None else self.predictor.state()
+        content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain}
+        named = {f'nodes/{k}': v for k, v in arrays.items()} | {f'network/{k}': v for k, v in network.items()}
+        return content, named
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        nodes = {k.removeprefix('nodes/'): v for k, v in arrays.items() if k.startswith('nodes/')}
+        self.context_nodes.restore(plain['context_nodes'], nodes)
+        if self.predictor is not None:
+            network = {k.removeprefix('network/'): v for k, v in arrays.items() if k.startswith('network/')}
+            self.predictor.restore(network)
+
 
 class Observer:
     """Observes the configured motors.
@@ -144,6 +166,19 @@ class Observer:
         for observer in self.motors.values():
             observer.context_nodes.freeze(frozen)
 
+    def restore(self, motor: str, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`MotorObserver.state` gave of one motor.
+
+        Raises:
+            ConfigurationError: it was learnt with another white box or other parameters.
+        """
+        measured = bool(plain['white_box']['speed_measured'])
+        if motor not in self.motors:
+            self.motors[motor] = self._make(self.configuration.motors[motor], measured)
+        if self.motors[motor].white_box.to_dict() != plain['white_box']:
+            raise ConfigurationError(f'motor {motor}: the checkpoint was learnt with other known constants or terms')
+        self.motors[motor].restore(plain, arrays)
+
     def close(self) -> None:
         """Stop whatever trains in the background."""
         for observer in self.motors.values():
@@ -185,6 +220,11 @@ class Observer:
                 'seed': seed_number,
             }
             predictor = Predictor(
-                white_box, 1, initial[0], training_rules, self._training(job), speed_measured=white_box.speed_measured
+                white_box,
+                1,
+                initial[0],
+                training_rules,
+                self._training(job),
+                speed_measured=white_box.speed_measured,
             )
         return MotorObserver(white_box, nodes, predictor)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 from gray_box_observer.context_nodes.estimate import Estimate
 from gray_box_observer.samples.sample import Sample
@@ -21,6 +21,12 @@ class ContextUpdate(Protocol):
 
     def estimate(self) -> Estimate:
         """Return the present values with covariance and verdicts."""
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""

@@ -9,10 +9,13 @@ exactly in time. Parameters live on a logarithmic scale, so they are positive by
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
@@ -48,6 +51,9 @@ class GradientRules:
     drift_ratio: float = 4.0
     drift_floor: float = 5e-3
     replay_capacity: int = 6000
+
+
+_STATE = ('z', 'first', 'second', 'adam_steps', 'rate', 'loss', 'best', 'stale', 'covariance')
 
 
 class GradientUpdate:
@@ -93,7 +99,8 @@ class GradientUpdate:
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
-        return np.exp(self._z)
+        theta: Array = np.exp(self._z)
+        return theta
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; samples are remembered all the same."""
@@ -128,7 +135,33 @@ class GradientUpdate:
         self._covariance = self._sandwich()
         return True
 
-    def _windows(self, ends: Array) -> tuple[Array, Array, Array]:
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays."""
+        plain = {
+            'random': self._random.bit_generator.state,
+            'new': self._new,
+            'stamp_ns': self._stamp_ns,
+            'parameters': [p.name for p in self._white_box.parameters],
+        }
+        arrays = {name: getattr(self, f'_{name}') for name in _STATE}
+        return plain, {**arrays, 'replay': self.replay.content()}
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters or another number of motors.
+        """
+        names = [p.name for p in self._white_box.parameters]
+        if plain['parameters'] != names or arrays['z'].shape != self._z.shape:
+            raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
+        self._random.bit_generator.state = plain['random']
+        self._new, self._stamp_ns = int(plain['new']), int(plain['stamp_ns'])
+        for name in _STATE:
+            setattr(self, f'_{name}', arrays[name])
+        self.replay.refill(arrays['replay'])
+
+    def _windows(self, ends: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Regressors (motor, window, parameter), targets and validity of the windows that end at these samples."""
         n = self._rules.window
         index = np.maximum(ends, n)[:, None] + np.arange(-n, 1)
@@ -206,7 +239,8 @@ class GradientUpdate:
 
     def _prior_covariance(self) -> Array:
         theta = self.theta
-        return np.einsum('mp,pq->mpq', theta**2, np.eye(theta.shape[1]))
+        prior: Array = np.einsum('mp,pq->mpq', theta**2, np.eye(theta.shape[1]))
+        return prior
 
     def _sandwich(self) -> Array:
         """Covariance from the curvature and scatter of the remembered windows, plus the distance still to go.

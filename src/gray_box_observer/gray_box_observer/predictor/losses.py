@@ -55,13 +55,13 @@ def stage_two_loss(
     """
     if variant in (Variant.SUPERVISED, Variant.SUPERVISED_WITH_PARAMETERS):
         error = (predicted_nm - windows.torque_nm)[:, skip:]
-        return error.abs().mean() / torque_span_nm  # type: ignore[no-any-return]
+        return error.abs().mean() / torque_span_nm
     along = predicted_nm if variant is Variant.MAIN else windows.torque_nm
     change = torque_rate(white_box, windows, along)[:, skip:] * windows.interval_s[:, skip + 1 :]
     defect = predicted_nm[:, skip + 1 :] - predicted_nm[:, skip:-1] - change
     size = change.detach().abs()
     weights = size / size.amax(dim=1, keepdim=True).clamp_min(1e-12) + weight_floor
-    return (weights * defect.abs()).mean() / (weights.mean() * torque_span_nm)  # type: ignore[no-any-return]
+    return (weights * defect.abs()).mean() / (weights.mean() * torque_span_nm)
 
 
 def torque_rate(white_box: WhiteBox, windows: Windows, torque_nm: torch.Tensor) -> torch.Tensor:

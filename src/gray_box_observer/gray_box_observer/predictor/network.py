@@ -48,7 +48,7 @@ class Weights:
     @property
     def hidden(self) -> int:
         """Number of hidden units."""
-        return self.recurrent.shape[1]
+        return int(self.recurrent.shape[1])
 
     def arrays(self) -> dict[str, Array]:
         """Return every array by its name."""

@@ -39,9 +39,7 @@ class Range:
             return self
         low, high = float(finite.min()), float(finite.max())
         extra = margin * max(high - low, 1e-12, 1e-6 * max(abs(low), abs(high)))
-        return Range(
-            self.low if low >= self.low else low - extra, self.high if high <= self.high else high + extra
-        )
+        return Range(self.low if low >= self.low else low - extra, self.high if high <= self.high else high + extra)
 
     @classmethod
     def of(cls, values: Array) -> Range:

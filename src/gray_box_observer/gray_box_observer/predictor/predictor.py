@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.inputs import InputLayout
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.normalisation import Normalisation
@@ -69,6 +70,7 @@ class Predictor:
         self.jobs_done = 0
         self.jobs_late = 0
         self.loss: float | None = None
+        self._start_from: dict[str, Any] = {}
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -119,6 +121,30 @@ class Predictor:
         if self.replay.total % self._rules.period == 0:
             self._train(theta)
 
+    def state(self) -> dict[str, Array]:
+        """The network and its ranges as arrays; empty before the first training."""
+        if self._weights is None or self._normalisation is None:
+            return {}
+        ranges = {f'range_{name}': np.array(bounds) for name, bounds in self._normalisation.to_dict().items()}
+        return {**self._weights.arrays(), **ranges}
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave; training goes on from there."""
+        if not arrays:
+            return
+        weights = Weights(**{name: arrays[name] for name in Weights.__dataclass_fields__})
+        if weights.input.shape != (4 * self._rules.hidden, self._layout.width):
+            raise ConfigurationError(
+                f'the checkpoint holds a network of {weights.hidden} hidden units and {weights.input.shape[1]} inputs, '
+                f'expected {self._rules.hidden} and {self._layout.width}'
+            )
+        ranges = {name[6:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('range_')}
+        self._weights, self._normalisation = weights, Normalisation.from_dict(ranges)
+        self._memory = Memory.blank(self._motors, weights.hidden)
+        self._warm = np.zeros(self._motors, dtype=int)
+        self._start_from = {f'start_{name}': array for name, array in weights.arrays().items()}
+        self._start_from['start_ranges'] = ranges
+
     def close(self) -> None:
         """Stop training."""
         self._training.close()
@@ -144,8 +170,10 @@ class Predictor:
                     'torque_nm': self.replay.torque_nm(),
                     'speed_rad_s': self.replay.speed_rad_s(),
                     'theta': theta,
+                    **self._start_from,
                 }
             )
+            self._start_from = {}
 
     def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1

@@ -49,7 +49,7 @@ class Scores:
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
-        """Score one sample: measured torque and what every rival had said, each of shape (motor,); NaN is not scored."""
+        """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN is not scored."""
         column = self._count % self._window
         self._torque[:, column] = torque_nm
         scored = np.ones(torque_nm.shape, dtype=bool)

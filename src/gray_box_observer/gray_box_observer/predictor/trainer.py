@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from gray_box_observer.predictor.inputs import InputLayout
 from gray_box_observer.predictor.losses import Windows, stage_two_loss
@@ -31,8 +32,9 @@ class _Network(torch.nn.Module):
         super().__init__()
         self.lstm = torch.nn.LSTM(inputs, hidden, batch_first=True)
         self.readout = torch.nn.Linear(hidden, 1)
-        self.lstm.bias_hh_l0.requires_grad_(False)
-        self.lstm.bias_hh_l0.zero_()
+        spare = self.lstm.get_parameter('bias_hh_l0')
+        spare.requires_grad_(False)
+        spare.zero_()
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
         return self.readout(self.lstm(inputs)[0])[..., 0]  # type: ignore[no-any-return]
@@ -50,11 +52,11 @@ class _Network(torch.nn.Module):
     def _tensors(self) -> dict[str, torch.nn.Parameter]:
         lstm = self.lstm
         return {
-            'input': lstm.weight_ih_l0,
-            'recurrent': lstm.weight_hh_l0,
-            'bias': lstm.bias_ih_l0,
-            'output': self.readout.weight,
-            'output_bias': self.readout.bias,
+            'input': lstm.get_parameter('weight_ih_l0'),
+            'recurrent': lstm.get_parameter('weight_hh_l0'),
+            'bias': lstm.get_parameter('bias_ih_l0'),
+            'output': self.readout.get_parameter('weight'),
+            'output_bias': self.readout.get_parameter('bias'),
         }
 
 
@@ -78,7 +80,10 @@ class Trainer:
         trainable = [p for p in self._network.parameters() if p.requires_grad]
         self._optimiser = torch.optim.Adam(trainable, self._rules.learning_rate)
         self._plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            self._optimiser, factor=0.5, patience=self._rules.patience, min_lr=self._rules.smallest_learning_rate
+            self._optimiser,
+            factor=0.5,
+            patience=self._rules.patience,
+            min_lr=self._rules.smallest_learning_rate,
         )
         self._normalisation: Normalisation | None = None
         self._random = np.random.default_rng([self._seed, 1])
@@ -88,12 +93,15 @@ class Trainer:
 
         Args:
             job: ``voltage_v``, ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n), and ``theta``,
-                shape (motor, parameter).
+                shape (motor, parameter); ``start_*``, where training shall go on from a saved network.
 
         Returns:
             The network's arrays, its ranges, the mean ``loss`` and the ``windows`` seen; no arrays where the data held
             no window without a gap.
         """
+        if 'start_ranges' in job:
+            self._network.load(Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}))
+            self._normalisation = Normalisation.from_dict(job['start_ranges'])
         starts = self._window_starts(job['interval_s'])
         if starts.size == 0:
             return {'windows': 0}
@@ -103,16 +111,21 @@ class Trainer:
         self._plateau.step(loss)
         assert self._normalisation is not None
         seen = self._rules.steps * self._rules.minibatch
-        return {'windows': seen, 'loss': loss, 'ranges': self._normalisation.to_dict(), **self._network.export().arrays()}
+        return {
+            'windows': seen,
+            'loss': loss,
+            'ranges': self._normalisation.to_dict(),
+            **self._network.export().arrays(),
+        }
 
     def _window_starts(self, interval_s: Array) -> Array:
         """Flat index (motor * n + start) of every window without a restart in it."""
         length = self._rules.length
-        motors, n = interval_s.shape
+        n = interval_s.shape[1]
         if n < length:
             return np.zeros(0, dtype=int)
         gaps = np.cumsum(np.pad(interval_s <= 0.0, ((0, 0), (1, 0))), axis=1)
-        clean = gaps[:, length:] - gaps[:, : n - length + 1] == 0
+        clean: NDArray[np.bool_] = gaps[:, length:] - gaps[:, : n - length + 1] == 0
         motor, start = np.nonzero(clean)
         flat: Array = motor * n + start
         return flat

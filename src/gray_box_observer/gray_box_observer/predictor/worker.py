@@ -1,4 +1,4 @@
-"""The training process: reads jobs from standard input, writes results to standard output, ends when its parent does."""
+"""The training process: reads jobs from standard input, writes results to standard output, ends with its parent."""
 
 from __future__ import annotations
 

@@ -52,6 +52,16 @@ class ReplayBuffer:
         self._data[:, :, :keep] = self._data[:, :, self._end - keep : self._end]
         self._end = keep
 
+    def content(self) -> Array:
+        """Everything remembered, shape (signal, motor, n), for a checkpoint."""
+        return self._data[:, :, self._end - len(self) : self._end].copy()
+
+    def refill(self, content: Array) -> None:
+        """Take back what :meth:`content` gave, as much as fits; the signal history ends there."""
+        keep = min(content.shape[2], self.capacity)
+        self._data[:, :, :keep] = content[:, :, content.shape[2] - keep :]
+        self._end = keep
+
     def _newest(self, row: int, count: int | None) -> Array:
         length = len(self) if count is None else min(count, len(self))
         return self._data[row, :, self._end - length : self._end]

@@ -41,5 +41,9 @@ class Sample:
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
         return cls(
-            stamp_ns, np.array([interval_s]), np.array([voltage_v]), np.array([torque_nm]), np.array([speed_rad_s])
+            stamp_ns,
+            np.array([interval_s]),
+            np.array([voltage_v]),
+            np.array([torque_nm]),
+            np.array([speed_rad_s]),
         )

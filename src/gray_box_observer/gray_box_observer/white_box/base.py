@@ -44,7 +44,9 @@ class WhiteBox(Protocol):
     the coefficient of the derivative (the inductance of a motor).
     """
 
-    parameters: tuple[Parameter, ...]
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The unknown parameters, that of the derivative first."""
 
     def state(self, torque_nm: Array) -> Array:
         """Turn the measured output into the state (torque to current). Elementwise."""

@@ -61,7 +61,7 @@ def advance(
 ) -> Array:
     """Move the state over one interval of held voltage.
 
-    Classical Runge-Kutta, as many steps as the time constant asks for; measured speed runs linearly between its samples.
+    Classical Runge-Kutta, as many steps as the time constant asks for; measured speed runs linearly between samples.
 
     Args:
         white_box: the physics.
@@ -115,9 +115,7 @@ def integrated_regressors(
     return np.stack(columns, axis=-1), 0.5 * interval_s * (start + end)
 
 
-def steady_state(
-    white_box: WhiteBox, theta: Any, voltage_v: Any, speed_rad_s: Any, iterations: int = 12
-) -> Any:
+def steady_state(white_box: WhiteBox, theta: Any, voltage_v: Any, speed_rad_s: Any, iterations: int = 12) -> Any:
     """Current at which the voltage balances (``di/dt = 0``), by damped Newton steps; arrays and tensors alike.
 
     Args:

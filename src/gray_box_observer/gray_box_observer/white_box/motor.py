@@ -144,5 +144,7 @@ def _take(constant: Any, index: Any) -> Any:
 
 def _call(function: Any, state: Any, speed_rad_s: Any) -> Any:
     if function is None:
-        raise ConfigurationError('the derivative term has no basis function: inductance cannot be a known constant here')
+        raise ConfigurationError(
+            'the derivative term has no basis function: inductance cannot be a known constant here'
+        )
     return function(state, speed_rad_s)

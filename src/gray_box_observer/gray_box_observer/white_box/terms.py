@@ -43,7 +43,10 @@ def _sign(x: Any) -> Any:
 
 
 INDUCTANCE = Term(
-    Parameter('inductance', 'H', 1.5, 1e-7, 1e2, 'Armature inductance L, coefficient of di/dt.'), None, None, None
+    Parameter('inductance', 'H', 1.5, 1e-7, 1e2, 'Armature inductance L, coefficient of di/dt.'),
+    None,
+    None,
+    None,
 )
 RESISTANCE = Term(
     Parameter('resistance', 'ohm', 3.0, 1e-4, 1e4, 'Armature resistance R, coefficient of i.'),
@@ -53,7 +56,12 @@ RESISTANCE = Term(
 )
 HYSTERESIS = Term(
     Parameter(
-        'hysteresis', 'V s/(rad A)', 1.0, 1e-8, 1e6, 'Magnetic hysteresis constant K_HS, coefficient of |w| i.'
+        'hysteresis',
+        'V s/(rad A)',
+        1.0,
+        1e-8,
+        1e6,
+        'Magnetic hysteresis constant K_HS, coefficient of |w| i.',
     ),
     value=lambda i, w: abs(w) * i,
     by_current=lambda i, w: abs(w) + 0.0 * i,

@@ -1,0 +1,63 @@
+"""Saving what was learnt to one versioned file, and taking it back. Plain arrays only: nothing in it can run."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+from typing import Any
+
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.observer import Observer
+from gray_box_observer.predictor import messages
+
+VERSION = 1
+
+
+def save(observer: Observer, path: Path) -> None:
+    """Write the state of every motor, all or nothing: a crash leaves the old file.
+
+    Raises:
+        GrayBoxError: nothing was learnt yet, or the file cannot be written.
+    """
+    if not observer.motors:
+        raise GrayBoxError('nothing to save yet: no motor has been seen')
+    content: dict[str, Any] = {'version': VERSION, 'motors': {}}
+    for name, motor in observer.motors.items():
+        plain, arrays = motor.state()
+        content['motors'][name] = plain
+        content.update({f'{name}/{key}': array for key, array in arrays.items()})
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
+            file.write(messages.encode(content))
+            file.flush()
+            os.fsync(file.fileno())
+        Path(file.name).replace(path)
+    except OSError as error:
+        raise GrayBoxError(f'cannot write {path}: {error.strerror}') from error
+
+
+def load(observer: Observer, path: Path) -> None:
+    """Take back what :func:`save` wrote; the signal history starts anew, the estimates stand where they stood.
+
+    Raises:
+        GrayBoxError: no such file, not a checkpoint, another version, or motors or parameters that do not match.
+    """
+    try:
+        content = messages.decode(path.read_bytes())
+        version, motors = content['version'], content['motors']
+    except OSError as error:
+        raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
+    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise GrayBoxError(f'{path} is not a checkpoint of this package') from error
+    if version != VERSION:
+        raise GrayBoxError(f'{path} is of version {version}, expected {VERSION}: it was saved by another release')
+    strangers = sorted(set(motors) - set(observer.configuration.motors))
+    if strangers:
+        raise GrayBoxError(f'{path} holds motor {strangers[0]}, which is not among the configured ones')
+    for name, plain in motors.items():
+        prefix = f'{name}/'
+        arrays = {key[len(prefix) :]: value for key, value in content.items() if key.startswith(prefix)}
+        observer.restore(name, plain, arrays)

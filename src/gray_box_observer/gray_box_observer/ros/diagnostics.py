@@ -1,0 +1,117 @@
+"""Diagnostics of every motor in the shape operators know: level, one line of advice, key-value pairs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.intake import Intake
+from gray_box_observer.observer import Observer
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What came in during the last period.
+
+    Attributes:
+        period_s: length of the period.
+        used: samples learnt in it, by motor.
+        rejected: messages refused in it, by motor.
+    """
+
+    period_s: float
+    used: dict[str, int]
+    rejected: dict[str, int]
+
+
+def status_of(motor: str, observer: Observer, intake: Intake, traffic: Traffic, active: bool) -> DiagnosticStatus:
+    """Describe one motor."""
+    values = _values(motor, observer, intake, traffic)
+    level, message = _judge(motor, observer, intake, traffic, active)
+    return DiagnosticStatus(
+        level=level,
+        name=f'gray_box_observer: {motor}',
+        message=message,
+        hardware_id=motor,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+
+
+def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, active: bool) -> tuple[bytes, str]:
+    if not active:
+        return (
+            DiagnosticStatus.STALE,
+            'inactive: activate the node (ros2 lifecycle set /gray_box_observer activate)',
+        )
+    pairing = observer.pairing[motor]
+    if traffic.used[motor] == 0:
+        silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
+        if silent:
+            topics = ' and '.join(intake.signals[n].topic for n in silent)
+            return (
+                DiagnosticStatus.STALE,
+                f'nothing received for this motor: is {topics} published with its name?',
+            )
+        return (
+            DiagnosticStatus.STALE,
+            'no new sample: have voltage and torque stopped, or do their stamps differ?',
+        )
+    training = observer.motors[motor].predictor
+    if training is not None and training.failure is not None:
+        return DiagnosticStatus.ERROR, training.failure
+    if traffic.rejected[motor] > 0.05 * (traffic.used[motor] + traffic.rejected[motor]):
+        return (
+            DiagnosticStatus.WARN,
+            f'{traffic.rejected[motor]} messages refused in {traffic.period_s:.0f} s: see rejected',
+        )
+    estimate = observer.motors[motor].context_nodes.estimate()
+    for verdict, advice in ADVICE.items():
+        names = [p.name for p, v in zip(estimate.parameters, estimate.verdicts[0], strict=True) if v is verdict]
+        if names:
+            return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
+    if estimate.identified(0):
+        return DiagnosticStatus.OK, 'every parameter identified'
+    return DiagnosticStatus.OK, 'frozen' if observer.frozen else 'converging'
+
+
+ADVICE = {
+    Verdict.IMPLAUSIBLE: 'at a bound: check torque_constant, units and sign of voltage and torque',
+    Verdict.UNEXCITED: 'not excited: vary the voltage',
+}
+
+
+def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) -> dict[str, str]:
+    pairing = observer.pairing[motor]
+    rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
+    for counts in intake.rejected.values():
+        rejected.update({reason.value: n for reason, n in counts.items()})
+    values = {
+        'samples used': str(pairing.used),
+        'samples waiting for voltage': str(pairing.waiting),
+        'voltage messages': str(pairing.received_voltage),
+        'torque messages': str(pairing.received_torque),
+        'signal restarts': str(pairing.restarts),
+        'sample rate [1/s]': f'{traffic.used[motor] / traffic.period_s:.1f}',
+        'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
+    }
+    seen = observer.motors.get(motor)
+    if seen is None:
+        return values
+    estimate = seen.context_nodes.estimate()
+    for j, parameter in enumerate(estimate.parameters):
+        value, std = estimate.value[0, j], estimate.std[0, j]
+        values[f'{parameter.name} [{parameter.unit}]'] = f'{value:.6g} +- {std:.2g}'
+        values[f'{parameter.name} verdict'] = estimate.verdicts[0][j].value
+    skill = observer.skill(motor)
+    if skill is not None and seen.predictor is not None:
+        values.update({name: _text(value) for name, value in skill.to_dict().items()})
+        values['training jobs done'] = str(seen.predictor.jobs_done)
+        values['training jobs late'] = str(seen.predictor.jobs_late)
+    return values
+
+
+def _text(value: float | int | None) -> str:
+    return 'unknown' if value is None else f'{value:.4g}'

@@ -1,0 +1,252 @@
+"""The observer as a managed ROS node: callbacks convert, call the core and publish."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
+from rosidl_runtime_py.utilities import get_message
+from std_srvs.srv import SetBool, Trigger
+
+from gray_box_observer import checkpoint
+from gray_box_observer.configuration import NODE_NAME
+from gray_box_observer.errors import ConfigurationError, GrayBoxError
+from gray_box_observer.intake import SIGNALS, Intake, stamp_of
+from gray_box_observer.observer import Observer
+from gray_box_observer.predictor import ProcessTraining
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.diagnostics import Traffic, status_of
+from gray_box_observer.ros.outputs import Outputs
+from gray_box_observer.ros.parameters import declare
+from gray_box_observer.ros.running import Stop, parse_arguments, run_node
+
+DIAGNOSTICS_PERIOD_S = 1.0
+
+Transition = TransitionCallbackReturn
+
+
+class ObserverNode(LifecycleNode):
+    """Listens to voltage and torque, publishes estimates, predictions and diagnostics.
+
+    Args:
+        stop: ends the process with a reason.
+    """
+
+    def __init__(self, stop: Stop) -> None:
+        super().__init__(NODE_NAME)
+        self._stop = stop
+        self._configuration = declare(self)
+        self._types = {name: self._message_type(name) for name in SIGNALS}
+        self._observer: Observer | None = None
+        self._intake: Intake | None = None
+        self._outputs: Outputs | None = None
+        self._signal_subscriptions: list[Subscription] = []
+        self._active = False
+        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
+        self._without_header: set[str] = set()
+        self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        self.create_service(Trigger, '~/reset', self._reset)
+        self.create_service(Trigger, '~/save', self._save)
+        self.create_service(Trigger, '~/load', self._load)
+        self.create_service(SetBool, '~/freeze', self._freeze)
+        self.add_on_set_parameters_callback(self._parameters_set)
+        if self._configuration['autostart']:
+            for transition in (self.trigger_configure, self.trigger_activate):
+                if transition() != Transition.SUCCESS:
+                    raise ConfigurationError('the node could not start itself: see the log for the reason')
+
+    def on_configure(self, state: LifecycleState) -> Transition:
+        """Build the observer; nothing is received yet."""
+        self._observer = Observer(self._configuration, ProcessTraining)
+        self._intake = Intake(self._observer, self._configuration)
+        if self._outputs is None:
+            self._outputs = Outputs(self, self._configuration)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> Transition:
+        """Listen and publish."""
+        result = super().on_activate(state)
+        for name in SIGNALS:
+            topic = self._configuration[f'{name}.topic']
+            if topic:
+                callback: Callable[..., None] = partial(self._receive, name)
+                # rclpy looks at the signature to decide whether to pass the message's times along
+                self._signal_subscriptions.append(
+                    self.create_subscription(
+                        self._types[name],
+                        topic,
+                        lambda m, info, call=callback: call(m, info),
+                        topics.SIGNAL_QOS,
+                    )
+                )
+        self._active = True
+        names = ', '.join(self._configuration.motors)
+        self.get_logger().info(f'active: listening for {names} on {self._topics_in_words()}')
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> Transition:
+        """Stop listening; what was learnt stays."""
+        self._stop_listening()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> Transition:
+        """Forget everything."""
+        self._drop_observer()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> Transition:
+        """Stop for good."""
+        self._stop_listening()
+        self._drop_observer()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> Transition:
+        """Go back to where configuring is possible again."""
+        self._stop_listening()
+        self._drop_observer()
+        return Transition.SUCCESS
+
+    def close(self) -> None:
+        """End the training processes before the node goes."""
+        self._stop_listening()
+        if self._observer is not None:
+            self._observer.close()
+
+    def _receive(self, name: str, message: Any, info: dict[str, Any]) -> None:
+        if self._observer is None or self._intake is None or self._outputs is None:
+            return
+        if name not in self._without_header and stamp_of(message) is None:
+            self._without_header.add(name)
+            self.get_logger().info(
+                f"{self._configuration[f'{name}.type']} has no header: {name} is stamped by the middleware"
+            )
+        arrival_ns = info.get('source_timestamp') or self.get_clock().now().nanoseconds
+        try:
+            results = self._intake.take(name, message, arrival_ns)
+        except ConfigurationError as error:
+            self._stop(error)
+            return
+        self._outputs.results(results)
+        if name == 'voltage':
+            stamp_ns = stamp_of(message)
+            for motor in self._intake.motors_in(name, message):
+                forecast = self._observer.forecast(motor, arrival_ns if stamp_ns is None else stamp_ns)
+                if forecast is not None:
+                    self._outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
+
+    def _diagnose(self) -> None:
+        if self._observer is None or self._intake is None:
+            return
+        traffic = self._traffic(self._observer)
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        array.status = [
+            status_of(motor, self._observer, self._intake, traffic, self._active)
+            for motor in self._configuration.motors
+        ]
+        self._diagnostics.publish(array)
+
+    def _traffic(self, observer: Observer) -> Traffic:
+        used, rejected = {}, {}
+        for motor, pairing in observer.pairing.items():
+            before_used, before_rejected = self._counted[motor]
+            refused = pairing.rejected.total()
+            used[motor], rejected[motor] = pairing.used - before_used, refused - before_rejected
+            self._counted[motor] = pairing.used, refused
+        return Traffic(DIAGNOSTICS_PERIOD_S, used, rejected)
+
+    def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._drop_observer()
+        self._observer = Observer(self._configuration, ProcessTraining)
+        self._intake = Intake(self._observer, self._configuration)
+        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
+        response.success, response.message = (
+            True,
+            'everything learnt is forgotten; starting from the initial values',
+        )
+        return response
+
+    def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._with_checkpoint(response, checkpoint.save, 'saved to')
+
+    def _load(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._with_checkpoint(response, checkpoint.load, 'loaded from')
+
+    def _with_checkpoint(
+        self, response: Trigger.Response, action: Callable[[Observer, Path], None], words: str
+    ) -> Trigger.Response:
+        path = Path(self.get_parameter('checkpoint.path').value)
+        if self._observer is None:
+            response.success, response.message = False, 'the node is not configured: nothing to save or load'
+            return response
+        try:
+            action(self._observer, path)
+        except GrayBoxError as error:
+            response.success, response.message = False, str(error)
+            return response
+        if self._outputs is not None:
+            for motor, estimate in self._observer.estimates().items():
+                self._outputs.estimate(motor, estimate)
+        response.success, response.message = True, f'{words} {path.absolute()}'
+        return response
+
+    def _freeze(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        results = self.set_parameters([Parameter('freeze', value=bool(request.data))])
+        response.success = results[0].successful
+        response.message = results[0].reason or ('frozen' if request.data else 'learning')
+        return response
+
+    def _parameters_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            if parameter.name == 'freeze' and self._observer is not None:
+                self._observer.freeze(bool(parameter.value))
+        return SetParametersResult(successful=True)
+
+    def _stop_listening(self) -> None:
+        for subscription in self._signal_subscriptions:
+            self.destroy_subscription(subscription)
+        self._signal_subscriptions.clear()
+        self._active = False
+
+    def _drop_observer(self) -> None:
+        if self._observer is not None:
+            self._observer.close()
+        self._observer = self._intake = None
+
+    def _message_type(self, name: str) -> Any:
+        type_name = self._configuration[f'{name}.type']
+        try:
+            return get_message(type_name)
+        except (AttributeError, ModuleNotFoundError, ValueError, ImportError) as error:
+            raise ConfigurationError(
+                f'{name}.type {type_name!r} is not a message this environment knows: source the workspace that has it'
+            ) from error
+
+    def _topics_in_words(self) -> str:
+        used = [self._configuration[f'{name}.topic'] for name in SIGNALS]
+        return ', '.join(self.resolve_topic_name(topic) for topic in used if topic)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the observer; the result is the exit code."""
+    parser = argparse.ArgumentParser(
+        prog='observer',
+        description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
+        'predicts their torque. Parameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
+        epilog='List every parameter with "ros2 param list /gray_box_observer" and "ros2 param describe".',
+    )
+    parse_arguments(parser, args)
+    return run_node(ObserverNode, args, name='observer')
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,75 @@
+"""What the observer publishes, turned from the core's results into messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
+
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.observer import Result
+from gray_box_observer.ros import topics
+from gray_box_observer.white_box import Parameter
+
+Publish = Callable[[Any], None]
+
+
+class Outputs:
+    """Publishers of every motor; created once, they stay with the node."""
+
+    def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
+        self._predicted = self._create(node, topics.PREDICTED_TORQUE)
+        self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in configuration.motors}
+        self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in configuration.motors}
+        self._parameters = {
+            (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
+            for m, motor in configuration.motors.items()
+            for p in motor.values['context_nodes']
+        }
+        self._announced: dict[str, int] = {}
+
+    @staticmethod
+    def _create(node: LifecycleNode, topic: topics.Topic, **names: str) -> Publish:
+        publisher = node.create_lifecycle_publisher(topic.type, topic.name.format(**names), topic.qos)
+        publish: Publish = publisher.publish
+        return publish
+
+    def results(self, results: Iterable[Result]) -> None:
+        """Publish predictions that have not gone out as forecasts, and every changed estimate."""
+        for result in results:
+            if result.prediction is not None:
+                self.prediction(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
+            if result.estimate is not None:
+                self.estimate(result.motor, result.estimate)
+
+    def prediction(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
+        """Publish the torque predicted for a stamp, once."""
+        if self._announced.get(motor) == stamp_ns or not math.isfinite(torque_nm):
+            return
+        self._announced[motor] = stamp_ns
+        message = JointState(name=[motor], effort=[torque_nm])
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._predicted(message)
+
+    def estimate(self, motor: str, estimate: Estimate) -> None:
+        """Publish values, covariance and whether all is identified."""
+        for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
+            self._parameters[motor, parameter.name](Float64(data=float(value)))
+        self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
+        self._identified[motor](Bool(data=estimate.identified(0)))
+
+
+def covariance_message(parameters: tuple[Parameter, ...], values: list[float]) -> Float64MultiArray:
+    """Build the covariance: square, row-major, both dimensions labelled with the parameter names in order."""
+    message = Float64MultiArray(data=values)
+    label, n = ','.join(p.name for p in parameters), len(parameters)
+    message.layout.dim = [
+        MultiArrayDimension(label=label, size=n, stride=n * n),
+        MultiArrayDimension(label=label, size=n, stride=n),
+    ]
+    return message
