@@ -1,0 +1,203 @@
+"""The plant: DC motors with magnetic hysteresis, many at once (thesis 4.1, equations 4.1 to 4.4).
+
+    L di/dt = V - R i - Kb w - K_HS |w| i - V_b sign(i)        T = Kt i
+
+    thesis mode:  w = Kt i
+    rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - T_load
+
+The thesis writes the hysteresis voltage of its mode as `K_HS Kt i^2`, which would feed energy into a motor
+whose current is negative; `K_HS |w| i` is the same for positive current and dissipates in all four
+quadrants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+
+from dc_motor_sim.errors import PlantError
+from dc_motor_sim.quantity import about, check_fields
+from dc_motor_sim.solver import FloatArray, integrate
+
+SPEED_MODES = ('thesis', 'rotor')
+
+BRUSH_SMOOTHING_A = 0.02
+"""sign(i) of the brush drop is tanh(i / BRUSH_SMOOTHING_A): 96 % of it is there at twice this current."""
+
+FRICTION_SMOOTHING_RAD_S = 0.1
+"""sign(w) of the Coulomb friction is tanh(w / FRICTION_SMOOTHING_RAD_S)."""
+
+STEPS_PER_TIME_CONSTANT = 10
+"""Solver steps within the shortest electrical or mechanical time constant, at least."""
+
+MAX_SUBSTEPS = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlantParameters:
+    """Physical parameters of one motor in SI units; the defaults are the motor of the thesis.
+
+    The rotor parameters count in rotor mode only. Their defaults (a friction of 1 N m s / rad, which makes
+    `w = Kt i` in the steady state, and a small inertia) turn the thesis's motor into the same motor with a
+    10 ms mechanical lag.
+
+    Raises:
+        PlantError: A value is not a finite number or out of its bounds.
+    """
+
+    inductance: float = field(default=0.5, metadata=about('armature inductance L', 'H', 1e-6, 1e3))
+    resistance: float = field(default=1.0, metadata=about('armature resistance R', 'ohm', 1e-6, 1e6))
+    hysteresis: float = field(
+        default=10.0, metadata=about('magnetic hysteresis constant K_HS', 'V s / (rad A)', 0.0, 1e6)
+    )
+    torque_constant: float = field(default=0.01, metadata=about('torque constant Kt', 'N m / A', 1e-6, 1e3))
+    back_emf_constant: float = field(default=0.01, metadata=about('back-EMF constant Kb', 'V s / rad', 0.0, 1e3))
+    brush_drop: float = field(
+        default=0.0, metadata=about('brush voltage drop V_b, against the current', 'V', 0.0, 100.0)
+    )
+    inertia: float = field(default=0.01, metadata=about('moment of inertia J of rotor and load', 'kg m^2', 1e-9, 1e6))
+    viscous_friction: float = field(default=1.0, metadata=about('viscous friction b', 'N m s / rad', 0.0, 1e6))
+    coulomb_friction: float = field(
+        default=0.0, metadata=about('Coulomb friction torque T_c, against the rotation', 'N m', 0.0, 1e6)
+    )
+    load_torque: float = field(
+        default=0.0, metadata=about('load torque T_load, against positive rotation', 'N m', -1e6, 1e6)
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, PlantError)
+
+
+class Plant:
+    """Motors with fixed parameters; the state goes in and comes out, nothing is remembered.
+
+    State: shape (motor, 1) holding the current in A in thesis mode, (motor, 2) holding current in A and
+    speed in rad/s in rotor mode. Voltages, torques and speeds: shape (motor,).
+
+    Args:
+        motors: Parameters of each motor, in the order of the motor axis.
+        speed_mode: `thesis` (the speed follows the current, `w = Kt i`) or `rotor` (the speed is a state).
+
+    Raises:
+        PlantError: No motor, or an unknown speed mode.
+    """
+
+    def __init__(self, motors: Sequence[PlantParameters], speed_mode: str = 'thesis') -> None:
+        if not motors:
+            raise PlantError('a plant needs at least one motor; got none')
+        if speed_mode not in SPEED_MODES:
+            raise PlantError(f'speed_mode must be one of {", ".join(SPEED_MODES)}; got {speed_mode!r}')
+        self.motors = tuple(motors)
+        self.speed_mode = speed_mode
+        columns = {f.name: np.array([getattr(motor, f.name) for motor in self.motors]) for f in fields(PlantParameters)}
+        self._L: FloatArray = columns['inductance']
+        self._R: FloatArray = columns['resistance']
+        self._K: FloatArray = columns['hysteresis']
+        self._Kt: FloatArray = columns['torque_constant']
+        self._Kb: FloatArray = columns['back_emf_constant']
+        self._Vb: FloatArray = columns['brush_drop']
+        self._J: FloatArray = columns['inertia']
+        self._b: FloatArray = columns['viscous_friction']
+        self._Tc: FloatArray = columns['coulomb_friction']
+        self._Tl: FloatArray = columns['load_torque']
+        self._brushes = bool(self._Vb.any())
+        self._rotor = speed_mode == 'rotor'
+
+    def initial_state(self) -> FloatArray:
+        """Return every motor at rest and without current."""
+        return np.zeros((len(self.motors), 2 if self._rotor else 1))
+
+    def torque_nm(self, state: FloatArray) -> FloatArray:
+        """Return the motor torque `T = Kt i` in N m, before friction and load."""
+        return self._Kt * state[:, 0]
+
+    def speed_rad_s(self, state: FloatArray) -> FloatArray:
+        """Return the shaft speed in rad/s."""
+        return state[:, 1].copy() if self._rotor else self._Kt * state[:, 0]
+
+    def derivative(self, state: FloatArray, voltage_v: FloatArray) -> FloatArray:
+        """Return the time derivative of the state, same shape (equation 4.4 in thesis mode)."""
+        current = state[:, 0]
+        speed = state[:, 1] if self._rotor else self._Kt * current
+        drop = (self._R + self._K * np.abs(speed)) * current + self._Kb * speed
+        if self._brushes:
+            drop += self._Vb * np.tanh(current / BRUSH_SMOOTHING_A)
+        current_rate: FloatArray = (voltage_v - drop) / self._L
+        if not self._rotor:
+            return current_rate[:, np.newaxis]
+        friction = self._b * speed + self._Tc * np.tanh(speed / FRICTION_SMOOTHING_RAD_S)
+        speed_rate = (self._Kt * current - friction - self._Tl) / self._J
+        return np.stack((current_rate, speed_rate), axis=1)
+
+    def step(self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int) -> FloatArray:
+        """Advance by `step_s` under a held voltage and return the new state; the given one is left as it is.
+
+        Args:
+            state: Shape (motor, state).
+            voltage_v: Armature voltage in V, held for the whole step; shape (motor,).
+            step_s: Time to advance in s.
+            substeps: Number of equal solver steps; `substeps_for` proposes one.
+
+        Raises:
+            PlantError: The state became non-finite; it names the first such motor by its place.
+        """
+        # An overflow becomes a named error below, so numpy's own warning would only repeat it.
+        with np.errstate(over='ignore', invalid='ignore'):
+            after = integrate(lambda s: self.derivative(s, voltage_v), state, step_s, substeps)
+        if not np.isfinite(after).all():
+            motor = int(np.flatnonzero(~np.isfinite(after).all(axis=1))[0])
+            raise PlantError(
+                f'the state of motor {motor} became non-finite under {voltage_v[motor]:g} V; '
+                'check its parameters or use a smaller solver_step_s'
+            )
+        return after
+
+    def substeps_for(self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float) -> int:
+        """Number of equal solver steps within `step_s` that is accurate and stable.
+
+        A solver step is at most `solver_step_s` and at most a tenth of the shortest time constant: the
+        electrical one at the present state and at the one that the voltage drives to, and in rotor mode the
+        mechanical ones. The smoothed signs are stiff near zero; there the step only has to stay well inside
+        the stability limit.
+
+        Raises:
+            PlantError: More than `MAX_SUBSTEPS` would be needed.
+        """
+        fastest = self._rotor_rate(state, voltage_v, step_s) if self._rotor else self._rate(state, voltage_v)
+        rate = STEPS_PER_TIME_CONSTANT * float(fastest.max())
+        if self._brushes:
+            rate = max(rate, float((self._Vb / (BRUSH_SMOOTHING_A * self._L)).max()))
+        if self._rotor:
+            rate = max(rate, float((self._Tc / (FRICTION_SMOOTHING_RAD_S * self._J)).max()))
+        substeps = max(math.ceil(step_s / solver_step_s - 1e-9), math.ceil(step_s * rate - 1e-9), 1)
+        if substeps > MAX_SUBSTEPS:
+            raise PlantError(
+                f'{substeps} solver steps would be needed for {step_s:g} s (at most {MAX_SUBSTEPS}); '
+                'a time constant is too short for this sample rate'
+            )
+        return substeps
+
+    def _rate(self, state: FloatArray, voltage_v: FloatArray) -> FloatArray:
+        """Inverse of the electrical time constant in thesis mode, 1/s, shape (motor,).
+
+        The differential resistance is `r + 2 k |i|` with `r = R + Kb Kt`, `k = K_HS Kt`; in the steady
+        state of V it is the root of the discriminant of `k i^2 + r i = |V|`.
+        """
+        r = self._R + self._Kb * self._Kt
+        k = self._K * self._Kt
+        final = np.sqrt(r * r + 4.0 * k * np.abs(voltage_v))
+        rate: FloatArray = np.maximum(final, r + 2.0 * k * np.abs(state[:, 0])) / self._L
+        return rate
+
+    def _rotor_rate(self, state: FloatArray, voltage_v: FloatArray, step_s: float) -> FloatArray:
+        """Bound on the fastest electrical or mechanical rate within the coming step, 1/s, shape (motor,)."""
+        current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
+        torque = self._Kt * current + np.abs(self._Tl)
+        gained = torque / np.maximum(self._J / step_s, self._b)  # inertia or friction, whichever limits more
+        speed = np.abs(state[:, 1]) + gained
+        electrical = (self._R + self._K * speed) / self._L
+        coupling = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))
+        return np.maximum(np.maximum(electrical, coupling), self._b / self._J)

@@ -1,0 +1,307 @@
+"""The node as a process of its own, on real DDS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from sensor_msgs.msg import JointState
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.ros import topics
+from dc_motor_sim.simulation import Simulation
+
+pytestmark = pytest.mark.system
+
+TIMEOUT_S = 30.0
+# From a random one on, so that test processes side by side do not race for the same; above 101, the ports of DDS
+# meet those that Linux hands out.
+DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
+
+
+def free_domain():
+    """Find a domain that nobody is in: the first participant of a domain owns a known UDP port."""
+    for domain in itertools.islice(DOMAINS, 101):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise AssertionError('every domain is taken')
+
+
+def start(domain, **values):
+    arguments = ['--ros-args']
+    for name, value in values.items():
+        arguments += ['-p', f'{name.replace("__", ".")}:={value}']
+    environment = {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }
+    command = [sys.executable, '-m', 'dc_motor_sim.ros.motor_sim', *arguments]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+class Listener:
+    """A node that keeps whatever motor_sim publishes, and can talk to it."""
+
+    def __init__(self, domain):
+        self.domain = domain
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node('listener', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.voltage, self.torque, self.clock = [], [], []
+        for topic, kept in (
+            (topics.VOLTAGE, self.voltage),
+            (topics.TORQUE, self.torque),
+            (topics.CLOCK, self.clock),
+        ):
+            self.node.create_subscription(topic.type, topic.name, kept.append, topic.qos)
+        self.command = self.node.create_publisher(
+            topics.VOLTAGE_COMMAND.type, topics.VOLTAGE_COMMAND.name, topics.VOLTAGE_COMMAND.qos
+        )
+
+    def wait(self, condition, what):
+        """Spin until the condition holds; fail after a time-out."""
+        end = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < end, f'timed out waiting for {what}'
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def call(self, type_, service, request):
+        """Call a service of motor_sim and return its answer."""
+        client = self.node.create_client(type_, f'/motor_sim/{service}')
+        self.wait(client.service_is_ready, service)
+        future = client.call_async(request)
+        self.wait(future.done, f'the answer of {service}')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def send(self, **voltages):
+        """Command voltages by motor, once motor_sim listens."""
+        self.wait(self.command.get_subscription_count, 'motor_sim to listen')
+        self.command.publish(JointState(name=list(voltages), effort=list(voltages.values())))
+
+    def close(self):
+        """Leave the domain."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def listener(monkeypatch):
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    listener = Listener(free_domain())
+    yield listener
+    listener.close()
+
+
+@pytest.fixture
+def launch(listener):
+    started = []
+
+    def launch_one(**values):
+        started.append(start(listener.domain, wait_for_subscribers=1, **values))
+        return started[-1]
+
+    yield launch_one
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def stamp_ns(message):
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def number(name, value):
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+
+
+def finish(process):
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    assert 'Traceback' not in err
+    return process.returncode, out, err
+
+
+def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(listener, launch):
+    began_ns = time.time_ns()
+    process = launch(duration_s=1.0, seed=7, sample_rate_hz=300.0, torque_noise_std=0.01, excitation='R[1,2]D[0.1,0.2]')
+    listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 300, 'all samples')
+    code, _, err = finish(process)
+    assert code == 0
+    assert 'published 300 samples' in err
+
+    truth = Simulation(
+        {'motor': PlantParameters()},
+        'R[1,2]D[0.1,0.2]',
+        sample_rate_hz=300.0,
+        seed=7,
+        torque_noise_std=0.01,
+    ).record(1.0)
+    stamps = [stamp_ns(message) for message in listener.torque]
+    assert [stamp - stamps[0] for stamp in stamps] == truth.stamp_ns.tolist()
+    assert [stamp_ns(message) for message in listener.voltage] == stamps
+    assert began_ns < stamps[0] < time.time_ns()
+    assert [message.effort[0] for message in listener.voltage] == truth.voltage_v[0].tolist()
+    assert [message.effort[0] for message in listener.torque] == truth.torque_nm[0].tolist()
+    assert all(list(m.name) == ['motor'] and not m.velocity for m in listener.torque)
+
+
+def test_a_sped_up_clock_starts_at_zero_and_finishes_early(listener, launch):
+    process = launch(
+        duration_s=10.0, publish_clock='true', clock_speed_up=10.0, speed_mode='rotor', motors='[left, right]'
+    )
+    listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 1000, 'all samples')
+    assert finish(process)[0] == 0
+    assert [stamp_ns(message) for message in listener.torque] == [k * 10_000_000 for k in range(1000)]
+    clock_ns = [message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock]
+    assert clock_ns == sorted(clock_ns)
+    assert clock_ns
+    last = listener.torque[-1]
+    assert list(last.name) == ['left', 'right']
+    assert len(last.velocity) == len(last.effort) == 2
+    assert last.velocity[0] == pytest.approx(last.effort[0], rel=0.2)  # unit friction: w follows Kt i
+
+
+def test_a_live_resistance_takes_effect_and_a_set_with_a_bad_one_changes_nothing(listener, launch):
+    launch(excitation='C[10]', motor__hysteresis=0.0, sample_rate_hz=50.0)
+    settled = 0.01 * 10.0 / 1.0001
+    listener.wait(lambda: listener.torque and listener.torque[-1].effort[0] > 0.999 * settled, 'a settled torque')
+
+    bad = [number('motor.inductance', 0.1), number('motor.resistance', -1.0)]
+    answer = listener.call(
+        SetParametersAtomically, 'set_parameters_atomically', SetParametersAtomically.Request(parameters=bad)
+    ).result
+    assert not answer.successful
+    assert 'motor.resistance' in answer.reason
+    answer = listener.call(
+        SetParameters, 'set_parameters', SetParameters.Request(parameters=[number('motor.inductance', float('nan'))])
+    ).results[0]
+    assert not answer.successful
+    present = listener.call(
+        GetParameters, 'get_parameters', GetParameters.Request(names=['motor.inductance', 'motor.resistance'])
+    )
+    assert [value.double_value for value in present.values] == [0.5, 1.0]
+
+    good = SetParameters.Request(parameters=[number('motor.resistance', 2.0)])
+    assert listener.call(SetParameters, 'set_parameters', good).results[0].successful
+    listener.wait(lambda: listener.torque[-1].effort[0] < 0.501 * settled, 'the torque of the new resistance')
+    listener.wait(lambda: listener.torque[-1].effort[0] == pytest.approx(0.1 / 2.0001, rel=1e-4), 'settling')
+
+
+def test_what_was_fixed_at_the_start_cannot_be_set(listener, launch):
+    launch()
+    request = SetParameters.Request(parameters=[number('sample_rate_hz', 50.0)])
+    answer = listener.call(SetParameters, 'set_parameters', request).results[0]
+    assert not answer.successful
+    assert 'read-only' in answer.reason
+
+
+def test_a_schedule_shows_in_torque_and_parameters(listener, launch):
+    process = launch(
+        excitation='C[10]',
+        motor__hysteresis=0.0,
+        schedule='[motor.resistance=2.0@4]',
+        publish_clock='true',
+        clock_speed_up=10.0,
+    )
+    listener.wait(lambda: listener.torque and stamp_ns(listener.torque[-1]) > 10_000_000_000, 'ten seconds')
+    by_time = {stamp_ns(message): message.effort[0] for message in listener.torque}
+    assert by_time[4_000_000_000] == pytest.approx(0.1 / 1.0001, rel=1e-3)
+    assert by_time[9_000_000_000] == pytest.approx(0.1 / 2.0001, rel=1e-3)
+
+    def mirrored():
+        request = GetParameters.Request(names=['motor.resistance'])
+        return listener.call(GetParameters, 'get_parameters', request).values[0].double_value == 2.0
+
+    listener.wait(mirrored, 'the parameter to follow')
+    process.send_signal(signal.SIGTERM)
+    assert finish(process)[0] == 0
+
+
+def test_an_external_command_drives_the_plant_and_a_non_finite_one_does_not(listener, launch):
+    process = launch(excitation='external', motor__hysteresis=0.0)
+    listener.wait(lambda: len(listener.voltage) > 3, 'samples')
+    assert {message.effort[0] for message in listener.voltage} == {0.0}
+    listener.send(motor=6.0)
+    listener.wait(lambda: listener.voltage[-1].effort[0] == 6.0, 'the command')
+    listener.wait(lambda: listener.torque[-1].effort[0] > 0.03, 'the torque to rise')
+    listener.send(motor=float('nan'))
+    listener.send(stranger=3.0)
+    listener.send(motor=7.0)
+    listener.wait(lambda: listener.voltage[-1].effort[0] == 7.0, 'the second command')
+    assert {message.effort[0] for message in listener.voltage} == {0.0, 6.0, 7.0}
+    process.send_signal(signal.SIGINT)
+    code, _, err = finish(process)
+    assert code == 0
+    assert err.count('voltage command refused') == 1  # the second warning is throttled
+
+
+def test_a_node_waits_for_its_subscribers_only_so_long():
+    process = start(free_domain(), duration_s=0.1, wait_for_subscribers=1, wait_timeout_s=0.3)
+    code, _, err = finish(process)
+    assert code == 0
+    assert 'fewer than 1 subscribers after 0.3 s' in err
+
+
+@pytest.mark.parametrize(
+    ('values', 'what'),
+    [
+        ({'excitation': 'R[5;15]D[1,20]'}, 'column 4'),
+        ({'motor__resistance': -1.0}, 'motor.resistance must be from 1e-06 to 1e+06 ohm; got -1'),
+        ({'sample_rate_hz': 5000.0}, 'sample_rate_hz must be from 1 to 1000 Hz'),
+        ({'sample_rate_hz': 'fast'}, 'sample_rate_hz must be a number'),
+        ({'motors': 'motor'}, 'motors must be a list'),
+        ({'speed_mode': 'gear'}, 'speed_mode must be one of thesis, rotor'),
+        ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
+    ],
+)
+def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(values, what):
+    code, out, err = finish(start(free_domain(), **values))
+    assert code == 2
+    assert out == ''
+    assert err.startswith('motor_sim: error: ')
+    assert what in err
+    assert err.count('\n') == 1
+
+
+def test_a_whole_number_will_do_for_a_parameter_with_a_point():
+    code, _, err = finish(start(free_domain(), duration_s=1, motor__resistance=2, sample_rate_hz=10))
+    assert code == 0
+    assert 'published 10 samples' in err
+
+
+def test_a_misspelt_parameter_is_pointed_out():
+    code, _, err = finish(start(free_domain(), duration_s=0.1, motor__resistence=2.0))
+    assert code == 0
+    assert 'no parameter of motor_sim: motor.resistence' in err
+
+
+def test_help_names_the_parameters_and_starts_nothing():
+    done = subprocess.run(
+        [sys.executable, '-m', 'dc_motor_sim.ros.motor_sim', '--help'],
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+    )
+    assert done.returncode == 0
+    assert 'torque_noise_relative' in done.stdout
+    assert done.stderr == ''
