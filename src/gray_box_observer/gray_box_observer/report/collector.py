@@ -1,0 +1,122 @@
+"""Collects what a report draws while the observer runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.observer import Observer, Result
+from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
+
+
+@dataclass
+class _Course:
+    """The course of one motor so far; one row a sample, and one entry an estimate."""
+
+    start_ns: int
+    shift_ns: int = 0
+    samples: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+    estimates: list[tuple[float, Estimate]] = field(default_factory=list)
+
+
+class Collector:
+    """Listens to results and turns them into histories.
+
+    Args:
+        truth: true parameters by motor and name, where they are known.
+    """
+
+    def __init__(self, truth: Mapping[str, Mapping[str, Truth]] | None = None) -> None:
+        self._truth = truth or {}
+        self._courses: dict[str, _Course] = {}
+
+    def __call__(self, result: Result) -> None:
+        """Take one result."""
+        sample = result.sample
+        course = self._courses.setdefault(result.motor, _Course(sample.stamp_ns))
+        time_s = (sample.stamp_ns - course.start_ns + course.shift_ns) / 1e9
+        if course.samples and time_s < course.samples[-1][0]:  # the clock jumped back: go on where we were
+            course.shift_ns += round((course.samples[-1][0] - time_s) * 1e9)
+            time_s = course.samples[-1][0]
+        prediction = result.prediction
+        course.samples.append(
+            (
+                time_s,
+                float(sample.voltage_v[0]),
+                float(sample.torque_nm[0]),
+                float(prediction.torque_nm[0]) if prediction is not None else np.nan,
+                float(prediction.white_box_torque_nm[0]) if prediction is not None else np.nan,
+                float(sample.speed_rad_s[0]),
+            )
+        )
+        if result.estimate is not None:
+            course.estimates.append((time_s, result.estimate))
+
+    def histories(self, observer: Observer, rejected: Mapping[str, Mapping[str, int]]) -> tuple[MotorHistory, ...]:
+        """Return the history of every motor; ``rejected`` counts by motor and reason."""
+        return tuple(self._history(name, observer, rejected.get(name, {})) for name in self._courses)
+
+    def _history(self, name: str, observer: Observer, rejected: Mapping[str, int]) -> MotorHistory:
+        course = self._courses[name]
+        columns = np.array(course.samples).T
+        skill = observer.skill(name)
+        scores = {} if skill is None else skill.to_dict()
+        return MotorHistory(
+            name=name,
+            time_s=columns[0],
+            voltage_v=columns[1],
+            torque_nm=columns[2],
+            predicted_torque_nm=columns[3],
+            white_box_torque_nm=columns[4],
+            parameters=self._parameters(name, course),
+            speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
+            rejected=dict(rejected),
+            scores={key: float(value) for key, value in scores.items() if value is not None},
+            notes=tuple(notes(name, observer)),
+        )
+
+    def _parameters(self, name: str, course: _Course) -> tuple[ParameterHistory, ...]:
+        if not course.estimates:
+            return ()
+        time_s = np.array([t for t, _ in course.estimates])
+        value = np.array([e.value[0] for _, e in course.estimates])
+        std = np.array([e.std[0] for _, e in course.estimates])
+        return tuple(
+            ParameterHistory(
+                p.name,
+                p.unit,
+                time_s,
+                value[:, j],
+                std[:, j],
+                [e.verdicts[0][j].value for _, e in course.estimates],
+                self._truth.get(name, {}).get(p.name),
+            )
+            for j, p in enumerate(course.estimates[-1][1].parameters)
+        )
+
+
+def notes(name: str, observer: Observer) -> list[str]:
+    """Say in plain words what a reader of one motor's result has to keep in mind."""
+    values = observer.configuration.motors[name].values
+    said = [
+        f'Kt = {values["torque_constant"]:g} N m/A is taken as known: every parameter scales with it '
+        '(1 % more of it, 1 % more of each).'
+    ]
+    motor = observer.motors[name]
+    if 'back_emf_constant' not in values['context_nodes']:
+        kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
+        said.append(
+            f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its error goes into R.'
+        )
+    pairing = observer.pairing[name]
+    if pairing.restarts:
+        said.append(
+            f'The clock jumped back {pairing.restarts} times; the signal history started anew, estimates stayed.'
+        )
+    predictor = motor.predictor
+    if predictor is not None and predictor.jobs_late:
+        said.append(f'{predictor.jobs_late} training jobs were late; the running network stayed in service meanwhile.')
+    return said

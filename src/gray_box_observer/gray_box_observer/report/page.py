@@ -1,0 +1,153 @@
+"""The report: one HTML file that needs nothing else, no network and no server.
+
+The page carries plotly.js, its own style and script, and the figures as JSON; a content security policy in
+its head forbids the browser to load anything from elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+from collections.abc import Mapping
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.report import sections
+from gray_box_observer.report.drawing import Figure
+from gray_box_observer.report.errors import ReportError
+from gray_box_observer.report.history import MotorHistory, RunHistory
+from gray_box_observer.report.parameter_figure import parameter_figure
+from gray_box_observer.report.rejection_figure import rejection_figure
+from gray_box_observer.report.signal_figure import signal_figure
+
+
+def write_report(history: RunHistory, path: Path) -> None:
+    """Write the report of a run to `path`, as a whole or not at all.
+
+    A reader never sees half a page: it is written beside `path` and then takes its place.
+
+    Args:
+        history: what to report.
+        path: an `.html` file; missing folders are made, an older report is replaced.
+
+    Raises:
+        ReportError: plotly is not installed, or the file cannot be written.
+    """
+    path = Path(path)
+    text = render(history)
+    partial = path.with_name(f'.{path.name}.{os.getpid()}.partial')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            partial.write_text(text, encoding='utf-8')
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ReportError(f'cannot write the report {path}: {reason}; choose another file') from error
+
+
+def render(history: RunHistory) -> str:
+    """Return the report of a run as the text of one self-contained HTML page.
+
+    The same history and the same versions of the libraries give the same text.
+
+    Raises:
+        ReportError: plotly is not installed.
+    """
+    plotly_js, versions = _plotly()
+    figures: dict[str, Figure] = {}
+    motors = ''.join(_motor(index, motor, figures) for index, motor in enumerate(history.motors))
+    return Template(_resource('page.html')).substitute(
+        title=escape(history.title),
+        source=', '.join(escape(name) for name in history.source) or 'not named',
+        created=escape(history.created),
+        facts=sections.facts(history.summary),
+        contents=sections.contents(history.motors),
+        headline=sections.headline(history),
+        motors=motors,
+        footer=sections.footer(history, versions),
+        style=_resource('page.css'),
+        figures=embedded({key: figure.as_json() for key, figure in figures.items()}),
+        plotly=plotly_js.replace('</script', '<\\/script'),
+        script=_resource('page.js'),
+    )
+
+
+def embedded(content: Mapping[str, Any]) -> str:
+    """Return JSON that may stand inside a script element whatever strings it holds.
+
+    Raises:
+        ValueError: a number is not finite; figures write None for those.
+    """
+    text = json.dumps(content, allow_nan=False, separators=(',', ':'))
+    return text.replace('&', '\\u0026').replace('<', '\\u003c').replace('>', '\\u003e')
+
+
+def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
+    """Return the section of one motor and add its figures to `figures`."""
+    span_s = motor.span_s()
+
+    def figure(key: str, drawing: Figure, title: str) -> str:
+        key = f'motor-{index}-{key}'
+        figures[key] = drawing
+        note = f'<p class="caption">{escape(drawing.caption)}</p>' if drawing.caption else ''
+        label = f'{title} of {escape(motor.name)}'
+        return (
+            f'<figure><figcaption><h4>{title}</h4><div class="views" data-for="{key}"></div></figcaption>'
+            f'<div class="drawing" id="{key}" role="img" aria-label="{label}"></div>{note}</figure>'
+        )
+
+    parts = [f'<section class="motor" id="motor-{index}"><h2>{escape(motor.name)}</h2>']
+    parts.append('<h3>Parameters</h3>' + sections.verdict_key(motor) + '<div class="grid">')
+    for number, parameter in enumerate(motor.parameters):
+        drawing = parameter_figure(parameter, span_s)
+        parts.append(figure(f'parameter-{number}', drawing, sections.words(parameter.name)))
+    parts.append('</div><h3>Signals and prediction</h3>')
+    if len(motor.time_s):
+        parts.append(figure('signals', signal_figure(motor), 'voltage, torque and prediction error'))
+    else:
+        parts.append('<p class="empty">No sample was used.</p>')
+    parts.append('<h3>Predictor</h3><div class="scroll">' + sections.scores_table(motor.scores) + '</div>')
+    parts.append('<h3>Rejected samples</h3>')
+    rejected = rejection_figure(motor)
+    if rejected is None:
+        checks = ', '.join(sections.words(reason) for reason in motor.rejected)
+        checked = f' Checked: {checks}.' if checks else ''
+        parts.append(f'<p class="empty">No sample was rejected.{checked}</p>')
+    else:
+        parts.append(figure('rejected', rejected, 'by reason, and when'))
+    parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
+    return ''.join(parts) + '</section>'
+
+
+def _resource(name: str) -> str:
+    return (resources.files('gray_box_observer.report') / name).read_text(encoding='utf-8')
+
+
+def _plotly() -> tuple[str, dict[str, str]]:
+    """Return the text of plotly.js and the versions that made the page."""
+    try:
+        import plotly
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise ReportError(
+            'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
+        ) from error
+    text = str(get_plotlyjs())
+    found = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
+    versions = {
+        'Python': platform.python_version(),
+        'NumPy': np.__version__,
+        'plotly': str(plotly.__version__),
+        'plotly.js': found.group(1) if found else 'of unknown version',
+    }
+    return text, versions

@@ -1,0 +1,178 @@
+"""The words and tables of the report as HTML; every text from outside is escaped here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from html import escape
+
+from gray_box_observer.report.history import MotorHistory, ParameterHistory, RunHistory
+from gray_box_observer.report.parameter_figure import parameter_scale
+from gray_box_observer.report.units import MINUS, SIGMA, percent, significant, value_and_std
+from gray_box_observer.report.verdicts import look_of
+
+_SUFFIXES = (('_rad_s', 'rad/s'), ('_nm', 'N·m'), ('_hz', 'Hz'), ('_ns', 'ns'), ('_s', 's'), ('_v', 'V'))
+
+_SCORES = {
+    'nmae': (
+        'Normalised mean absolute error',
+        'of the torque forecast, over the spread of the measured torque; 0 is perfect',
+    ),
+    'skill_vs_persistence': (
+        'Skill against persistence',
+        '1 is perfect; 0 is no better than to repeat the last measured torque; negative is worse',
+    ),
+    'skill_vs_white_box': (
+        'Skill against the white box',
+        '1 is perfect; 0 is no better than the white box with the same estimates; negative is worse',
+    ),
+}
+
+
+def words(name: str) -> str:
+    """Turn a name of the code into escaped words: `skill_vs_x` becomes `skill vs x`."""
+    return escape(name.replace('_', ' '))
+
+
+def facts(summary: Mapping[str, str | float | int]) -> str:
+    """Return the facts of the run as a definition list; a unit suffix of the key becomes the unit."""
+    items = []
+    for key, value in summary.items():
+        suffix, unit = next(((end, unit) for end, unit in _SUFFIXES if key.endswith(end)), ('', ''))
+        text = value if isinstance(value, str) else _number(value)
+        label = words(key.removesuffix(suffix))
+        items.append(f'<div><dt>{label}</dt><dd>{escape(text)}{f" {unit}" if unit else ""}</dd></div>')
+    return f'<dl class="facts">{"".join(items)}</dl>' if items else ''
+
+
+def contents(motors: tuple[MotorHistory, ...]) -> str:
+    """Return links to the motors; nothing for a single one."""
+    if len(motors) < 2:
+        return ''
+    links = ''.join(f'<a href="#motor-{index}">{escape(motor.name)}</a>' for index, motor in enumerate(motors))
+    return f'<nav aria-label="Motors">{links}</nav>'
+
+
+def headline(history: RunHistory) -> str:
+    """Return one row of verdict cards for every motor."""
+    if not history.motors:
+        return '<p class="empty">This run holds no motor.</p>'
+    several = len(history.motors) > 1
+    rows = []
+    for index, motor in enumerate(history.motors):
+        title = f'<h2><a href="#motor-{index}">{escape(motor.name)}</a></h2>' if several else ''
+        cards = ''.join(card(parameter) for parameter in motor.parameters)
+        rows.append(f'<section class="headline">{title}<div class="cards">{cards}</div></section>')
+    return ''.join(rows)
+
+
+def badge(verdict: str) -> str:
+    """Return a verdict as a coloured sign and word, its meaning on hovering."""
+    look = look_of(verdict)
+    return (
+        f'<span class="badge {look.style}" title="{escape(look.meaning)}">'
+        f'<span aria-hidden="true">{look.sign}</span> {escape(verdict)}</span>'
+    )
+
+
+def card(parameter: ParameterHistory) -> str:
+    """Return the last estimate of a parameter: value, deviation, verdict, and error where truth is known."""
+    name = words(parameter.name)
+    if not len(parameter.time_s):
+        empty = '<p class="empty">No estimate was made.</p>'
+        return f'<article class="card"><header><h3>{name}</h3></header>{empty}</article>'
+    scale = parameter_scale(parameter)
+    value, std, verdict = float(parameter.value[-1]), float(parameter.std[-1]), parameter.verdict[-1]
+    text, deviation = value_and_std(value, std, scale)
+    unit = f' <span class="unit">{escape(scale.label)}</span>' if scale.label else ''
+    spread = f' <span class="std">± {deviation}</span>' if deviation is not None else ''
+    if math.isfinite(std) and math.isfinite(value) and value != 0.0:
+        rows = [('relative std', percent(std / abs(value)))]
+    else:
+        rows = [('relative std', 'not known')]
+    truth = parameter.truth_at_end()
+    if truth is not None:
+        rows.append(('truth', f'{_number(truth * scale.factor)} {escape(scale.label)}'))
+        rows.append(('error', _error(value, std, truth)))
+    details = ''.join(f'<div><dt>{label}</dt><dd>{entry}</dd></div>' for label, entry in rows)
+    return (
+        f'<article class="card {look_of(verdict).style}"><header><h3>{name}</h3>{badge(verdict)}</header>'
+        f'<p class="value"><span class="number">{text}</span>{spread}{unit}</p><dl>{details}</dl></article>'
+    )
+
+
+def verdict_key(motor: MotorHistory) -> str:
+    """Explain the colours of the verdict strips, for the verdicts that occur."""
+    seen = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
+    entries = ''.join(f'<li>{badge(word)} {escape(look_of(word).meaning)}</li>' for word in seen)
+    return f'<ul class="key" aria-label="Verdicts">{entries}</ul>' if entries else ''
+
+
+def scores_table(scores: Mapping[str, float]) -> str:
+    """Return the scores of the predictor with what they mean."""
+    if not scores:
+        return '<p class="empty">The predictor was not scored in this run.</p>'
+    rows = []
+    for name, value in scores.items():
+        label, meaning = _SCORES.get(name, (words(name), ''))
+        shown = percent(value) if name == 'nmae' else _score(value)
+        rows.append(f'<tr><th scope="row">{label}</th><td class="number">{shown}</td><td>{meaning}</td></tr>')
+    head = '<tr><th scope="col">score</th><th scope="col">value</th><th scope="col">meaning</th></tr>'
+    return f'<table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+
+
+def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> str:
+    """Return how an error of each constant goes into each parameter; nothing where it is not known."""
+    if not sensitivity:
+        return ''
+    parameters = list(dict.fromkeys(name for changes in sensitivity.values() for name in changes))
+    head = ''.join(f'<th scope="col">{words(name)}</th>' for name in parameters)
+    rows = ''.join(
+        f'<tr><th scope="row">{words(constant)}</th>'
+        + ''.join(
+            f'<td class="number">{percent(changes.get(name, math.nan) / 100.0, signed=True)}</td>'
+            for name in parameters
+        )
+        + '</tr>'
+        for constant, changes in sensitivity.items()
+    )
+    return (
+        '<h3>If a known constant is 1 % larger than given</h3><div class="scroll"><table><thead><tr>'
+        f'<th scope="col">constant</th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+    )
+
+
+def notes_list(notes: Iterable[str]) -> str:
+    """Return warnings and remarks as a list; nothing where there is none."""
+    entries = ''.join(f'<li>{escape(note)}</li>' for note in notes)
+    return f'<h3>Notes</h3><ul class="notes">{entries}</ul>' if entries else ''
+
+
+def footer(history: RunHistory, versions: Mapping[str, str]) -> str:
+    """Return how to make the report again and what made it."""
+    parts = []
+    if history.command:
+        parts.append(f'<dt>command</dt><dd><code>{escape(history.command)}</code></dd>')
+    if history.digest:
+        parts.append(f'<dt>digest of the estimates</dt><dd><code>{escape(history.digest)}</code></dd>')
+    made = ', '.join(f'{escape(name)} {escape(version)}' for name, version in versions.items())
+    parts.append(f'<dt>versions</dt><dd>{made}</dd>')
+    return f'<footer><dl>{"".join(parts)}</dl></footer>'
+
+
+def _error(value: float, std: float, truth: float) -> str:
+    error = value - truth
+    text = percent(error / abs(truth), signed=True) if truth != 0.0 else significant(error, 2)
+    if math.isfinite(std) and std > 0.0 and math.isfinite(error):
+        text += f' <span class="sigma">({significant(abs(error) / std, 2)} {SIGMA})</span>'
+    return text
+
+
+def _number(value: float | int) -> str:
+    if isinstance(value, int):
+        return f'{value:,}'.replace(',', '\N{NARROW NO-BREAK SPACE}')
+    return f'{value:.6g}'.replace('-', MINUS) if math.isfinite(value) else 'not known'
+
+
+def _score(value: float) -> str:
+    return f'{value:.4f}'.replace('-', MINUS) if math.isfinite(value) else 'not known'

@@ -1,0 +1,90 @@
+"""A real browser draws every figure of the page, and its buttons work."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from gray_box_observer.report import render
+from gray_box_observer.report.parameter_figure import parameter_figure
+from gray_box_observer.report.rejection_figure import rejection_figure
+from gray_box_observer.report.signal_figure import signal_figure
+
+pytest.importorskip('plotly', reason='the report needs plotly')
+
+BROWSER = shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
+OFFLINE = (
+    '--headless',
+    '--no-sandbox',
+    '--disable-gpu',
+    '--disable-quic',
+    '--no-first-run',
+    '--disable-background-networking',
+    '--disable-component-update',
+    '--disable-sync',
+)
+
+# Runs after the page's own script: presses every button once the figures stand, then counts what is drawn.
+PROBE = """
+<script>
+addEventListener('error', (event) => { document.documentElement.dataset.failed = event.message; });
+const probe = setInterval(() => {
+  if (document.documentElement.dataset.figures !== 'drawn') { return; }
+  clearInterval(probe);
+  const pressed = [...document.querySelectorAll('.views button')];
+  const log = document.querySelector('#motor-0-parameter-0');
+  for (const button of pressed.filter((button) => button.textContent !== 'Last tenth')) { button.click(); }
+  log.dataset.type = log.layout.yaxis.type;
+  pressed.find((button) => button.textContent === 'Last tenth').click();
+  setTimeout(() => {
+    for (const plot of document.querySelectorAll('.drawing')) {
+      plot.dataset.svg = plot.querySelectorAll('svg.main-svg').length;
+      plot.dataset.traces = plot.querySelectorAll('.scatterlayer > .trace, .barlayer > .trace').length;
+      plot.dataset.range = plot.layout.xaxis.range.map((end) => end.toFixed(3)).join(' ');
+      plot.dataset.ink = plot.data.at(-1).marker?.color ?? '';
+    }
+    document.documentElement.dataset.probe = 'done';
+  }, 500);
+}, 50);
+</script>
+</body>
+"""
+
+
+def drawn_by_browser(page: Path, profile: Path) -> str:
+    command = [BROWSER, *OFFLINE, f'--user-data-dir={profile}', '--window-size=1400,3000']
+    command += ['--virtual-time-budget=30000', '--dump-dom', page.as_uri()]
+    done = subprocess.run(command, capture_output=True, timeout=100, check=False)
+    return re.sub(r'<script.*?</script>', '', done.stdout.decode('utf-8'), flags=re.S)
+
+
+@pytest.mark.skipif(BROWSER is None, reason='neither chromium nor google-chrome is on PATH')
+def test_a_browser_draws_every_figure_with_all_its_traces_and_answers_the_buttons(tmp_path, whole_run):
+    motor = whole_run.motors[0]
+    span_s = motor.span_s()
+    expected = {f'motor-0-parameter-{k}': parameter_figure(p, span_s) for k, p in enumerate(motor.parameters)}
+    expected['motor-0-signals'] = signal_figure(motor)
+    expected['motor-0-rejected'] = rejection_figure(motor)
+    path = tmp_path / 'report.html'
+    path.write_text(render(whole_run).replace('</body>', PROBE), encoding='utf-8')
+
+    document = drawn_by_browser(path, tmp_path / 'profile')
+
+    root = re.search(r'<html[^>]*>', document).group(0)
+    assert 'data-probe="done"' in root, root
+    assert 'data-failed' not in root, root
+    plots = {
+        re.search(r' id="([^"]*)"', tag).group(1): dict(re.findall(r'data-(\w+)="([^"]*)"', tag))
+        for tag in re.findall(r'<div class="drawing[ "][^>]*>', document)
+    }
+    assert plots.keys() == expected.keys()
+    for key, figure in expected.items():
+        assert int(plots[key]['svg']) >= 1, key
+        assert int(plots[key]['traces']) == len(figure.data), key
+        assert plots[key]['range'] == '54.000 60.000', 'the time axes of a motor are not linked'
+        assert '@' not in plots[key]['ink'], key
+    assert plots['motor-0-parameter-0']['type'] == 'log'
