@@ -36,6 +36,7 @@ class Signal:
         self._scale: float = configuration[f'{name}.scale']
         self._motors = tuple(configuration.motors)
         self.unknown: Counter[str] = Counter()
+        self._readable = False
 
     def read(self, message: Any) -> list[tuple[str, float]]:
         """Return motor and value in SI units for every configured motor in the message.
@@ -44,18 +45,18 @@ class Signal:
             SampleError: names and values differ in number.
             ConfigurationError: the message has no such field, or one value stands for several motors.
         """
-        value = self._path(message)
-        names = getattr(message, 'name', None)
+        value = self._field(message)
+        names = names_of(message)
         if isinstance(value, (int, float)):
             return [(self._only_motor(), self._scale * value)]
-        if names is None or isinstance(names, str):
+        if names is None:
             if len(value) == 1:
                 return [(self._only_motor(), self._scale * float(value[0]))]
             raise ConfigurationError(
-                f'{self.name}.field {self._path} holds {len(value)} values without names: choose one, like {self._path}[0]'
+                f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
         if len(names) != len(value):
-            raise SampleError(f'{len(names)} names but {len(value)} values of {self._path}')
+            raise SampleError(f'{len(names)} names but {len(value)} values of {self._path.text}')
         wanted = self._motors
         if len(names) == 1 and names[0] in wanted:  # the usual case, without building a list twice
             return [(names[0], self._scale * float(value[0]))]
@@ -67,23 +68,40 @@ class Signal:
                 self.unknown[motor] += 1
         return pairs
 
+    def _field(self, message: Any) -> Any:
+        try:
+            value = self._path(message)
+        except SampleError as error:
+            if self._readable:  # this one message is short of something
+                raise
+            raise ConfigurationError(f'{self.name}.field {self._path.text!r} on {self.topic}: {error}') from error
+        self._readable = True
+        return value
+
     def _only_motor(self) -> str:
         if len(self._motors) != 1:
             raise ConfigurationError(
-                f'{self.name}.field {self._path} is one number without name, but there are {len(self._motors)} motors: '
+                f'{self.name}.field {self._path.text} is one number, but there are {len(self._motors)} motors: '
                 'use a message with names, or one observer a motor'
             )
         return self._motors[0]
 
 
-def stamp_of(message: Any) -> int | None:
-    """Return the header's stamp in ns; None where the type has no header."""
-    header = getattr(message, 'header', None)
-    stamp = getattr(header, 'stamp', None)
-    if stamp is not None:
-        return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+def stamp_of(message: Any, arrival_ns: int = 0) -> int:
+    """Return the stamp in ns: the header's; where the type has none, the time it arrived with."""
     ready: int | None = getattr(message, 'stamp_ns', None)  # a view of the bag reader
-    return ready
+    if ready is not None:
+        return ready
+    stamp = getattr(getattr(message, 'header', None), 'stamp', None)
+    return arrival_ns if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def names_of(message: Any) -> Sequence[str] | None:
+    """Return the names that a message gives its values; None where its type has none."""
+    names = getattr(message, 'names', None)  # a view of the bag reader
+    if names is None:
+        names = getattr(message, 'name', None)
+    return None if names is None or isinstance(names, str) else names
 
 
 class Intake:
@@ -113,14 +131,11 @@ class Intake:
             ConfigurationError: the message does not have the configured field.
         """
         self.received[name] += 1
-        stamp_ns = stamp_of(message)
-        if stamp_ns is None:
-            stamp_ns = arrival_ns
+        stamp_ns = stamp_of(message, arrival_ns)
         try:
             pairs = self.signals[name].read(message)
         except (SampleError, TypeError, ValueError):
-            self.rejected[name][Rejection.MALFORMED] += 1
-            return []
+            return self.malformed(name)
         if name == 'voltage':
             return [r for motor, value in pairs for r in self._observer.voltage(motor, stamp_ns, value)]
         if name == 'speed':
@@ -131,6 +146,11 @@ class Intake:
         for motor, value in pairs:
             results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
         return results
+
+    def malformed(self, name: str) -> list[Result]:
+        """Count a message that could not be read; it leads to nothing."""
+        self.rejected[name][Rejection.MALFORMED] += 1
+        return []
 
     def motors_in(self, name: str, message: Any) -> Sequence[str]:
         """Return the configured motors that a message speaks of; none where it cannot be read."""
@@ -144,7 +164,7 @@ class Intake:
         if self._own_speed_topic:
             return self._speed
         velocity = getattr(message, 'velocity', None)
-        names = getattr(message, 'name', None)
+        names = names_of(message)
         if velocity is None or names is None or len(velocity) != len(names):
             return {}
         return {motor: float(v) for motor, v in zip(names, velocity, strict=True)}

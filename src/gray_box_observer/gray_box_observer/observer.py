@@ -18,6 +18,8 @@ from gray_box_observer.context_nodes import (
     Estimate,
     GradientRules,
     GradientUpdate,
+    RecursiveRules,
+    RecursiveUpdate,
     VerdictRules,
 )
 from gray_box_observer.errors import ConfigurationError
@@ -105,6 +107,14 @@ class MotorObserver:
         if self.predictor is not None:
             network = {k.removeprefix('network/'): v for k, v in arrays.items() if k.startswith('network/')}
             self.predictor.restore(network)
+
+
+def _context_update(values: Configuration, white_box: MotorWhiteBox, initial: Array, seed: int) -> ContextUpdate:
+    """Build the rule that the configuration names."""
+    verdicts = VerdictRules(**values.group('verdict'))
+    if values['context_update'] == 'gradient':
+        return GradientUpdate(white_box, initial, seed, GradientRules(**values.group('gradient')), verdicts)
+    return RecursiveUpdate(white_box, initial, seed, RecursiveRules(**values.group('recursive')), verdicts)
 
 
 class Observer:
@@ -207,8 +217,7 @@ class Observer:
         seed = [values['seed'], *motor.name.encode()]
         seed_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
         initial = np.array([motor.initial()])
-        rules, verdicts = GradientRules(**values.group('gradient')), VerdictRules(**values.group('verdict'))
-        nodes = GradientUpdate(white_box, initial, seed_number, rules, verdicts)
+        nodes = _context_update(values, white_box, initial, seed_number)
         nodes.freeze(self._frozen)
         predictor = None
         if self._training is not None:

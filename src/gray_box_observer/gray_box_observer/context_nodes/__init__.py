@@ -3,5 +3,15 @@
 from gray_box_observer.context_nodes.base import ContextUpdate
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictRules
 from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate
+from gray_box_observer.context_nodes.recursive import RecursiveRules, RecursiveUpdate
 
-__all__ = ['ContextUpdate', 'Estimate', 'GradientRules', 'GradientUpdate', 'Verdict', 'VerdictRules']
+__all__ = [
+    'ContextUpdate',
+    'Estimate',
+    'GradientRules',
+    'GradientUpdate',
+    'RecursiveRules',
+    'RecursiveUpdate',
+    'Verdict',
+    'VerdictRules',
+]

@@ -171,7 +171,7 @@ class GradientUpdate:
         current = self._white_box.state(self.replay.torque_nm()[:, index])
         phi, target = integrated_regressors(self._white_box, voltage, current, speed, intervals)
         phi, target = phi.sum(axis=2), target.sum(axis=2)
-        valid = np.all(intervals > 0.0, axis=2) & np.isfinite(target)
+        valid = np.all(intervals > 0.0, axis=2) & np.isfinite(target) & np.all(np.isfinite(phi), axis=2)
         return np.where(valid[..., None], phi, 0.0), np.where(valid, target, 0.0), valid
 
     def _residual(self, phi: Array, target: Array) -> tuple[Array, Array]:
@@ -202,7 +202,7 @@ class GradientUpdate:
         loss, gradient = self._weighted_loss(phi, target, weights)
         scale = np.maximum(np.abs(gradient).max(axis=1, keepdims=True), 1e-300)
         gradient = gradient / np.maximum(scale, loss)  # Adam's epsilon must not depend on the motor's size
-        self._adam_steps += 1
+        self._adam_steps = self._adam_steps + 1.0  # not in place: a state that was handed out must stay as it is
         self._first = 0.9 * self._first + 0.1 * gradient
         self._second = 0.999 * self._second + 0.001 * gradient**2
         first = self._first / (1.0 - 0.9**self._adam_steps)

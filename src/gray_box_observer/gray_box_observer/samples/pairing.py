@@ -126,8 +126,7 @@ class Pairing:
             return None
         if stamp_ns - start_ns > self._gap_ns:
             return None
-        mean_v = self._mean_voltage(start_ns, stamp_ns)
-        return None if math.isnan(mean_v) else (seconds(stamp_ns - start_ns), mean_v)
+        return seconds(stamp_ns - start_ns), self._mean_voltage(start_ns, stamp_ns)
 
     def flush(self) -> list[Sample]:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
@@ -168,17 +167,23 @@ class Pairing:
         while self._voltages and self._voltages[0][0] < stamp_ns:
             self._held_v = self._voltages.popleft()[1]
         if anew or start_ns is None:
-            self._previous_ns = stamp_ns
-            return Sample.of_one_motor(stamp_ns, 0.0, self._held_v, torque_nm, speed_rad_s)
-        if math.isnan(mean_v):
-            self.rejected[Rejection.NO_VOLTAGE] += 1
-            self._previous_ns = None
-            return None
+            return self._begin(stamp_ns, torque_nm, speed_rad_s)
         self._previous_ns = stamp_ns
         return Sample.of_one_motor(stamp_ns, seconds(stamp_ns - start_ns), mean_v, torque_nm, speed_rad_s)
 
+    def _begin(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
+        """Start the signal history at a torque sample; not before a voltage is known there."""
+        held_v = self._held_v
+        if math.isnan(held_v) and self._voltages and self._voltages[0][0] == stamp_ns:
+            held_v = self._voltages[0][1]
+        if math.isnan(held_v):
+            self.rejected[Rejection.NO_VOLTAGE] += 1
+            return None
+        self._previous_ns = stamp_ns
+        return Sample.of_one_motor(stamp_ns, 0.0, held_v, torque_nm, speed_rad_s)
+
     def _mean_voltage(self, start_ns: int, end_ns: int) -> float:
-        """Mean of the held voltage over an interval; NaN where it begins before any voltage is known."""
+        """Mean of the held voltage over an interval of the signal history, which never begins before a voltage."""
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
         for since_ns, voltage_v in self._voltages:
             if since_ns >= end_ns:

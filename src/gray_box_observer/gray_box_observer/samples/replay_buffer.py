@@ -33,8 +33,8 @@ class ReplayBuffer:
     def __len__(self) -> int:
         return min(self._end, self.capacity)
 
-    def append(self, sample: Sample) -> None:
-        """Remember one sample, forgetting the oldest where the buffer is full."""
+    def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
+        """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s`` replaces its speed."""
         if self._end == 2 * self.capacity:
             self._data[:, :, : self.capacity] = self._data[:, :, self.capacity :]
             self._end = self.capacity
@@ -42,7 +42,7 @@ class ReplayBuffer:
         column[_INTERVAL] = sample.interval_s
         column[_VOLTAGE] = sample.voltage_v
         column[_TORQUE] = sample.torque_nm
-        column[_SPEED] = sample.speed_rad_s
+        column[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
         self._end += 1
         self.total += 1
 

@@ -1,0 +1,182 @@
+"""Maximum likelihood over a stretch of samples: Gauss-Newton on the prediction error, robust against outliers.
+
+In the coordinates of :mod:`gray_box_observer.white_box.flow` the rate is linear in the unknowns, so a few steps from
+the linear start are enough. With white torque noise the gain comes out as zero, the prediction error is the output
+error, and the result stands at the Cramer-Rao bound (METHOD 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
+from gray_box_observer.context_nodes.trajectory import Linearised, Stretch, Trajectory, find_kicks, follow, linearise
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+MAX_STEPS = 15
+TOLERANCE = 1e-6
+"""Gauss-Newton ends when no unknown moves by more, relative to itself."""
+
+GAINS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+"""Kalman gains tried against zero."""
+
+GAIN_EVIDENCE = 8.0
+"""Log-likelihood that a gain must bring: what is not there must not cost efficiency."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed before the data.
+
+    Attributes:
+        p: shape (motor, coordinate).
+        relative_std: of every coordinate.
+    """
+
+    p: Array
+    relative_std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Result of a fit.
+
+    Attributes:
+        frame: units, with the coordinates found.
+        state: shape (motor,): state at the last sample.
+        covariance: shape (motor, unknown, unknown): of (last state, coordinates) in the frame, for unit noise.
+        noise_std: shape (motor,): of the prediction error of the current, in A.
+        gain: shape (motor,): share of a prediction error that is taken for a disturbance.
+        sensitivity: shape (motor, coordinate): derivative of the last state by the coordinates, in the frame.
+    """
+
+    frame: Frame
+    state: Array
+    covariance: Array
+    noise_std: Array
+    gain: Array
+    sensitivity: Array
+
+
+def batch_fit(white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> Fit:
+    """Fit the coordinates and the first state to a stretch.
+
+    Args:
+        white_box: the physics.
+        stretch: the samples.
+        start: shape (motor, coordinate): where the search begins.
+        prior: decides what the data leave open.
+        noise_floor: smallest noise that is believed, as a fraction of the current's size.
+    """
+    search = _Search(white_box, stretch, start, prior, noise_floor)
+    search.run()
+    if search.choose_gain():
+        search.run()
+    return search.result()
+
+
+class _Search:
+    """Gauss-Newton on one stretch; what every iteration leaves for the next."""
+
+    def __init__(self, white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> None:
+        self._white_box = white_box
+        self._prior = prior
+        self._stretch = stretch
+        measured = stretch.state
+        self._size = np.maximum(np.sqrt(np.mean(measured**2, axis=1)), 1e-9)
+        self._floor = noise_floor * self._size
+        self._p = start
+        self._about = measured
+        self._first = measured[:, 0]
+        self._gain = np.zeros(measured.shape[0])
+        self._scale = np.full(measured.shape[0], np.inf)
+
+    def run(self) -> None:
+        """Iterate until nothing moves."""
+        best_scale, best_p, damping = np.full_like(self._scale, np.inf), self._p, 1.0
+        for iteration in range(MAX_STEPS):
+            self._evaluate(robust=iteration > 1)
+            worse = ~(self._scale <= 2.0 * best_scale)
+            if np.any(worse) and iteration > 0:  # stepped too far: back, and shorter
+                damping *= 0.3
+                self._p = np.where(worse[:, None], best_p, self._p)
+                self._about = np.where(worse[:, None], self._stretch.state, self._about)
+                self._first = self._about[:, 0]
+                continue
+            best_p = np.where((self._scale < best_scale)[:, None], self._p, best_p)
+            best_scale = np.minimum(self._scale, best_scale)
+            if self._step(damping) < TOLERANCE and iteration > 2:
+                break
+
+    def _evaluate(self, *, robust: bool) -> None:
+        """Predict the stretch from where we stand, and weigh its samples."""
+        self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
+        gain = np.tile(self._gain[:, None], (1, self._stretch.state.shape[1]))
+        self._predict(self._maps, gain)
+        near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
+        if robust and not np.all(near):
+            kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._scale)
+            if np.any(kicks):
+                self._stretch = self._stretch.restarted(kicks)
+                self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
+            self._predict(self._maps, gain * near)
+            near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
+        self._weights = (self._valid & near if robust else self._valid).astype(float)
+
+    def _predict(self, maps: Linearised, gain: Array) -> None:
+        self._path: Trajectory = follow(maps, self._stretch, self._first, gain)
+        self._residual = self._stretch.state - self._path.state
+        self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
+
+    @property
+    def _valid(self) -> NDArray[np.bool_]:
+        first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
+        return np.concatenate([first, ~self._stretch.restart], axis=1)
+
+    def _step(self, damping: float) -> float:
+        """One Gauss-Newton step; return the largest relative move."""
+        n, p, prior = self._p.shape[1], self._p, self._prior
+        self._frame = Frame(self._size, p)
+        jacobian = self._frame.jacobian(self._path)
+        information, right = weighted(jacobian, self._weights, self._residual)
+        freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
+        spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
+        self._noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
+        pull = np.empty((p.shape[0], n + 1))
+        pull[:, 1:] = self._noise[:, None] ** 2 / prior.relative_std**2 * (p / prior.p) ** 2
+        pull[:, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2)
+        towards = np.concatenate([np.zeros((p.shape[0], 1)), (prior.p - p) / p], axis=1)
+        self._covariance = np.linalg.inv(information + pull[:, :, None] * np.eye(n + 1))
+        step = damping * (self._covariance @ (right + pull * towards)[..., None])[..., 0]
+        step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
+        self._about = self._path.state + (jacobian @ step[..., None])[..., 0]
+        self._first = self._about[:, 0]
+        self._p = np.clip(p * (1.0 + step[:, 1:]), prior.p / 1e3, prior.p * 1e3)
+        return float(np.max(np.abs(step)))
+
+    def choose_gain(self) -> bool:
+        """Take the gain that explains the stretch best, if the evidence is clear; tell whether it is not zero."""
+        count = np.sum(self._weights, axis=1)
+        trust = self._weights.astype(bool)
+        best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
+        least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
+        for gain in GAINS:
+            path = follow(self._maps, self._stretch, self._first, gain * trust)
+            spread = self._spread(self._stretch.state - path.state, trust)
+            best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
+        self._gain = best
+        return bool(np.any(best > 0.0))
+
+    def _spread(self, residual: Array, trust: NDArray[np.bool_]) -> Array:
+        spread: Array = np.sqrt(np.sum(trust * residual**2, axis=1) / np.maximum(np.sum(trust, axis=1), 1))
+        return np.maximum(spread, self._floor)
+
+    def result(self) -> Fit:
+        """Return where the search has ended."""
+        transfer = self._frame.transfer(self._path)
+        covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
+        frame = Frame(self._size, self._p)
+        return Fit(frame, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:])

@@ -1,0 +1,57 @@
+"""Telling a changed motor from noise: do the newest samples still agree with what was identified?
+
+The innovations of the last seconds are projected onto the sensitivities of every parameter, with several memories side
+by side: a short one sees a broken winding at once, a long one a winding that heats. Under an unchanged motor the
+statistic is chi-square distributed, so the threshold states the false-alarm rate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array
+
+MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
+
+
+class DriftTest:
+    """Exponentially weighted score tests of the coordinates.
+
+    Args:
+        motors: number of motors.
+        coordinates: number of coordinates.
+        threshold: of the chi-square statistic.
+    """
+
+    def __init__(self, motors: int, coordinates: int, threshold: float) -> None:
+        self._threshold = threshold
+        self._keep = np.exp(-1.0 / np.array(MEMORIES_BLOCKS))[:, None, None]
+        shape = (len(MEMORIES_BLOCKS), motors, coordinates)
+        self.score = np.zeros(shape)
+        self.information = np.zeros((*shape, coordinates))
+
+    def reset(self) -> None:
+        """Forget, after an alarm."""
+        self.score[:] = 0.0
+        self.information[:] = 0.0
+
+    def take(self, sensitivity: Array, innovation: Array) -> tuple[Array, Array]:
+        """Take one block.
+
+        Args:
+            sensitivity: shape (motor, k, coordinate): derivative of the samples, 0 where a sample is left out.
+            innovation: shape (motor, k), of unit variance.
+
+        Returns:
+            alarm, shape (motor,), and the memory in blocks of the test that raised it, shape (motor,).
+        """
+        turned = np.swapaxes(sensitivity, 1, 2)
+        self.score = self._keep * self.score + (turned @ innovation[..., None])[..., 0]
+        self.information = self._keep[..., None] ** 2 * self.information + turned @ sensitivity
+        n = self.score.shape[-1]
+        ridge = 1e-6 * np.trace(self.information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
+        solved = np.linalg.solve(self.information + ridge * np.eye(n), self.score[..., None])[..., 0]
+        statistic = np.sum(self.score * solved, axis=-1)
+        worst = np.argmax(statistic > self._threshold, axis=0)
+        alarm: Array = np.any(statistic > self._threshold, axis=0)
+        return alarm, np.array(MEMORIES_BLOCKS)[worst]

@@ -1,0 +1,61 @@
+"""Least squares in the units of the problem: residuals in A, unknowns relative to where they stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.trajectory import Trajectory
+from gray_box_observer.white_box.base import Array
+
+MAD_TO_STD = 1.4826
+OUTLIER = 4.5
+"""Standard deviations beyond which a sample is an outlier: Gauss gives one in 150,000."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Units of the unknowns: the first state in ``current_a``, every coordinate in its own present value.
+
+    Attributes:
+        current_a: shape (motor,): size of the current.
+        p: shape (motor, coordinate).
+    """
+
+    current_a: Array
+    p: Array
+
+    def jacobian(self, path: Trajectory) -> Array:
+        """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
+        by_start = path.by_start * self.current_a[:, None]
+        by_coordinate = np.moveaxis(path.by_coordinate, 0, -1) * self.p[:, None, :]
+        return np.concatenate([by_start[..., None], by_coordinate], axis=-1)
+
+    def transfer(self, path: Trajectory) -> Array:
+        """How unknowns (first state, coordinates) become (last state, coordinates), shape (motor, unknown, unknown)."""
+        n = self.p.shape[1]
+        matrix = np.zeros((self.p.shape[0], n + 1, n + 1))
+        matrix[:, 1:, 1:] = np.eye(n)
+        matrix[:, 0, 0] = path.by_start[:, -1]
+        matrix[:, 0, 1:] = path.by_coordinate[:, :, -1].T * self.p / self.current_a[:, None]
+        return matrix
+
+    def moved(self, covariance: Array, new: Frame) -> Array:
+        """Express a covariance of this frame in the units of another."""
+        state = self.current_a / new.current_a
+        ratio = np.concatenate([state[:, None], self.p / new.p], axis=1)
+        return covariance * ratio[:, :, None] * ratio[:, None, :]
+
+
+def robust_std(residual: Array, valid: Array) -> Array:
+    """Standard deviation from the median absolute deviation, shape (motor,); outliers hardly move it."""
+    masked = np.where(valid, np.abs(residual), np.nan)
+    result: Array = MAD_TO_STD * np.nanmedian(masked, axis=1)
+    return np.nan_to_num(result)
+
+
+def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:
+    """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor, unknown)."""
+    turned = np.swapaxes(jacobian * weights[..., None], 1, 2)
+    return turned @ jacobian, (turned @ residual[..., None])[..., 0]

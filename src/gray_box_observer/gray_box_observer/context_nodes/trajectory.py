@@ -1,0 +1,190 @@
+"""A stretch of samples as a linear function of where it starts and of the coordinates.
+
+The trajectory is that of the output error (a free run from voltages) where the gain is zero, and that of the
+innovations form where it is not: then a part of every error is taken for a disturbance of the state, which keeps
+unmodelled kicks, such as wrong voltage samples, from being taken for parameters.
+
+Every interval's flow is linearised about a state near the true one (a measurement, or the trajectory found before), so
+that the whole stretch follows from one linear recurrence, worked out for all motors and many samples at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.flow import flow
+
+KICK = 9.0
+"""Standard deviations of the measured state from which a jump of it is met by a restart; smaller ones are the gain's."""
+
+LONG = 48
+"""Recurrences longer than this are split into parts that run side by side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Samples 0 ... k of a group of motors.
+
+    Attributes:
+        state: shape (motor, k + 1): measured current in A.
+        voltage_v: shape (motor, k): mean voltage of the interval that ends at sample 1 ... k; 0 at a restart.
+        interval_s: shape (motor, k): its length; 0 at a restart.
+        speed_rad_s: shape (motor, k + 1).
+        restart: shape (motor, k): where the signal history starts anew.
+    """
+
+    state: Array
+    voltage_v: Array
+    interval_s: Array
+    speed_rad_s: Array
+    restart: NDArray[np.bool_]
+
+    def restarted(self, at: NDArray[np.bool_]) -> Stretch:
+        """Return the stretch with further restarts, shape (motor, k)."""
+        return replace(self, restart=self.restart | at)
+
+    @classmethod
+    def newest(cls, white_box: WhiteBox, replay: ReplayBuffer, samples: int) -> Stretch:
+        """Take the newest samples of a replay buffer, the first of them as where the stretch starts."""
+        interval = replay.interval_s(samples)[:, 1:]
+        restart = interval <= 0.0
+        voltage = np.where(restart, 0.0, replay.voltage_v(samples)[:, 1:])
+        state = white_box.state(replay.torque_nm(samples))
+        return cls(state, voltage, interval, replay.speed_rad_s(samples), restart)
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """The stretch under given coordinates, and how it would move with them.
+
+    Attributes:
+        state: shape (motor, k + 1): predicted current.
+        by_start: shape (motor, k + 1): derivative by the first state.
+        by_coordinate: shape (coordinate, motor, k + 1).
+        factor: shape (motor, k): how much of an error every interval leaves.
+    """
+
+    state: Array
+    by_start: Array
+    by_coordinate: Array
+    factor: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Every interval's flow as an affine map of the state at its start and of the coordinates.
+
+    Attributes:
+        decay: shape (motor, k): derivative of the end by the start; 0 at a restart.
+        offset: shape (motor, k): end for a start of zero; the measured state at a restart.
+        by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
+    """
+
+    decay: Array
+    offset: Array
+    by_coordinate: Array
+
+
+def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:
+    """Linearise every interval of a stretch.
+
+    Args:
+        white_box: the physics.
+        p: shape (motor, coordinate).
+        stretch: the samples.
+        about: shape (motor, k + 1): states to linearise about.
+    """
+    speed = stretch.speed_rad_s
+    moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
+    decay = np.where(stretch.restart, 0.0, moved.by_state)
+    offset = np.where(stretch.restart, stretch.state[:, 1:], moved.end - decay * about[:, :-1])
+    return Linearised(decay, offset, np.where(stretch.restart, 0.0, moved.by_coordinate))
+
+
+def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:
+    """Follow the linearised flow through a stretch.
+
+    Args:
+        maps: the linearised intervals.
+        stretch: the samples.
+        start: shape (motor,): state at sample 0.
+        gain: shape (motor, k + 1): share of every sample's error that the state takes over; 0 for a free run.
+    """
+    factor = maps.decay * (1.0 - gain[:, :-1])
+    offset = maps.offset + maps.decay * gain[:, :-1] * stretch.state[:, :-1]
+    inputs = np.concatenate([offset[None], np.zeros_like(offset)[None], maps.by_coordinate])
+    first = np.zeros((inputs.shape[0], start.size))
+    first[0], first[1] = start, 1.0
+    rows = recurrence(factor, inputs, first)
+    return Trajectory(rows[0], rows[1], rows[2:], factor)
+
+
+def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
+    """Find samples at which the state has jumped against the model: a wrong voltage sample, a bump.
+
+    A kick shows as one large change of the error that stays; an outlier of torque as two that cancel.
+
+    Args:
+        path: the trajectory.
+        residual: shape (motor, k + 1): measured less predicted state.
+        valid: shape (motor, k): where the interval is no restart.
+        noise: shape (motor,): standard deviation of the measured state.
+
+    Returns:
+        Shape (motor, k): whether the state at sample 1 ... k came by a kick.
+    """
+    change = np.abs(residual[:, 1:] - path.factor * residual[:, :-1]) * valid
+    large = change > KICK * noise[:, None]
+    if not np.any(large):
+        return large
+    before = np.pad(change[:, :-1], ((0, 0), (1, 0)))
+    after = np.pad(change[:, 1:], ((0, 0), (0, 1)), constant_values=np.inf)
+    return large & (before < 0.5 * change) & (after < 0.5 * change)
+
+
+def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
+    """Work out ``x[j + 1] = factor[j] x[j] + inputs[j]``.
+
+    Args:
+        factor: shape (motor, k).
+        inputs: shape (row, motor, k): right-hand sides that share the factors.
+        start: shape (row, motor).
+
+    Returns:
+        Shape (row, motor, k + 1), beginning with the start.
+    """
+    rows, motors, k = inputs.shape
+    if k > LONG:
+        return _in_parts(factor, inputs, start)
+    result = np.empty((rows, motors, k + 1))
+    result[:, :, 0] = value = start
+    for j in range(k):
+        value = factor[:, j] * value + inputs[:, :, j]
+        result[:, :, j + 1] = value
+    return result
+
+
+def _in_parts(factor: Array, inputs: Array, start: Array) -> Array:
+    """The same for long stretches: every part from zero side by side, then the carries from part to part."""
+    rows, motors, k = inputs.shape
+    length = max(2, int(np.sqrt(k)))
+    parts = -(-k // length)
+    spare = parts * length - k
+    factor = np.pad(factor, ((0, 0), (0, spare)), constant_values=1.0).reshape(motors, parts, length)
+    inputs = np.pad(inputs, ((0, 0), (0, 0), (0, spare))).reshape(rows, motors, parts, length)
+    inside, reach = np.empty_like(inputs), np.cumprod(factor, axis=-1)
+    value = np.zeros((rows, motors, parts))
+    for j in range(length):
+        value = factor[..., j] * value + inputs[..., j]
+        inside[..., j] = value
+    carry = np.empty((rows, motors, parts))
+    carry[:, :, 0] = start
+    for part in range(1, parts):
+        carry[:, :, part] = reach[:, part - 1, -1] * carry[:, :, part - 1] + inside[:, :, part - 1, -1]
+    whole = (inside + reach * carry[..., None]).reshape(rows, motors, parts * length)[:, :, :k]
+    return np.concatenate([start[:, :, None], whole], axis=2)

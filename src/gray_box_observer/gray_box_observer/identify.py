@@ -1,0 +1,188 @@
+"""The offline command: runs the observer over bags and says what it found, as JSON and as an HTML report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import yaml
+from tqdm import tqdm
+
+from gray_box_observer import offline
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.report.collector import Collector
+from gray_box_observer.report.history import Truth
+
+EXIT_USER_ERROR = 2
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; the result is the exit code: 0 when it ran to the end, 2 for input it cannot use."""
+    options = _parser().parse_args(None if args is None else list(args)[1:])
+    try:
+        _run(options)
+    except GrayBoxError as error:
+        print(f'identify: error: {" ".join(str(error).split())}', file=sys.stderr)
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        print('identify: interrupted; nothing was written', file=sys.stderr)
+        return 130
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='identify',
+        description='Run the observer over recorded bags as fast as it can, and say what it identified.',
+        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
+    )
+    parser.add_argument('bags', nargs='*', type=Path, metavar='BAG', help='rosbag2 folder or bare .mcap file')
+    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help="the observer's parameter file")
+    parser.add_argument('--json', metavar='FILE', help='write the result there; "-" for standard output')
+    parser.add_argument('--report', type=Path, metavar='FILE.html', help='write a self-contained HTML report there')
+    parser.add_argument('--skip-predictor', action='store_true', help='identify only; train no LSTM')
+    parser.add_argument('--truth', type=Path, metavar='FILE.yaml', help='true parameters, drawn into the report')
+    return parser
+
+
+def _run(options: argparse.Namespace) -> None:
+    configuration = Configuration.from_yaml(options.params) if options.params else Configuration.from_flat({})
+    for name in configuration.unknown:
+        print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
+    if not options.bags:
+        raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
+    training = None if options.skip_predictor else InlineTraining
+    collector = Collector(read_truth(options.truth) if options.truth else None) if options.report else None
+    with tqdm(total=_count(options.bags), unit=' messages', disable=None, file=sys.stderr, leave=False) as bar:
+        outcome = offline.run(options.bags, configuration, training, collector, bar.update)
+    for warning in outcome.warnings:
+        print(f'identify: warning: {warning}', file=sys.stderr)
+    result = describe(outcome)
+    if options.json:
+        _write_json(result, options.json)
+    if collector is not None:
+        _write_report(options, outcome, result, collector)
+    if options.json != '-':
+        _print_table(result, sys.stdout)
+
+
+def _count(bags: Sequence[Path]) -> int | None:
+    counts = []
+    for path in bags:
+        with BagReader(path) as bag:
+            counts.append(bag.message_count)
+    return None if None in counts else sum(counts)
+
+
+def describe(outcome: offline.Outcome) -> dict[str, Any]:
+    """Return the result as plain values, in the form of DESIGN section 5."""
+    motors = {}
+    for name, estimate in outcome.observer.estimates().items():
+        pairing = outcome.observer.pairing[name]
+        rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
+        for counts in outcome.intake.rejected.values():
+            rejected.update({reason.value: n for reason, n in counts.items()})
+        skill = outcome.observer.skill(name)
+        motors[name] = {
+            'samples': pairing.used,
+            'duration_s': (outcome.last_ns[name] - outcome.first_ns[name]) / 1e9,
+            'rejected': dict(sorted(rejected.items())),
+            'parameters': {
+                p.name: {
+                    'value': float(estimate.value[0, j]),
+                    'std': float(estimate.std[0, j]),
+                    'unit': p.unit,
+                    'verdict': estimate.verdicts[0][j].value,
+                }
+                for j, p in enumerate(estimate.parameters)
+            },
+            'covariance': estimate.covariance[0].tolist(),
+            'predictor': None if skill is None else skill.to_dict(),
+        }
+    return {'motors': motors, 'digest': outcome.digest}
+
+
+def _write_report(
+    options: argparse.Namespace, outcome: offline.Outcome, result: dict[str, Any], collector: Collector
+) -> None:
+    from gray_box_observer.report import RunHistory, write_report
+
+    rejected = {name: motor['rejected'] for name, motor in result['motors'].items()}
+    names = [path.name for path in options.bags]
+    write_report(
+        RunHistory(
+            title=f'Identification of {", ".join(result["motors"])}',
+            source=names,
+            created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            motors=collector.histories(outcome.observer, rejected),
+            summary={
+                'samples': sum(motor['samples'] for motor in result['motors'].values()),
+                'duration_s': max(motor['duration_s'] for motor in result['motors'].values()),
+                'context_update': outcome.observer.configuration['context_update'],
+            },
+            command=' '.join(['identify', *(shlex.quote(str(path)) for path in options.bags), '--report', 'FILE.html']),
+            digest=outcome.digest,
+        ),
+        options.report,
+    )
+
+
+def read_truth(path: Path) -> dict[str, dict[str, Truth]]:
+    """Read true parameters: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``.
+
+    Raises:
+        GrayBoxError: no such file, or not of that form.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+        return {
+            str(motor): {str(name): _truth(value) for name, value in parameters.items()}
+            for motor, parameters in document['motors'].items()
+        }
+    except OSError as error:
+        raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise GrayBoxError(f'{path} is no truth file: expected motors: {{NAME: {{PARAMETER: VALUE}}}}') from error
+
+
+def _truth(value: Any) -> Truth:
+    if isinstance(value, list):
+        times, values = zip(*value, strict=True)
+        return np.array(times, dtype=float), np.array(values, dtype=float)
+    return float(value)
+
+
+def _write_json(result: dict[str, Any], target: str) -> None:
+    text = json.dumps(result, indent=2, allow_nan=False)
+    if target == '-':
+        print(text)
+        return
+    try:
+        Path(target).write_text(text + '\n', encoding='utf-8')
+    except OSError as error:
+        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
+
+
+def _print_table(result: dict[str, Any], stream: TextIO) -> None:
+    for name, motor in result['motors'].items():
+        print(f'{name}: {motor["samples"]} samples in {motor["duration_s"]:.1f} s', file=stream)
+        for parameter, found in motor['parameters'].items():
+            value, std, unit = found['value'], found['std'], found['unit']
+            print(f'  {parameter:<18} {value:.6g} +- {std:.2g} {unit:<14} {found["verdict"]}', file=stream)
+        for reason, count in motor['rejected'].items():
+            print(f'  rejected: {reason} {count}', file=stream)
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

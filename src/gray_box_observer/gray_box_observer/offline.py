@@ -1,0 +1,163 @@
+"""Running the observer over bags, as fast as it can: the same intake and the same core as the live node."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
+from gray_box_observer.bag.joint_state import JointStateDecoder
+from gray_box_observer.bag.mcap_content import RawMessage
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import BagError, SampleError
+from gray_box_observer.intake import SIGNALS, Intake
+from gray_box_observer.observer import Observer, Result, TrainingFactory
+
+PROGRESS_STEP = 512
+
+Listener = Callable[[Result], None]
+Progress = Callable[[int], None]
+
+
+@dataclass
+class Outcome:
+    """What a run over bags has led to.
+
+    Attributes:
+        observer: the observer at the end of the last bag.
+        intake: what it was fed by.
+        digest: SHA-256 over every estimate in order.
+        first_ns, last_ns: stamps of the first and last sample, by motor.
+        warnings: what the user should know, such as how much of a truncated bag was lost.
+    """
+
+    observer: Observer
+    intake: Intake
+    digest: str = ''
+    first_ns: dict[str, int] = field(default_factory=dict)
+    last_ns: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def run(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    training: TrainingFactory | None,
+    listener: Listener | None = None,
+    progress: Progress = lambda count: None,
+) -> Outcome:
+    """Feed every bag to one observer, one after another.
+
+    Args:
+        bags: rosbag2 folders or bare MCAP files.
+        configuration: of the observer.
+        training: makes the predictor's trainer; None: no predictor.
+        listener: called with every result, where there is one.
+        progress: called with the number of messages read since it was last called.
+
+    Raises:
+        BagError: a bag cannot be read, lacks the topics, or no sample in any of them could be used.
+        ConfigurationError: messages do not have the configured fields.
+    """
+    observer = Observer(configuration, training)
+    outcome = Outcome(observer, Intake(observer, configuration))
+    digest = hashlib.sha256()
+
+    def take(results: Iterable[Result]) -> None:
+        for result in results:
+            outcome.first_ns.setdefault(result.motor, result.sample.stamp_ns)
+            outcome.last_ns[result.motor] = result.sample.stamp_ns
+            if result.estimate is not None:
+                digest.update(result.motor.encode())
+                digest.update(np.int64(result.estimate.stamp_ns).tobytes())
+                digest.update(result.estimate.value.tobytes())
+                digest.update(result.estimate.covariance.tobytes())
+            if listener is not None:
+                listener(result)
+
+    try:
+        for path in bags:
+            with BagReader(path) as bag:
+                _feed(bag, path, configuration, outcome, take, progress)
+                if bag.lost:
+                    outcome.warnings.append(f'{path}: {bag.lost}')
+            take(observer.flush())
+    finally:
+        observer.close()
+    if not outcome.first_ns:
+        raise BagError(_why_nothing(bags, outcome))
+    outcome.digest = digest.hexdigest()
+    return outcome
+
+
+def match_topics(wanted: str, available: Iterable[str]) -> list[str]:
+    """Return the bag's topics that a configured name means: the same name, or the same behind a namespace."""
+    name = '/' + wanted.lstrip('/')
+    topics = sorted(available)
+    return [t for t in topics if t == name] or [t for t in topics if not wanted.startswith('/') and t.endswith(name)]
+
+
+def _feed(
+    bag: BagReader,
+    path: Path,
+    configuration: Configuration,
+    outcome: Outcome,
+    take: Callable[[Iterable[Result]], None],
+    progress: Progress,
+) -> None:
+    signals = _signals_of(bag, path, configuration)
+    plain = all(bag.topics[topic].type_name == JOINT_STATE for topic in signals)
+    decode = JointStateDecoder()
+    messages: Iterable[tuple[RawMessage, Any]] = (
+        ((raw, None) for raw in bag.messages(signals)) if plain else bag.decoded(signals)
+    )
+    count = 0
+    for raw, decoded in messages:
+        signal = signals[raw.topic]
+        try:
+            message = decode(raw.data) if plain else decoded
+        except SampleError:
+            outcome.intake.malformed(signal)
+            continue
+        take(outcome.intake.take(signal, message, raw.publish_time_ns))
+        count += 1
+        if count % PROGRESS_STEP == 0:
+            progress(PROGRESS_STEP)
+    progress(count % PROGRESS_STEP)
+
+
+def _signals_of(bag: BagReader, path: Path, configuration: Configuration) -> dict[str, str]:
+    """Return the signal that every topic of interest carries.
+
+    Raises:
+        BagError: a topic is missing, or there are several that it could be.
+    """
+    signals = {}
+    for name in SIGNALS:
+        wanted = configuration[f'{name}.topic']
+        if not wanted:
+            continue
+        found = match_topics(wanted, bag.topics)
+        if len(found) != 1:
+            have = ', '.join(sorted(bag.topics)) or 'none'
+            problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
+            raise BagError(f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter {name}.topic')
+        signals[found[0]] = name
+    return signals
+
+
+def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
+    names = ', '.join(str(path) for path in bags)
+    strangers = sorted({name for signal in outcome.intake.signals.values() for name in signal.unknown})
+    if strangers:
+        wanted = ', '.join(outcome.observer.configuration.motors)
+        return f'{names}: no usable sample of motor {wanted}; the messages speak of {", ".join(strangers[:5])}'
+    reasons = sorted({r.value for p in outcome.observer.pairing.values() for r in p.rejected})
+    because = f' (rejected: {", ".join(reasons)})' if reasons else ''
+    return f'{names}: no usable sample: voltage and torque must overlap in time{because}'

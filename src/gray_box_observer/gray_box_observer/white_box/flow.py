@@ -1,0 +1,140 @@
+"""The motion of the state over one interval, with its derivatives, in the coordinates in which the rate is linear.
+
+The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) / theta_0``, for a
+motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (METHOD 1). Sensitivities follow the
+variational equation, integrated together with the state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+LARGEST_STEP = 0.35
+"""Largest product of step and decay rate; the Runge-Kutta step is then right to 5e-5 of a decay."""
+
+MAX_STEPS = 16
+"""Beyond, the state has settled long before the next sample, and nothing of its way there is seen."""
+
+
+def to_coordinates(theta: Array) -> Array:
+    """Turn parameters, shape (motor, parameter), into the coordinates of the rate."""
+    leading = theta[:, :1]
+    return np.concatenate([1.0 / leading, theta[:, 1:] / leading], axis=1)
+
+
+def to_parameters(p: Array) -> Array:
+    """Turn coordinates back into parameters; the map is its own inverse."""
+    return to_coordinates(p)
+
+
+def parameter_jacobian(p: Array) -> Array:
+    """Derivative of the parameters by the coordinates, shape (motor, parameter, coordinate)."""
+    motors, n = p.shape
+    jacobian = np.zeros((motors, n, n))
+    jacobian[:, np.arange(1, n), np.arange(1, n)] = 1.0 / p[:, :1]
+    jacobian[:, 0, 0] = -1.0 / p[:, 0] ** 2
+    jacobian[:, 1:, 0] = -p[:, 1:] / p[:, :1] ** 2
+    return jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class Flow:
+    """Where intervals lead, linearised about where they begin.
+
+    Attributes:
+        end: shape (motor, k): state at the end of each interval.
+        by_state: shape (motor, k): derivative of the end by the start.
+        by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
+    """
+
+    end: Array
+    by_state: Array
+    by_coordinate: Array
+
+
+def flow(
+    white_box: WhiteBox,
+    p: Array,
+    start: Array,
+    voltage_v: Array,
+    speed_rad_s: Array,
+    end_speed: Array,
+    interval_s: Array,
+) -> Flow:
+    """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
+
+    As many steps as the fastest decay asks for, at most MAX_STEPS.
+
+    Args:
+        white_box: the physics.
+        p: shape (motor, coordinate).
+        start: shape (motor, k): state at the start of every interval.
+        voltage_v: shape (motor, k): voltage held over it.
+        speed_rad_s: shape (motor, k): measured speed at its start.
+        end_speed: shape (motor, k): measured speed at its end, in rad/s.
+        interval_s: shape (motor, k).
+    """
+    first = _rate(white_box, p, start, voltage_v, speed_rad_s)
+    stiffness = float(np.max(np.abs(first[1]) * interval_s, initial=0.0))
+    steps = min(MAX_STEPS, max(1, int(np.ceil(stiffness / LARGEST_STEP)))) if np.isfinite(stiffness) else MAX_STEPS
+    if steps == 1:
+        return _one_step(white_box, p, start, voltage_v, speed_rad_s, end_speed, interval_s, first)
+    slope, step = (end_speed - speed_rad_s) / steps, interval_s / steps
+    state, by_state = start, np.ones_like(start)
+    by_coordinate = np.zeros((p.shape[1], *start.shape))
+    for j in range(steps):
+        before, after = speed_rad_s + j * slope, speed_rad_s + (j + 1) * slope
+        here = first if j == 0 else _rate(white_box, p, state, voltage_v, before)
+        part = _one_step(white_box, p, state, voltage_v, before, after, step, here)
+        state, by_state = part.end, part.by_state * by_state
+        by_coordinate = part.by_state * by_coordinate + part.by_coordinate
+    return Flow(state, by_state, by_coordinate)
+
+
+def _one_step(
+    white_box: WhiteBox,
+    p: Array,
+    start: Array,
+    voltage_v: Array,
+    speed_rad_s: Array,
+    end_speed: Array,
+    step_s: Array,
+    first: tuple[Array, Array, Array],
+) -> Flow:
+    """One Runge-Kutta step of the state and of the variational equation; ``first`` is the rate at the start."""
+    half, middle = 0.5 * step_s, 0.5 * (speed_rad_s + end_speed)
+    k1, l1, m1 = first
+    k2, a2, g2 = _rate(white_box, p, start + half * k1, voltage_v, middle)
+    l2, m2 = a2 * (1.0 + half * l1), a2 * (half * m1) + g2
+    k3, a3, g3 = _rate(white_box, p, start + half * k2, voltage_v, middle)
+    l3, m3 = a3 * (1.0 + half * l2), a3 * (half * m2) + g3
+    k4, a4, g4 = _rate(white_box, p, start + step_s * k3, voltage_v, end_speed)
+    l4, m4 = a4 * (1.0 + step_s * l3), a4 * (step_s * m3) + g4
+    sixth = step_s / 6.0
+    return Flow(
+        start + sixth * (k1 + 2.0 * (k2 + k3) + k4),
+        1.0 + sixth * (l1 + 2.0 * (l2 + l3) + l4),
+        sixth * (m1 + 2.0 * (m2 + m3) + m4),
+    )
+
+
+def _rate(
+    white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array
+) -> tuple[Array, Array, Array]:
+    """Rate, its derivative by the state, and by every coordinate (shape (coordinate, motor, k))."""
+    speed = white_box.speed(state, speed_rad_s)
+    drive = white_box.drive(voltage_v, state, speed)
+    value = p[:, :1] * drive
+    slope = p[:, :1] * white_box.drive_slope(state, speed)
+    by_coordinate = [drive]
+    phis, slopes = white_box.basis(state, speed), white_box.basis_slope(state, speed)
+    for j, (phi, phi_slope) in enumerate(zip(phis, slopes, strict=True), start=1):
+        column = p[:, j : j + 1]
+        value = value - column * phi
+        slope = slope - column * phi_slope
+        by_coordinate.append(-phi)
+    return value, slope, np.stack(by_coordinate)
