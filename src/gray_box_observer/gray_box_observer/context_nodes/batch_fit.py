@@ -29,11 +29,11 @@ GAIN_EVIDENCE = 8.0
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is believed before the data.
+    """What is believed before the data: every coordinate log-normal.
 
     Attributes:
-        p: shape (motor, coordinate).
-        relative_std: of every coordinate.
+        p: shape (motor, coordinate): medians.
+        relative_std: standard deviation of every coordinate's logarithm.
     """
 
     p: Array
@@ -146,9 +146,9 @@ class _Search:
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         self._noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.empty((p.shape[0], n + 1))
-        pull[:, 1:] = self._noise[:, None] ** 2 / prior.relative_std**2 * (p / prior.p) ** 2
+        pull[:, 1:] = (self._noise / prior.relative_std)[:, None] ** 2
         pull[:, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2)
-        towards = np.concatenate([np.zeros((p.shape[0], 1)), (prior.p - p) / p], axis=1)
+        towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
         self._covariance = np.linalg.inv(information + pull[:, :, None] * np.eye(n + 1))
         step = damping * (self._covariance @ (right + pull * towards)[..., None])[..., 0]
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)

@@ -260,9 +260,10 @@ class GradientUpdate:
         inverse = np.linalg.pinv(information, hermitian=True)
         newton = -np.einsum('mpq,mw,mwq,mw->mp', inverse, weights, slope, gap)
         newton = np.clip(newton, -1.0, 1.0)
-        in_log = np.minimum(variance, 1e6)[:, None, None] * inverse + np.einsum('mp,mq->mpq', newton, newton)
+        floor = 1e-18 * np.trace(information, axis1=1, axis2=2) / np.maximum(weights.sum(axis=1), 1.0) + 1e-300
+        precision = information / np.maximum(variance, floor)[:, None, None]
+        in_log = np.linalg.inv(precision + np.eye(phi.shape[-1]))  # nothing is vaguer than the prior
+        in_log = 0.5 * (in_log + np.swapaxes(in_log, 1, 2)) + np.einsum('mp,mq->mpq', newton, newton)
         theta = self.theta
-        limit = np.maximum(1.0, np.sqrt(np.diagonal(in_log, axis1=1, axis2=2)))  # nothing is vaguer than the prior
-        in_log = in_log / (limit[:, :, None] * limit[:, None, :])
         covariance: Array = in_log * theta[:, :, None] * theta[:, None, :]
         return covariance

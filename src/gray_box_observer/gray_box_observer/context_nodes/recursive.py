@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.batch_fit import Prior, batch_fit
+from gray_box_observer.context_nodes.batch_fit import Fit, Prior, batch_fit
 from gray_box_observer.context_nodes.drift import DriftTest
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.context_nodes.linear_start import linear_start
@@ -31,6 +31,13 @@ from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates,
 
 SUSPICIOUS_BLOCKS = 2.0
 """So many blocks in a row of which most does not fit, and the motor has changed."""
+
+
+CHANGE_EVIDENCE = 15.0
+"""Log-likelihood that other parameters must bring over the old ones before a change is believed."""
+
+UNCHANGED = 1e-4
+"""Relative freedom of the coordinates in the fit that stands for an unchanged motor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +161,15 @@ class RecursiveUpdate:
         if not self._started:
             start = linear_start(self._white_box, self._prior.p, stretch, min(20, len(self.replay) // 4))
         fit = batch_fit(self._white_box, stretch, start, self._prior, self._rules.noise_floor)
+        self._started = True
+        self._take(fit)
+
+    def _take(self, fit: Fit) -> None:
+        """Go on from a fit of everything remembered."""
         self._frame, self._state, self._covariance = fit.frame, fit.state, fit.covariance
         self._noise, self._gain, self._sensitivity = fit.noise_std, fit.gain, fit.sensitivity
         self._noise_count = len(self.replay)
         self._next_fit = 2 * len(self.replay)
-        self._started = True
         self._drift.reset()
 
     def _update(self, samples: int) -> None:
@@ -216,19 +227,43 @@ class RecursiveUpdate:
         before = self._sensitivity * self._frame.current_a[:, None]
         total = block.jacobian[..., 1:] + block.path.by_start[:, 1:, None] * before[:, None, :]
         self._sensitivity = total[:, -1] / self._frame.current_a[:, None]
-        scale = block.kept / (block.spread * self._noise[:, None])
-        alarm, memory = self._drift.take(total * scale[..., None], block.residual * scale)
+        alarm, memory = self._drift.take(*self._whitened(block, total, kicked))
         lost = np.mean(block.kept, axis=1) < 0.5 * np.mean(valid, axis=1)
         self._suspicion = np.where(lost, self._suspicion + 1.0, 0.0)
         sudden = self._suspicion >= SUSPICIOUS_BLOCKS
         if not np.any(alarm | sudden):
             return False
-        self.alarms += 1
         blocks = SUSPICIOUS_BLOCKS + 1.0 if np.any(sudden) else 2.0 * float(np.max(memory[alarm]))
-        self.replay.forget(max(self._rules.first_fit, int(blocks * self._rules.block)))
-        self._prior = Prior(self._frame.p, self._rules.drift_relative_std)
+        return self._start_over(max(self._rules.first_fit, int(blocks * self._rules.block)))
+
+    def _whitened(self, block: _Block, total: Array, kicked: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Sensitivities and innovations of a block, made white and of unit variance; zero where not to be used."""
+        use = block.kept & ~kicked[:, None]
+        jacobian = block.jacobian * use[..., None]
+        spread = jacobian @ self._covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(use.shape[1])
+        root = np.linalg.cholesky(0.5 * (spread + np.swapaxes(spread, 1, 2)))
+        stacked = np.concatenate([total, block.residual[..., None]], axis=2) * use[..., None]
+        white = np.linalg.solve(root, stacked) / self._noise[:, None, None]
+        return white[..., :-1], white[..., -1]
+
+    def _start_over(self, samples: int) -> bool:
+        """Fit the newest samples anew, from where we stand, if they really tell of another motor."""
+        stretch = Stretch.newest(self._white_box, self.replay, min(samples, len(self.replay)))
+        stay = Prior(self._frame.p, UNCHANGED)
+        go = Prior(self._frame.p, self._rules.drift_relative_std)
+        held = batch_fit(self._white_box, stretch, self._frame.p, stay, self._rules.noise_floor)
+        free = batch_fit(self._white_box, stretch, self._frame.p, go, self._rules.noise_floor)
+        evidence = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
         self._suspicion[:] = 0.0
-        self._fit()
+        self._drift.reset()
+        if not np.any(evidence > CHANGE_EVIDENCE):
+            self._state = held.state
+            self._covariance[:, 0, 0] += held.covariance[:, 0, 0]
+            return True
+        self.alarms += 1
+        self.replay.forget(samples)
+        self._prior = go
+        self._take(free)
         return True
 
     def _follow_noise(self, block: _Block) -> None:
