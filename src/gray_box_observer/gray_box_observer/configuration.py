@@ -117,7 +117,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('recursive.block', 20, 'Samples between two updates of the context nodes.', 4, 100000),
     ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
     ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
-    ParameterSpec('recursive.drift_relative_std', 0.5, 'Relative std after a detected change.', 1e-6, 100.0),
+    ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
     ParameterSpec('gradient.batch_size', 25, 'New samples between two updates of the context nodes.', 1, 100000),
     ParameterSpec('gradient.window', 10, 'Samples between the two ends of a difference.', 1, 10000),

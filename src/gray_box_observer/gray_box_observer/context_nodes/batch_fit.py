@@ -7,7 +7,7 @@ error, and the result stands at the Cramer-Rao bound (METHOD 4).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,21 @@ class Prior:
 
     Attributes:
         p: shape (motor, coordinate): medians.
-        relative_std: standard deviation of every coordinate's logarithm.
+        covariance: shape (motor, coordinate, coordinate): of the coordinates' logarithms.
     """
 
     p: Array
-    relative_std: float
+    covariance: Array
+
+    @classmethod
+    def vague(cls, p: Array, relative_std: float) -> Prior:
+        """Return a prior of independent coordinates, all known as well."""
+        return cls(p, np.tile(relative_std**2 * np.eye(p.shape[1]), (p.shape[0], 1, 1)))
+
+    def loosened(self, directions: Array) -> Prior:
+        """Return the prior with further freedom along directions, shape (coordinate, k) or (coordinate,)."""
+        spread = directions.reshape(self.p.shape[1], -1)
+        return replace(self, covariance=self.covariance + spread @ spread.T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +94,7 @@ class _Search:
     def __init__(self, white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> None:
         self._white_box = white_box
         self._prior = prior
+        self._precision = np.linalg.inv(prior.covariance)
         self._stretch = stretch
         measured = stretch.state
         self._size = np.maximum(np.sqrt(np.mean(measured**2, axis=1)), 1e-9)
@@ -145,12 +156,12 @@ class _Search:
         freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         self._noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
-        pull = np.empty((p.shape[0], n + 1))
-        pull[:, 1:] = (self._noise / prior.relative_std)[:, None] ** 2
-        pull[:, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2)
+        pull = np.zeros_like(information)
+        pull[:, 1:, 1:] = self._precision * self._noise[:, None, None] ** 2
+        pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2)
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
-        self._covariance = np.linalg.inv(information + pull[:, :, None] * np.eye(n + 1))
-        step = damping * (self._covariance @ (right + pull * towards)[..., None])[..., 0]
+        self._covariance = np.linalg.inv(information + pull)
+        step = damping * (self._covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
         self._about = self._path.state + (jacobian @ step[..., None])[..., 0]
         self._first = self._about[:, 0]

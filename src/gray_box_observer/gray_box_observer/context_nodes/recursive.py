@@ -36,8 +36,11 @@ SUSPICIOUS_BLOCKS = 2.0
 CHANGE_EVIDENCE = 15.0
 """Log-likelihood that other parameters must bring over the old ones before a change is believed."""
 
+EVERYTHING_PENALTY = 20.0
+"""Log-likelihood that a change of all parameters at once must bring over the change of one."""
+
 UNCHANGED = 1e-4
-"""Relative freedom of the coordinates in the fit that stands for an unchanged motor."""
+"""Relative freedom left to every coordinate in a fit that stands for an unchanged motor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +62,7 @@ class RecursiveRules:
     first_fit: int = 40
     replay_capacity: int = 4096
     prior_relative_std: float = 2.0
-    drift_relative_std: float = 0.5
+    drift_relative_std: float = 0.4
     drift_threshold: float = 60.0
     noise_floor: float = 1e-5
     noise_memory: int = 3000
@@ -90,7 +93,7 @@ class RecursiveUpdate:
         bounds = [(p.lower, p.upper) for p in white_box.parameters]
         self._lower, self._upper = np.array(bounds).T
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
-        self._prior = Prior(to_coordinates(theta), self._rules.prior_relative_std)
+        self._prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
         motors, n = theta.shape
         self._frame = Frame(np.ones(motors), self._prior.p)
         self._state = np.zeros(motors)
@@ -100,6 +103,7 @@ class RecursiveUpdate:
         self._gain = np.zeros(motors)
         self._sensitivity = np.zeros((motors, n))
         self._suspicion = np.zeros(motors)
+        self._since = np.zeros(motors, dtype=int)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._drift = DriftTest(motors, n, self._rules.drift_threshold)
         self._new = 0
@@ -162,12 +166,19 @@ class RecursiveUpdate:
             start = linear_start(self._white_box, self._prior.p, stretch, min(20, len(self.replay) // 4))
         fit = batch_fit(self._white_box, stretch, start, self._prior, self._rules.noise_floor)
         self._started = True
-        self._take(fit)
+        self._take(fit, np.ones(self._state.size, dtype=bool))
 
-    def _take(self, fit: Fit) -> None:
-        """Go on from a fit of everything remembered."""
-        self._frame, self._state, self._covariance = fit.frame, fit.state, fit.covariance
-        self._noise, self._gain, self._sensitivity = fit.noise_std, fit.gain, fit.sensitivity
+    def _take(self, fit: Fit, which: NDArray[np.bool_]) -> None:
+        """Go on from a fit of everything remembered, for some of the motors."""
+        column, matrix = which[:, None], which[:, None, None]
+        self._frame = Frame(
+            np.where(which, fit.frame.current_a, self._frame.current_a), np.where(column, fit.frame.p, self._frame.p)
+        )
+        self._state = np.where(which, fit.state, self._state)
+        self._covariance = np.where(matrix, fit.covariance, self._covariance)
+        self._noise = np.where(which, fit.noise_std, self._noise)
+        self._gain = np.where(which, fit.gain, self._gain)
+        self._sensitivity = np.where(column, fit.sensitivity, self._sensitivity)
         self._noise_count = len(self.replay)
         self._next_fit = 2 * len(self.replay)
         self._drift.reset()
@@ -230,11 +241,16 @@ class RecursiveUpdate:
         alarm, memory = self._drift.take(*self._whitened(block, total, kicked))
         lost = np.mean(block.kept, axis=1) < 0.5 * np.mean(valid, axis=1)
         self._suspicion = np.where(lost, self._suspicion + 1.0, 0.0)
+        fresh = np.where(self._suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
+        self._since = np.where(lost, self._since + np.where(fresh > 0, fresh, valid.shape[1]), 0)
         sudden = self._suspicion >= SUSPICIOUS_BLOCKS
         if not np.any(alarm | sudden):
             return False
-        blocks = SUSPICIOUS_BLOCKS + 1.0 if np.any(sudden) else 2.0 * float(np.max(memory[alarm]))
-        return self._start_over(max(self._rules.first_fit, int(blocks * self._rules.block)))
+        if np.any(sudden):
+            samples = int(np.max(self._since[sudden]))
+        else:
+            samples = max(self._rules.first_fit, int(np.max(memory[alarm]) * self._rules.block))
+        return self._start_over(samples, alarm | sudden)
 
     def _whitened(self, block: _Block, total: Array, kicked: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Sensitivities and innovations of a block, made white and of unit variance; zero where not to be used."""
@@ -246,25 +262,47 @@ class RecursiveUpdate:
         white = np.linalg.solve(root, stacked) / self._noise[:, None, None]
         return white[..., :-1], white[..., -1]
 
-    def _start_over(self, samples: int) -> bool:
-        """Fit the newest samples anew, from where we stand, if they really tell of another motor."""
+    def _start_over(self, samples: int, suspects: NDArray[np.bool_]) -> bool:
+        """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
         stretch = Stretch.newest(self._white_box, self.replay, min(samples, len(self.replay)))
-        stay = Prior(self._frame.p, UNCHANGED)
-        go = Prior(self._frame.p, self._rules.drift_relative_std)
-        held = batch_fit(self._white_box, stretch, self._frame.p, stay, self._rules.noise_floor)
-        free = batch_fit(self._white_box, stretch, self._frame.p, go, self._rules.noise_floor)
-        evidence = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
-        self._suspicion[:] = 0.0
+        known = Prior(self._frame.p, self._posterior + UNCHANGED**2 * np.eye(self._frame.p.shape[1]))
+        held = self._fit_from(stretch, known)
+        self._suspicion, self._since = 0.0 * self._suspicion, 0 * self._since
         self._drift.reset()
-        if not np.any(evidence > CHANGE_EVIDENCE):
-            self._state = held.state
-            self._covariance[:, 0, 0] += held.covariance[:, 0, 0]
+        fits = [(known.loosened(change), penalty) for change, penalty in self._changes()]
+        found = [(prior, self._fit_from(stretch, prior), penalty) for prior, penalty in fits]
+        evidence = np.array([_evidence(stretch, held, fit) - penalty for _, fit, penalty in found])
+        best = np.argmax(np.max(np.where(suspects, evidence, -np.inf), axis=1))
+        changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
+        if not np.any(changed):
+            self._state = np.where(suspects, held.state, self._state)
+            self._covariance[:, 0, 0] += np.where(suspects, held.covariance[:, 0, 0], 0.0)
             return True
-        self.alarms += 1
+        self.alarms += int(np.sum(changed))
         self.replay.forget(samples)
-        self._prior = go
-        self._take(free)
+        self._prior = Prior(
+            known.p, np.where(changed[:, None, None], found[best][0].covariance, 2.0 * known.covariance)
+        )
+        self._take(found[best][1], changed)
         return True
+
+    def _fit_from(self, stretch: Stretch, prior: Prior) -> Fit:
+        return batch_fit(self._white_box, stretch, self._frame.p, prior, self._rules.noise_floor)
+
+    @property
+    def _posterior(self) -> Array:
+        """Covariance of the coordinates' logarithms."""
+        return self._covariance[:, 1:, 1:] * self._noise[:, None, None] ** 2
+
+    def _changes(self) -> list[tuple[Array, float]]:
+        """Directions, in the coordinates' logarithms, in which a motor may have changed, and what each must pay.
+
+        One physical parameter alone is what breaks or heats; all at once is believed only for more.
+        """
+        n, size = self._frame.p.shape[1], self._rules.drift_relative_std
+        leading = (-size * np.ones(n), 0.0)  # theta_0 divides every coordinate
+        single = [(size * np.eye(n)[j], 0.0) for j in range(1, n)]
+        return [leading, *single, (size * np.eye(n), EVERYTHING_PENALTY)]
 
     def _follow_noise(self, block: _Block) -> None:
         count = block.residual.shape[1]
@@ -280,9 +318,10 @@ class RecursiveUpdate:
         plain = {name: getattr(self, f'_{name}') for name in _PLAIN}
         plain['parameters'] = [p.name for p in self._white_box.parameters]
         arrays = {name: getattr(self, f'_{name}') for name in _ARRAYS}
-        arrays |= {'p': self._frame.p, 'current_a': self._frame.current_a, 'prior_p': self._prior.p}
+        arrays |= {'p': self._frame.p, 'current_a': self._frame.current_a}
+        arrays |= {'prior_p': self._prior.p, 'prior_covariance': self._prior.covariance}
         arrays |= {'drift_score': self._drift.score, 'drift_information': self._drift.information}
-        return {**plain, 'prior_std': self._prior.relative_std}, {**arrays, 'replay': self.replay.content()}
+        return plain, {**arrays, 'replay': self.replay.content()}
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave.
@@ -298,7 +337,7 @@ class RecursiveUpdate:
         for name in _ARRAYS:
             setattr(self, f'_{name}', arrays[name])
         self._frame = Frame(arrays['current_a'], arrays['p'])
-        self._prior = Prior(arrays['prior_p'], plain['prior_std'])
+        self._prior = Prior(arrays['prior_p'], arrays['prior_covariance'])
         self._drift.score, self._drift.information = arrays['drift_score'], arrays['drift_information']
         self.replay.refill(arrays['replay'])
 
@@ -314,6 +353,12 @@ class _Block:
     kept: NDArray[np.bool_]
 
 
+def _evidence(stretch: Stretch, held: Fit, free: Fit) -> Array:
+    """Log-likelihood that a fit brings over another on the same stretch, shape (motor,)."""
+    evidence: Array = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
+    return evidence
+
+
 def _left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
     """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
     k = stretch.restart.shape[1]
@@ -324,4 +369,4 @@ def _left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
 
 
 _PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count')
-_ARRAYS = ('state', 'covariance', 'noise', 'gain', 'sensitivity', 'suspicion', 'speed')
+_ARRAYS = ('state', 'covariance', 'noise', 'gain', 'sensitivity', 'suspicion', 'since', 'speed')
