@@ -126,7 +126,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.hidden', 12, 'Hidden units of the LSTM (thesis: 2).', 1, 1024),
     ParameterSpec('training.context', 64, 'Past samples the LSTM warms up on (thesis: 64).', 2, 100000),
     ParameterSpec('training.period', 100, 'Samples between two training jobs.', 1, 1_000_000),
-    ParameterSpec('training.steps', 15, 'Adam steps of a training job.', 1, 100000),
+    ParameterSpec('training.steps', 10, 'Adam steps of a training job.', 1, 100000),
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),

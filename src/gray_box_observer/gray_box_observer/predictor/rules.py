@@ -33,7 +33,7 @@ class TrainingRules:
     hidden: int = 12
     context: int = 64
     minibatch: int = 12
-    steps: int = 15
+    steps: int = 10
     period: int = 100
     learning_rate: float = 0.005
     smallest_learning_rate: float = 2e-4

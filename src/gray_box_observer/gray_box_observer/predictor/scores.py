@@ -18,7 +18,7 @@ class Skill:
 
     Attributes:
         samples: predictions scored.
-        nmae: mean absolute error as a fraction of the torque's standard deviation over the same samples.
+        nmae: mean absolute error as a fraction of the standard deviation of the remembered torque.
         skill_vs_persistence: ``1 - MAE / MAE of "torque stays what it was"``; above 0 is better.
         skill_vs_white_box: the same against the white box's own rollout with the present parameters, which sees
             voltages only, like the predictor. With perfect physics that rollout is the limit.
@@ -45,29 +45,30 @@ class Scores:
     def __init__(self, motors: int, window: int = 6000) -> None:
         self._errors = {rival: np.full((motors, window), np.nan) for rival in RIVALS}
         self._torque = np.full((motors, window), np.nan)
+        self._scored = np.zeros((motors, window), dtype=bool)
         self._window = window
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
         """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN is not scored."""
         column = self._count % self._window
-        self._torque[:, column] = torque_nm
         scored = np.ones(torque_nm.shape, dtype=bool)
         for rival in RIVALS:
             error = np.abs(predictions[rival] - torque_nm)
             self._errors[rival][:, column] = error
             scored &= np.isfinite(error)
-        self._torque[:, column] = np.where(scored, torque_nm, np.nan)
+        self._torque[:, column] = torque_nm
+        self._scored[:, column] = scored
         self._count += 1
 
     def skill(self, motor: int) -> Skill:
         """Return the scores of one motor over the samples that every rival predicted."""
-        scored = np.isfinite(self._torque[motor])
+        scored = self._scored[motor]
         count = int(scored.sum())
         if count < 2:
             return Skill(count, None, None, None)
         mae = {rival: float(np.mean(self._errors[rival][motor, scored])) for rival in RIVALS}
-        spread = float(np.std(self._torque[motor, scored]))
+        spread = float(np.nanstd(self._torque[motor]))
         return Skill(
             count,
             mae['predictor'] / spread if spread > 0.0 else None,

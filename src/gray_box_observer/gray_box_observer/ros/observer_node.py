@@ -10,10 +10,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.subscription import Subscription
-from rosidl_runtime_py.utilities import get_message
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer import checkpoint
@@ -24,9 +24,10 @@ from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.diagnostics import Traffic, status_of
+from gray_box_observer.ros.message_types import message_class
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.ros.parameters import declare
-from gray_box_observer.ros.running import Stop, parse_arguments, run_node
+from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
 
 DIAGNOSTICS_PERIOD_S = 1.0
 
@@ -51,7 +52,6 @@ class ObserverNode(LifecycleNode):
         self._signal_subscriptions: list[Subscription] = []
         self._active = False
         self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
-        self._without_header: set[str] = set()
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose)
         self.create_service(Trigger, '~/reset', self._reset)
@@ -77,17 +77,16 @@ class ObserverNode(LifecycleNode):
         result = super().on_activate(state)
         for name in SIGNALS:
             topic = self._configuration[f'{name}.topic']
-            if topic:
-                callback: Callable[..., None] = partial(self._receive, name)
-                # rclpy looks at the signature to decide whether to pass the message's times along
-                self._signal_subscriptions.append(
-                    self.create_subscription(
-                        self._types[name],
-                        topic,
-                        lambda m, info, call=callback: call(m, info),
-                        topics.SIGNAL_QOS,
-                    )
+            if not topic:
+                continue
+            if not self._has_header(name):
+                self.get_logger().info(
+                    f'{self._configuration[f"{name}.type"]} has no header: {name} is stamped by the middleware'
                 )
+            callback = partial(self._receive if self._has_header(name) else self._receive_bare, name)
+            self._signal_subscriptions.append(
+                self.create_subscription(self._types[name], topic, callback, topics.SIGNAL_QOS)
+            )
         self._active = True
         names = ', '.join(self._configuration.motors)
         self.get_logger().info(f'active: listening for {names} on {self._topics_in_words()}')
@@ -121,25 +120,32 @@ class ObserverNode(LifecycleNode):
         if self._observer is not None:
             self._observer.close()
 
-    def _receive(self, name: str, message: Any, info: dict[str, Any]) -> None:
+    @property
+    def needs_source_time(self) -> bool:
+        """Whether a signal's messages have no header, so that the middleware's source time has to stamp them."""
+        return not all(self._has_header(name) for name in SIGNALS if self._configuration[f'{name}.topic'])
+
+    def _has_header(self, name: str) -> bool:
+        return 'header' in self._types[name].get_fields_and_field_types()
+
+    def _receive(self, name: str, message: Any) -> None:
+        self._take(name, message, stamp_of(message))
+
+    def _receive_bare(self, name: str, message: Any, info: dict[str, Any]) -> None:
+        self._take(name, message, info['source_timestamp'])
+
+    def _take(self, name: str, message: Any, stamp_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None:
             return
-        if name not in self._without_header and stamp_of(message) is None:
-            self._without_header.add(name)
-            self.get_logger().info(
-                f"{self._configuration[f'{name}.type']} has no header: {name} is stamped by the middleware"
-            )
-        arrival_ns = info.get('source_timestamp') or self.get_clock().now().nanoseconds
         try:
-            results = self._intake.take(name, message, arrival_ns)
+            results = self._intake.take(name, message, stamp_ns)
         except ConfigurationError as error:
             self._stop(error)
             return
         self._outputs.results(results)
         if name == 'voltage':
-            stamp_ns = stamp_of(message)
             for motor in self._intake.motors_in(name, message):
-                forecast = self._observer.forecast(motor, arrival_ns if stamp_ns is None else stamp_ns)
+                forecast = self._observer.forecast(motor, stamp_ns)
                 if forecast is not None:
                     self._outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
 
@@ -224,12 +230,12 @@ class ObserverNode(LifecycleNode):
 
     def _message_type(self, name: str) -> Any:
         type_name = self._configuration[f'{name}.type']
-        try:
-            return get_message(type_name)
-        except (AttributeError, ModuleNotFoundError, ValueError, ImportError) as error:
+        found = message_class(type_name)
+        if found is None:
             raise ConfigurationError(
                 f'{name}.type {type_name!r} is not a message this environment knows: source the workspace that has it'
-            ) from error
+            )
+        return found
 
     def _topics_in_words(self) -> str:
         used = [self._configuration[f'{name}.topic'] for name in SIGNALS]
@@ -245,7 +251,17 @@ def main(args: Sequence[str] | None = None) -> int:
         epilog='List every parameter with "ros2 param list /gray_box_observer" and "ros2 param describe".',
     )
     parse_arguments(parser, args)
-    return run_node(ObserverNode, args, name='observer')
+    nodes: list[ObserverNode] = []
+
+    def make_node(stop: Stop) -> ObserverNode:
+        nodes.append(ObserverNode(stop))
+        return nodes[0]
+
+    def executor() -> Executor:
+        # The events executor carries twice the rate, but in rclpy 7.1 it cannot pass a message's source time along.
+        return SingleThreadedExecutor() if nodes[0].needs_source_time else make_executor()
+
+    return run_node(make_node, args, name='observer', executor_factory=executor)
 
 
 if __name__ == '__main__':

@@ -135,7 +135,9 @@ class MotorWhiteBox:
 
 def _spread(constant: Any, like: Any) -> Any:
     """Line a constant of shape (motor,) up with a signal of shape (motor, ...)."""
-    return constant if np.ndim(constant) == 0 else constant.reshape((-1,) + (1,) * (like.ndim - 1))
+    if isinstance(constant, float) or np.ndim(constant) == 0:
+        return constant
+    return constant.reshape((-1,) + (1,) * (like.ndim - 1))
 
 
 def _take(constant: Any, index: Any) -> Any:

@@ -1,0 +1,40 @@
+"""What a bag says about itself: its topics, and what of it could not be read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a bag.
+
+    Attributes:
+        type_name: Such as ``sensor_msgs/msg/JointState``.
+        message_count: Messages in the bag, as far as they can be read.
+        schema_text: The ros2msg definition with all dependencies; empty if the bag has none.
+        encoding: ``cdr`` for everything that ROS 2 records.
+        qos_profiles: The publishers' QoS as rosbag2's YAML text; empty if unknown.
+        type_hash: Such as ``RIHS01_...``; empty if unknown.
+    """
+
+    type_name: str
+    message_count: int
+    schema_text: str
+    encoding: str
+    qos_profiles: str
+    type_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """What of a bag could not be read; ``str(loss)`` is one line for the user."""
+
+    reasons: tuple[str, ...]
+    byte_count: int
+
+    def __str__(self) -> str:
+        shown = ' '.join('; '.join(self.reasons[:3]).split())
+        if len(self.reasons) > 3:
+            shown += f'; and {len(self.reasons) - 3} more'
+        return f'{shown}; {self.byte_count} bytes could not be read'

@@ -1,0 +1,95 @@
+"""Paths into messages, such as ``effort``, ``wrench.torque.z`` or ``effort[2]``: parsed, never evaluated."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
+from gray_box_observer.errors import ConfigurationError, SampleError
+
+__all__ = ['FieldPath', 'JointStateDecoder', 'JointStateView', 'decode_joint_state']
+
+_STEP = re.compile(r'([A-Za-z]\w*)((?:\[\d{1,9}\])*)\Z')
+_INDEX = re.compile(r'\[(\d+)\]')
+
+
+class FieldPath:
+    """A compiled path to one field of a message; works on rclpy's messages and on mcap's decoded ones.
+
+    Args:
+        text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``, ``effort[2]``.
+
+    Raises:
+        ConfigurationError: The text is no such path.
+    """
+
+    __slots__ = ('_steps', 'text')
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        steps: list[str | int] = []
+        for part in text.split('.'):
+            found = _STEP.match(part)
+            if found is None:
+                raise ConfigurationError(
+                    f"{text!r} is no field path; expected names joined by dots, such as 'effort', "
+                    "'wrench.torque.z' or 'effort[2]'"
+                )
+            steps.append(found[1])
+            steps += [int(index) for index in _INDEX.findall(found[2])]
+        self._steps = tuple(steps)
+
+    def __repr__(self) -> str:
+        return f'FieldPath({self.text!r})'
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, FieldPath) and other._steps == self._steps
+
+    def __hash__(self) -> int:
+        return hash(self._steps)
+
+    def __call__(self, message: Any) -> Any:
+        """The field of this message.
+
+        Raises:
+            SampleError: There is no such field, or the array is too short; says what there is instead.
+        """
+        value = message
+        for step in self._steps:
+            try:
+                value = getattr(value, step) if isinstance(step, str) else value[step]
+            except (AttributeError, IndexError, TypeError, KeyError):
+                raise SampleError(self._explain(message)) from None
+        return value
+
+    def _explain(self, message: Any) -> str:
+        """Walk again, slowly, to say where the path leaves the message."""
+        value, walked = message, type(message).__name__
+        for step in self._steps:
+            if isinstance(step, int):
+                try:
+                    value = value[step]
+                except (IndexError, KeyError):
+                    return f'{walked} has {len(value)} values, so there is no [{step}] (field {self.text!r})'
+                except TypeError:
+                    return f'{walked} is a single value, so there is no [{step}] (field {self.text!r})'
+                walked += f'[{step}]'
+                continue
+            if not hasattr(value, step):
+                fields = field_names(value)
+                there = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
+                return f'{walked} has no field {step!r}; {there} (field {self.text!r})'
+            value = getattr(value, step)
+            walked += f'.{step}'
+        return f'{walked} cannot be read (field {self.text!r})'
+
+
+def field_names(message: Any) -> list[str]:
+    """The names of a message's fields, for rclpy's messages and mcap's decoded ones; empty for other values."""
+    describe = getattr(message, 'get_fields_and_field_types', None)
+    if callable(describe):
+        return list(describe())
+    # mcap's decoded messages have slots over an empty __dict__.
+    slots = getattr(type(message), '__slots__', None)
+    return list(slots) if slots else list(getattr(message, '__dict__', ()))

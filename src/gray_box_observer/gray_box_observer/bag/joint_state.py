@@ -1,0 +1,228 @@
+"""sensor_msgs/JointState to and from its CDR bytes, without ROS and without a general decoder.
+
+The layout is plain CDR (OMG CORBA 3.1 part 2, section 9.3; XCDR1 in DDS-XTypes 1.3): four bytes of encapsulation,
+then every value aligned to its own size, counted from behind these four bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from gray_box_observer.errors import SampleError
+
+TYPE_NAME = 'sensor_msgs/msg/JointState'
+
+_ENCAPSULATIONS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+_HEADER_BYTES = 4
+_PREFIX_START = 12
+"""Encapsulation and stamp come first; the frame and the names follow."""
+_MOST_LAYOUTS = 64
+"""A publisher keeps its frame and names, so few layouts are enough; more are forgotten at once."""
+
+
+class JointStateView(NamedTuple):
+    """What a JointState says.
+
+    Attributes:
+        stamp_ns: The header's stamp.
+        names: One per motor.
+        position: In rad, as long as ``names`` or empty.
+        velocity: In rad/s, likewise.
+        effort: In N m (or V, where the topic says so), likewise.
+    """
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+
+class _Layout(NamedTuple):
+    """Where everything stands in messages that agree in length, byte order, frame, names and array lengths."""
+
+    encapsulation: bytes
+    prefix: bytes
+    prefix_end: int
+    numbers: struct.Struct
+    names: tuple[str, ...]
+    counts: tuple[int, int, int]
+
+    def view(self, data: bytes) -> JointStateView | None:
+        """The message's content, or None if its arrays have other lengths than this layout."""
+        flat = self.numbers.unpack_from(data)
+        n_position, n_velocity, n_effort = self.counts
+        after_position = 3 + n_position
+        after_velocity = after_position + 1 + n_velocity
+        if flat[2] != n_position or flat[after_position] != n_velocity or flat[after_velocity] != n_effort:
+            return None
+        return JointStateView(
+            flat[0] * 1_000_000_000 + flat[1],
+            self.names,
+            flat[3:after_position],
+            flat[after_position + 1 : after_velocity],
+            flat[after_velocity + 1 :],
+        )
+
+
+def decode_joint_state(data: bytes) -> JointStateView:
+    """Decode one message; `JointStateDecoder` is faster for many.
+
+    Args:
+        data: CDR of either byte order, with its encapsulation; bytes behind the message are ignored.
+
+    Raises:
+        SampleError: The bytes are no JointState; the message says where they stop making sense.
+    """
+    view = _layout(data).view(data)
+    if view is None:  # cannot be: the layout comes from these bytes
+        raise SampleError('JointState whose lengths contradict themselves')
+    return view
+
+
+class JointStateDecoder:
+    """Decodes many messages of few publishers: remembers where the numbers stand for each frame and name list."""
+
+    def __init__(self) -> None:
+        self._layouts: dict[tuple[int, bytes], _Layout] = {}
+
+    def __call__(self, data: bytes) -> JointStateView:
+        """Decode one message; the same as `decode_joint_state`."""
+        # Length and first names find a candidate; the candidate is then compared in full.
+        key = (len(data), data[12:48])
+        layout = self._layouts.get(key)
+        if layout is not None and data[12 : layout.prefix_end] == layout.prefix and data[:2] == layout.encapsulation:
+            view = layout.view(data)
+            if view is not None:
+                return view
+        if len(self._layouts) >= _MOST_LAYOUTS:
+            self._layouts.clear()
+        view = decode_joint_state(data)
+        self._layouts[key] = _layout(data)
+        return view
+
+
+class _Cursor:
+    """Reads along CDR bytes; every length is checked before it is believed."""
+
+    def __init__(self, data: bytes, order: str, at: int) -> None:
+        self.data = data
+        self.at = at
+        self._count = struct.Struct(f'{order}I')
+
+    def count(self, what: str) -> int:
+        self.align(4)
+        if self.at + 4 > len(self.data):
+            raise SampleError(f'JointState cut before {what}, at byte {self.at} of {len(self.data)}')
+        value: int = self._count.unpack_from(self.data, self.at)[0]
+        self.at += 4
+        return value
+
+    def align(self, size: int) -> None:
+        self.at += (_HEADER_BYTES - self.at) % size
+
+    def skip(self, byte_count: int, what: str) -> int:
+        """Step over the bytes of ``what``; the result is where they start."""
+        start = self.at
+        if start + byte_count > len(self.data):
+            raise SampleError(
+                f'JointState with {byte_count} bytes of {what} at byte {start}, but only {len(self.data)} in all'
+            )
+        self.at += byte_count
+        return start
+
+    def text(self, what: str) -> str:
+        length = self.count(f'the length of {what}')
+        start = self.skip(length, what)
+        raw = self.data[start : start + max(length - 1, 0)]  # without its final zero
+        try:
+            return raw.decode('utf-8')
+        except UnicodeDecodeError:
+            raise SampleError(f'JointState whose {what} is no UTF-8 text, at byte {start}') from None
+
+
+def _layout(data: bytes) -> _Layout:
+    encapsulation = bytes(data[:2])
+    order = _ENCAPSULATIONS.get(encapsulation)
+    if order is None:
+        raise SampleError(
+            f'JointState with encapsulation {encapsulation.hex() or "none"}, expected plain CDR (0000 or 0001)'
+        )
+    cursor = _Cursor(data, order, _PREFIX_START)
+    cursor.text('the frame')
+    name_count = cursor.count('the number of names')
+    if name_count * 4 > len(data):
+        raise SampleError(f'JointState that claims {name_count} names in {len(data)} bytes')
+    names = tuple(cursor.text('a name') for _ in range(name_count))
+    prefix_end = cursor.at
+    form = [f'{order}4xiI{prefix_end - _PREFIX_START}x']
+    written, counts = prefix_end, []
+    for what in ('position', 'velocity', 'effort'):
+        count = cursor.count(f'the length of {what}')
+        form.append(f'{cursor.at - 4 - written}xI')
+        written = cursor.at
+        if count:  # an empty array is not aligned
+            cursor.align(8)
+            start = cursor.skip(8 * count, what)
+            form.append(f'{start - written}x{count}d')
+            written = cursor.at
+        counts.append(count)
+    return _Layout(
+        encapsulation,
+        bytes(data[_PREFIX_START:prefix_end]),
+        prefix_end,
+        struct.Struct(''.join(form)),
+        names,
+        (counts[0], counts[1], counts[2]),
+    )
+
+
+def encode_joint_state(
+    stamp_ns: int,
+    names: Sequence[str],
+    *,
+    position: Sequence[float] = (),
+    velocity: Sequence[float] = (),
+    effort: Sequence[float] = (),
+    frame_id: str = '',
+) -> bytes:
+    """The little-endian CDR bytes of one JointState, as a publisher would send them.
+
+    Args:
+        stamp_ns: The header's stamp; from -2**31 s to 2**31 s, the range of builtin_interfaces/Time.
+        names: One per motor.
+        position: In rad.
+        velocity: In rad/s.
+        effort: In N m, or V on a voltage topic.
+        frame_id: The header's frame.
+
+    Raises:
+        SampleError: The stamp does not fit into the message.
+    """
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    if not -(1 << 31) <= seconds < 1 << 31:
+        raise SampleError(f'stamp of {stamp_ns} ns does not fit into a message; expected less than 2**31 s')
+    out = bytearray(struct.pack('<4siI', b'\x00\x01\x00\x00', seconds, nanoseconds))
+    _append_text(out, frame_id)
+    _append_count(out, len(names))
+    for name in names:
+        _append_text(out, name)
+    for values in (position, velocity, effort):
+        _append_count(out, len(values))
+        if len(values):
+            out += bytes((_HEADER_BYTES - len(out)) % 8)
+            out += struct.pack(f'<{len(values)}d', *values)
+    return bytes(out)
+
+
+def _append_count(out: bytearray, count: int) -> None:
+    out += bytes((_HEADER_BYTES - len(out)) % 4)
+    out += struct.pack('<I', count)
+
+
+def _append_text(out: bytearray, text: str) -> None:
+    raw = text.encode('utf-8') + b'\x00'
+    _append_count(out, len(raw))
+    out += raw

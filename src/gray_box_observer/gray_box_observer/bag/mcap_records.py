@@ -1,0 +1,102 @@
+"""The records of an MCAP file that declare and count: schemas, channels, statistics (https://mcap.dev/spec)."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+MAGIC = b'\x89MCAP0\r\n'
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
+LAST_KNOWN, FIRST_PRIVATE = 15, 128
+
+HEAD = struct.Struct('<BQ')
+MESSAGE_HEAD = struct.Struct('<BQHIQQ')
+"""Opcode, length, channel, sequence, log time, publish time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One topic as a file declares it; texts are empty where the file has none."""
+
+    topic: str
+    type_name: str
+    schema_text: str
+    encoding: str
+    qos_profiles: str = ''
+    type_hash: str = ''
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """The file's own account of what it holds."""
+
+    message_count: int
+    chunk_count: int
+    start_ns: int
+    end_ns: int
+    channel_message_counts: dict[int, int]
+
+
+class Definitions:
+    """Collects schema and channel records, in whatever order and however often they come."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, tuple[str, str]] = {}
+        self.channels: dict[int, Channel] = {}
+
+    def add(self, opcode: int, content: bytes) -> bool:
+        """Take in one record's content; False if it is malformed. Other opcodes are ignored."""
+        try:
+            if opcode == SCHEMA:
+                self._add_schema(content)
+            elif opcode == CHANNEL:
+                self._add_channel(content)
+        except (struct.error, IndexError):
+            return False
+        return True
+
+    def _add_schema(self, content: bytes) -> None:
+        (number,) = struct.unpack_from('<H', content)
+        name, at = _text(content, 2)
+        _, at = _text(content, at)
+        text, _ = _text(content, at)
+        self._schemas[number] = (name, text)
+
+    def _add_channel(self, content: bytes) -> None:
+        number, schema = struct.unpack_from('<HH', content)
+        topic, at = _text(content, 4)
+        encoding, at = _text(content, at)
+        (length,) = struct.unpack_from('<I', content, at)
+        at, end = at + 4, at + 4 + length
+        if end > len(content):
+            raise IndexError
+        extra = {}
+        while at < end:
+            key, at = _text(content, at)
+            extra[key], at = _text(content, at)
+        name, text = self._schemas.get(schema, ('', ''))
+        qos, type_hash = extra.get('offered_qos_profiles', ''), extra.get('topic_type_hash', '')
+        self.channels.setdefault(number, Channel(topic, name, text, encoding, qos, type_hash))
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """Read a length-prefixed text; damaged letters are replaced, a length that lies raises IndexError."""
+    (length,) = struct.unpack_from('<I', content, at)
+    end = at + 4 + length
+    if end > len(content):
+        raise IndexError
+    return content[at + 4 : end].decode('utf-8', 'replace'), end
+
+
+def parse_statistics(content: bytes) -> Statistics | None:
+    """The content of a statistics record; None if it contradicts itself."""
+    fixed = struct.Struct('<QHIIIIQQI')
+    if len(content) < fixed.size:
+        return None
+    messages, _, _, _, _, chunks, start_ns, end_ns, byte_count = fixed.unpack_from(content)
+    if byte_count % 10 or fixed.size + byte_count > len(content) or start_ns > end_ns:
+        return None
+    counts = dict(struct.iter_unpack('<HQ', content[fixed.size : fixed.size + byte_count]))
+    if sum(counts.values()) != messages:
+        return None
+    return Statistics(messages, chunks, start_ns, end_ns, counts)

@@ -1,0 +1,194 @@
+"""The ``metadata.yaml`` of a rosbag2 folder: which files belong to it, and the text that Jazzy's tools expect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gray_box_observer.errors import BagError
+
+METADATA_NAME = 'metadata.yaml'
+METADATA_VERSION = 9
+"""What rosbag2 of ROS 2 Jazzy writes."""
+
+_LARGEST_METADATA_BYTES = 16 << 20
+_NEVER_NS = (1 << 63) - 1
+"""The starting time that rosbag2 gives to a bag without messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRecord:
+    """One topic's part of the metadata."""
+
+    name: str
+    type_name: str
+    qos_profiles: Sequence[Mapping[str, Any]]
+    type_hash: str
+    message_count: int
+
+
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """One file's part of the metadata; times in nanoseconds since the epoch of the log times."""
+
+    path: str
+    start_ns: int
+    end_ns: int
+    message_count: int
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The MCAP files of a bag, in their order.
+
+    Args:
+        path: A rosbag2 folder or a single MCAP file.
+
+    Raises:
+        BagError: There is no such path, or the folder is no rosbag2 bag in MCAP storage.
+    """
+    try:
+        if path.is_file():
+            return [path]
+        if not path.exists():
+            raise BagError(f'{path}: no such bag; expected a rosbag2 folder or an .mcap file')
+        if not path.is_dir():
+            raise BagError(f'{path} is neither a folder nor a regular file')
+        return _listed_files(path, _load(path / METADATA_NAME))
+    except (OSError, ValueError) as error:
+        raise BagError(f'{path}: cannot be read: {_reason(error)}') from None
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    folder = path.parent
+    if not path.is_file():
+        raise BagError(
+            f'{folder} has no {METADATA_NAME}, so it is no rosbag2 bag; '
+            "give one of its .mcap files, or repair it with 'ros2 bag reindex'"
+        )
+    if path.stat().st_size > _LARGEST_METADATA_BYTES:
+        raise BagError(f'{path} is too large to be the metadata of a bag')
+    try:
+        loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = ' '.join(str(error).split())[:200]
+        raise BagError(f'{path} cannot be understood: {reason}') from None
+    information = loaded.get('rosbag2_bagfile_information') if isinstance(loaded, dict) else None
+    if not isinstance(information, dict):
+        raise BagError(f"{path} has no 'rosbag2_bagfile_information', so {folder} is no rosbag2 bag")
+    return information
+
+
+def _listed_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
+    storage = information.get('storage_identifier')
+    if storage != 'mcap':
+        raise BagError(f"{folder} is stored as {storage!r}, expected 'mcap'; convert it with 'ros2 bag convert'")
+    if information.get('compression_mode'):
+        mode = str(information['compression_mode']).lower()
+        raise BagError(f"{folder} is compressed by {mode}; expected none or compressed chunks; use 'ros2 bag convert'")
+    names = information.get('relative_file_paths')
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise BagError(f'{folder / METADATA_NAME} lists no files (relative_file_paths)')
+    files = []
+    for name in names:
+        # Old rosbag2 wrote the folder's own name in front.
+        found = next((p for p in (folder / name, folder / Path(name).name) if p.is_file()), None)
+        if found is None:
+            raise BagError(f'{folder}: the file {name!r}, listed in {METADATA_NAME}, is missing')
+        files.append(found)
+    return files
+
+
+def metadata_text(
+    topics: Sequence[TopicRecord],
+    files: Sequence[FileRecord],
+    *,
+    ros_distro: str,
+    custom_data: Mapping[str, str] | None = None,
+) -> str:
+    """The text of a ``metadata.yaml`` of version 9.
+
+    Args:
+        topics: Every topic of the bag.
+        files: Every file of the bag, in order.
+        ros_distro: Such as ``jazzy``.
+        custom_data: Free texts that travel with the bag.
+    """
+    filled = [file for file in files if file.message_count]
+    start_ns = min((file.start_ns for file in filled), default=_NEVER_NS)
+    end_ns = max((file.end_ns for file in filled), default=_NEVER_NS)
+    information = {
+        'version': METADATA_VERSION,
+        'storage_identifier': 'mcap',
+        **_span(start_ns, end_ns),
+        'message_count': sum(topic.message_count for topic in topics),
+        'topics_with_message_count': [
+            {
+                'topic_metadata': {
+                    'name': topic.name,
+                    'type': topic.type_name,
+                    'serialization_format': 'cdr',
+                    'offered_qos_profiles': [dict(profile) for profile in topic.qos_profiles],
+                    'type_description_hash': topic.type_hash,
+                },
+                'message_count': topic.message_count,
+            }
+            for topic in topics
+        ],
+        'compression_format': '',
+        'compression_mode': '',
+        'relative_file_paths': [file.path for file in files],
+        'files': [
+            {
+                'path': file.path,
+                **_span(
+                    file.start_ns if file.message_count else _NEVER_NS,
+                    file.end_ns if file.message_count else _NEVER_NS,
+                ),
+                'message_count': file.message_count,
+            }
+            for file in files
+        ],
+        'custom_data': dict(custom_data) if custom_data else None,
+        'ros_distro': ros_distro,
+    }
+    return _dump({'rosbag2_bagfile_information': information})
+
+
+def qos_text(qos_profiles: Sequence[Mapping[str, Any]]) -> str:
+    """QoS profiles as the text that rosbag2 keeps with an MCAP channel; empty for none."""
+    return _dump([dict(profile) for profile in qos_profiles]).rstrip() if qos_profiles else ''
+
+
+def parse_qos_text(text: str) -> list[dict[str, Any]]:
+    """The reverse of `qos_text`; a text that cannot be understood gives no profiles."""
+    try:
+        loaded = yaml.safe_load(text) if text else []
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return [item for item in loaded if isinstance(item, dict)] if isinstance(loaded, list) else []
+
+
+def _span(start_ns: int, end_ns: int) -> dict[str, dict[str, int]]:
+    return {
+        'duration': {'nanoseconds': end_ns - start_ns},
+        'starting_time': {'nanoseconds_since_epoch': start_ns},
+    }
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes repeated parts in full: the C++ tools need not follow YAML's references."""
+
+    def ignore_aliases(self, _data: Any) -> bool:
+        return True
+
+
+def _dump(data: object) -> str:
+    return str(yaml.dump(data, Dumper=_PlainDumper, sort_keys=False, allow_unicode=True))

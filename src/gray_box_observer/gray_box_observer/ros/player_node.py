@@ -1,0 +1,279 @@
+"""The ``player`` executable: replays a bag onto its topics, with rate, loop, pause, single steps and ``/clock``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from gray_box_observer.bag.metadata import parse_qos_text
+from gray_box_observer.bag.pacer import Pacer
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.errors import BagError, ConfigurationError, GrayBoxError
+from gray_box_observer.ros import topics as observed
+from gray_box_observer.ros.bag_qos import publisher_profile
+from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.running import Stop, parse_arguments, run_node
+
+NODE_NAME = 'bag_player'
+_DEPTH = 1000
+_BURST = 100
+"""Messages of a topic between two waits for its acknowledgements, when nothing else holds the player back.
+
+It is also the depth of the publishers then: Fast DDS asks its readers for acknowledgements at once only when the
+writer's history is full, and otherwise every three seconds.
+"""
+_ACK_PATIENCE_S = 5.0
+_CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+_DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
+was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
+_PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
+  bag                   rosbag2 folder or .mcap file, if BAG is not given
+  rate                  recorded seconds per second; 0: as fast as reliable readers acknowledge
+  loop                  begin again at the end
+  start_offset_s        leave out the first seconds
+  paused                begin paused
+  topics                replay only these, as [/a, /b]
+  clock                 publish /clock with the recorded time; it jumps back when a loop begins again
+  wait_for_subscribers  begin when voltage and torque (if replayed, else every topic) have so many readers
+  wait_timeout_s        and give up after this time
+
+topics are renamed as everywhere in ROS: --ros-args -r /motor/torque:=/other
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """The parameters of a replay."""
+
+    rate: float
+    loop: bool
+    start_offset_s: float
+    clock: bool
+    wait_for_subscribers: int
+    wait_timeout_s: float
+
+
+class BagPlayer(Node):
+    """Replays a bag in a thread of its own, so that services are answered whatever is due.
+
+    Args:
+        stop: Ends the node, at the end of the bag or with an error.
+        bag: Path of the bag; empty for the parameter ``bag``.
+
+    Raises:
+        BagError: The bag cannot be read or has none of the wanted topics.
+        ConfigurationError: A parameter is out of its range.
+    """
+
+    def __init__(self, stop: Stop, bag: str = '') -> None:
+        super().__init__(NODE_NAME)
+        self._stop = stop
+        path = self.declare_parameter('bag', '').value
+        is_paused = self.declare_parameter('paused', False).value
+        topics = [name for name in self.declare_parameter('topics', ['']).value if name]
+        self._plan = _Plan(
+            rate=self._number('rate', 1.0),
+            loop=self.declare_parameter('loop', False).value,
+            start_offset_s=self._number('start_offset_s', 0.0),
+            clock=self.declare_parameter('clock', False).value,
+            wait_for_subscribers=int(self._number('wait_for_subscribers', 0)),
+            wait_timeout_s=self._number('wait_timeout_s', 10.0),
+        )
+        if not (bag or path):
+            raise ConfigurationError('no bag to replay; give its path, or -p bag:=PATH')
+        self._reader = BagReader(bag or path)
+        self._pacer = Pacer(self._plan.rate, is_paused=is_paused)
+        self._publishers_by_topic = self._advertise(topics)
+        self._clock_publisher = self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
+        self._count = 0
+        self._position_ns = self._reader.start_ns
+        for name, answer in {
+            'pause': self._pause,
+            'resume': self._resume,
+            'toggle_paused': self._toggle,
+            'play_next': self._step,
+        }.items():
+            self.create_service(Trigger, f'~/{name}', answer)
+        if sys.stderr.isatty():
+            self.create_timer(1.0, self._report)
+        self._thread = threading.Thread(target=self._run, name='replay', daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop replaying and close the bag."""
+        self._pacer.stop()
+        self._thread.join(timeout=2 * _ACK_PATIENCE_S)
+        if sys.stderr.isatty():
+            print(file=sys.stderr)
+        if self._reader.lost is not None:
+            self.get_logger().warning(f'{self._reader.path}: {self._reader.lost}')
+        self.get_logger().info(f'{self._count} messages replayed')
+        self._reader.close()
+
+    def _number(self, name: str, default: float) -> float:
+        """A number that may be written with or without a point; a negative rate means as fast as possible."""
+        value = self.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=True)).value
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
+            raise ConfigurationError(f'{name} is {value!r}, expected a number')
+        if value < 0 and name != 'rate':
+            raise ConfigurationError(f'{name} is {value!r}, expected 0 or more')
+        return float(value)
+
+    def _advertise(self, wanted: Sequence[str]) -> dict[str, Publisher]:
+        """A publisher for each topic that is wanted, in the bag, and of a type that is installed."""
+        there = self._reader.topics
+        names = [self.resolve_topic_name(name, only_expand=True) for name in wanted]
+        missing = [name for name in names if name not in there]
+        if missing:
+            raise BagError(f'{self._reader.path} has no {", ".join(missing)}; there are: {", ".join(sorted(there))}')
+        publishers: dict[str, Publisher] = {}
+        for name in names or sorted(there):
+            message_type = message_class(there[name].type_name)
+            if there[name].encoding != 'cdr' or message_type is None:
+                self.get_logger().warning(f'{name} is not replayed: {there[name].type_name} is not installed here')
+                continue
+            recorded = parse_qos_text(there[name].qos_profiles)
+            depth = _DEPTH if self._plan.rate > 0 else _BURST
+            publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+        if not publishers:
+            raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
+        return publishers
+
+    def _run(self) -> None:
+        try:
+            if self._wait_for_readers():
+                self._replay()
+                for topic in self._publishers_by_topic:
+                    self._wait_for_acknowledgements(topic)
+        except GrayBoxError as error:
+            self._stop(error)
+        else:
+            self._stop()
+
+    def _wait_for_readers(self) -> bool:
+        """Wait until enough readers are matched; False if the end was asked for before."""
+        wanted, patience_s = self._plan.wait_for_subscribers, self._plan.wait_timeout_s
+        signals = {self.resolve_topic_name(t.name, only_expand=True) for t in (observed.VOLTAGE, observed.TORQUE)}
+        watched = [p for name, p in self._publishers_by_topic.items() if name in signals]
+        watched = watched or list(self._publishers_by_topic.values())
+        until_s = time.monotonic() + patience_s
+        while not self._stop.requested:
+            counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in watched}
+            if all(count >= wanted for count in counts.values()):
+                return True
+            if time.monotonic() > until_s:
+                found = ', '.join(f'{count} of {name}' for name, count in counts.items())
+                raise ConfigurationError(
+                    f'waited {patience_s:g} s for {wanted} readers, found {found}; '
+                    'start them first or lower wait_for_subscribers'
+                )
+            time.sleep(0.02)
+        return False
+
+    def _replay(self) -> None:
+        start_ns = self._reader.start_ns + round(self._plan.start_offset_s * 1e9)
+        if start_ns > self._reader.start_ns + self._reader.duration_ns:
+            raise ConfigurationError(
+                f'start_offset_s is {self._plan.start_offset_s:g}, but the bag lasts only '
+                f'{self._reader.duration_ns * 1e-9:.3f} s'
+            )
+        sent_before = -1
+        while self._count > sent_before:  # a round that sends nothing would be repeated without end
+            sent_before = self._count
+            if not (self._replay_once(start_ns) and self._plan.loop):
+                return
+
+    def _replay_once(self, start_ns: int) -> bool:
+        """Send every message once; False if the end was asked for before."""
+        pacer, publishers = self._pacer, self._publishers_by_topic
+        tick = self._tick if self._clock_publisher is not None else None
+        unconfirmed = dict.fromkeys(publishers, 0)
+        pacer.restart(start_ns)
+        for message in self._reader.messages(publishers, start_ns):
+            if not pacer.wait(message.log_time_ns, tick):
+                return False
+            if tick is not None and message.log_time_ns != self._position_ns:
+                tick(message.log_time_ns)
+            self._position_ns = message.log_time_ns
+            publishers[message.topic].publish(message.data)
+            self._count += 1
+            unconfirmed[message.topic] += 1
+            if self._plan.rate <= 0 and unconfirmed[message.topic] == _BURST:
+                unconfirmed[message.topic] = 0
+                self._wait_for_acknowledgements(message.topic)
+        return True
+
+    def _wait_for_acknowledgements(self, topic: str) -> None:
+        if not self._publishers_by_topic[topic].wait_for_all_acked(Duration(seconds=_ACK_PATIENCE_S)):
+            self.get_logger().warning(
+                f'a reader of {topic} has not acknowledged within {_ACK_PATIENCE_S:g} s; going on without it'
+            )
+
+    def _tick(self, log_time_ns: int) -> None:
+        if self._clock_publisher is not None:
+            self._clock_publisher.publish(Clock(clock=Time(nanoseconds=log_time_ns).to_msg()))
+
+    def _pause(self, _request: Any, response: Any) -> Any:
+        self._pacer.pause()
+        return _answer(response, True, 'paused')
+
+    def _resume(self, _request: Any, response: Any) -> Any:
+        self._pacer.resume()
+        return _answer(response, True, 'playing')
+
+    def _toggle(self, request: Any, response: Any) -> Any:
+        return self._resume(request, response) if self._pacer.is_paused else self._pause(request, response)
+
+    def _step(self, _request: Any, response: Any) -> Any:
+        if self._pacer.step():
+            return _answer(response, True, 'the next message is sent')
+        return _answer(response, False, 'not paused; call ~/pause first')
+
+    def _report(self) -> None:
+        done_s = (self._position_ns - self._reader.start_ns) * 1e-9
+        total_s = self._reader.duration_ns * 1e-9
+        state = ', paused' if self._pacer.is_paused else ''
+        line = f'\r{done_s:.1f} of {total_s:.1f} s, {self._count} messages{state}\x1b[K'
+        print(line, end='', file=sys.stderr, flush=True)
+
+
+def _answer(response: Any, success: bool, message: str) -> Any:
+    response.success = success
+    response.message = message
+    return response
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog='player',
+        description=_DESCRIPTION,
+        epilog=_PARAMETERS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('bag', nargs='?', default='', metavar='BAG', help='rosbag2 folder or .mcap file')
+    return parser
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the player; the result is the exit code."""
+    options = parse_arguments(make_parser(), args)
+    return run_node(lambda stop: BagPlayer(stop, options.bag), args, name='player')
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,229 @@
+"""Starting, spinning and ending a node the same way everywhere: signals, exit codes, one-line errors.
+
+An executable of this package ends with 0 when it finished or was asked to end (SIGINT, SIGTERM, SIGHUP),
+and with 2 and one line on stderr when the user must change something. All else is a defect and shows its
+traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from gray_box_observer.errors import GrayBoxError
+
+EXIT_DONE = 0
+EXIT_USER_ERROR = 2
+
+_STARTUP_ERRORS = (
+    ParameterException,
+    NameValidationException,
+    rclpy_implementation.RCLError,
+    rclpy_implementation.UnknownROSArgsError,
+)
+_SLICE_S = 1.0
+_PATIENCE_S = 1.0
+"""A second interrupt this long after the first means that the user will not wait for a clean end."""
+
+
+class Stop:
+    """The way to end a running node, from any thread: ``stop()`` or ``stop(error)``.
+
+    A node that can end by itself takes it as an argument and calls it; signals end up here too.
+    """
+
+    def __init__(self) -> None:
+        self.error: GrayBoxError | None = None
+        self._requested = False
+        self._waiting: Future | None = None
+        self._lock = threading.Lock()
+
+    def __call__(self, error: GrayBoxError | None = None) -> None:
+        """Ask for the end; the first error wins and turns the exit code into 2."""
+        with self._lock:
+            self.error = self.error or error
+            self._requested = True
+            waiting = self._waiting
+        if waiting is not None and not waiting.done():
+            waiting.set_result(None)
+
+    @property
+    def requested(self) -> bool:
+        """Whether the end has been asked for."""
+        return self._requested
+
+    def future(self) -> Future:
+        """A fresh future that completes when the end is asked for; it replaces the one handed out before."""
+        with self._lock:
+            self._waiting = Future()
+            if self._requested:
+                self._waiting.set_result(None)
+            return self._waiting
+
+
+def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None) -> argparse.Namespace:
+    """Parse what is left of the command line once ROS has taken its own (``--ros-args ...``).
+
+    Args:
+        parser: Knows the command's own arguments; answers ``--help``, refuses unknown ones with code 2.
+        args: The whole command line, the program's name first; None means ``sys.argv``.
+    """
+    try:
+        own = remove_ros_args(list(args) if args is not None else None)
+    except rclpy_implementation.RCLError as error:
+        parser.error(_one_line(error))
+    return parser.parse_args(own[1:])
+
+
+def make_executor() -> Executor:
+    """The fastest single-threaded executor of this rclpy: the events executor carries twice the rate."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run_node(
+    make_node: Callable[[Stop], Node],
+    args: Sequence[str] | None = None,
+    *,
+    name: str,
+    executor_factory: Callable[[], Executor] = make_executor,
+) -> int:
+    """Run one node until it is asked to end; the result is the exit code of the process.
+
+    A node that has a ``close()`` method gets it called before it is destroyed, while it can still publish;
+    this is where files are finished. Errors of this package and whatever ROS refuses at the start
+    (parameters, names, arguments) become one line. A callback should call ``stop(error)`` rather than raise:
+    the events executor logs a traceback of whatever a callback raises.
+
+    Args:
+        make_node: Makes the node; gets the `Stop` with which the node can end itself.
+        args: The whole command line with the program's name first; None means ``sys.argv``.
+        name: The executable's name, which starts the error line.
+        executor_factory: Makes the executor once rclpy is initialised.
+
+    Returns:
+        0 after a clean end, 2 after an error the user must act on.
+    """
+    stop = Stop()
+    with _signals_to(stop):
+        try:
+            rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+            node = make_node(stop)
+        except GrayBoxError as error:
+            return _fail(name, error)
+        except _STARTUP_ERRORS as error:
+            return _fail(name, error)
+        try:
+            _spin(node, stop, executor_factory)
+        finally:
+            rclpy.try_shutdown()
+        if stop.error is not None:
+            return _fail(name, stop.error)
+    return EXIT_DONE
+
+
+def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> None:
+    """Serve the node's callbacks until the end is asked for, then let it finish its work."""
+    executor = executor_factory()
+    executor.add_node(node)
+    try:
+        while not stop.requested:
+            # Sliced: the events executor of rclpy 7.1 runs hot and deaf when it spins without a time-out.
+            executor.spin_until_future_complete(stop.future(), _SLICE_S)
+    except ExternalShutdownException:
+        stop()  # somebody shut the context down: an orderly end as well
+    except GrayBoxError as error:
+        stop(error)
+    finally:
+        try:
+            _close(node)
+        except GrayBoxError as error:
+            stop(error)
+        executor.remove_node(node)
+        executor.shutdown()
+        node.destroy_node()
+
+
+def _close(node: Node) -> None:
+    close: Callable[[], Any] | None = getattr(node, 'close', None)
+    if close is not None:
+        close()
+
+
+def _fail(name: str, error: BaseException) -> int:
+    with suppress(Exception):  # the context may never have come up
+        rclpy.try_shutdown()
+    print(f'{name}: error: {_one_line(error)}', file=sys.stderr, flush=True)
+    return EXIT_USER_ERROR
+
+
+def _one_line(error: BaseException) -> str:
+    """The message on one line, without the place in the middleware's source that raised it."""
+    text = ' '.join(str(error).split()) or type(error).__name__
+    if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+        text = f'unknown ROS arguments: {text}'
+    return re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', text)
+
+
+@contextmanager
+def _signals_to(stop: Stop) -> Iterator[None]:
+    """Turn SIGINT, SIGTERM and SIGHUP into ``stop()`` at once, even while the main thread waits inside rmw.
+
+    Python runs its signal handlers only between byte codes of the main thread, which may sleep in C for long;
+    the wake-up descriptor is written by the handler in C itself, so a thread that reads it hears of the
+    signal at once. rclpy's own handlers shut the context down: the node could no longer publish and finish.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    ours, theirs = socket.socketpair()
+    theirs.setblocking(False)
+    listener = threading.Thread(target=_listen, args=(ours, stop), daemon=True, name='signals')
+    signals = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup asked for that
+        signals.append(signal.SIGHUP)
+    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    old_descriptor = signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
+    listener.start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(old_descriptor)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        theirs.close()
+        listener.join(timeout=1.0)
+        ours.close()
+
+
+def _listen(descriptor: socket.socket, stop: Stop) -> None:
+    first_s: float | None = None
+    while received := descriptor.recv(1):
+        number = received[0]
+        now_s = time.monotonic()
+        if first_s is None:
+            first_s = now_s
+            stop()
+        elif number == signal.SIGINT and now_s - first_s > _PATIENCE_S:
+            os._exit(128 + number)

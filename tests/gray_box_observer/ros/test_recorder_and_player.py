@@ -1,0 +1,368 @@
+"""Recorder and player as processes of their own, on real DDS."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from gray_box_observer.bag.joint_state import TYPE_NAME, decode_joint_state, encode_joint_state
+from gray_box_observer.bag.metadata import parse_qos_text
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.bag.schemas import built_in_lookup, schema_text
+from gray_box_observer.bag.writer import BagWriter
+from gray_box_observer.ros import recorder_node
+from gray_box_observer.ros.running import Stop
+from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
+
+pytestmark = pytest.mark.system
+
+TIMEOUT_S = 30.0
+RECORDER, PLAYER = 'gray_box_observer.ros.recorder_node', 'gray_box_observer.ros.player_node'
+DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
+"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet ephemeral ones."""
+
+
+def free_domain() -> int:
+    """A domain without participants: the first one would own a known UDP port."""
+    for domain in itertools.islice(DOMAINS, 101):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise AssertionError('every domain is taken')
+
+
+class Peer:
+    """The test's own node and the processes it starts, all in one domain."""
+
+    def __init__(self) -> None:
+        self.domain = free_domain()
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=self.domain)
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.processes: list[subprocess.Popen] = []
+
+    def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen:
+        """Start an executable, with parameters."""
+        command = [sys.executable, '-m', module, *arguments]
+        if parameters:
+            command += ['--ros-args']
+        for name, value in parameters.items():
+            command += ['-p', f'{name}:={value}']
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain)}
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        self.processes.append(process)
+        return process
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Spin until the condition holds; fail after a time-out."""
+        until_s = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < until_s, f'waited {TIMEOUT_S} s for {what}'
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def publisher(self, kind: type, topic: str, qos: QoSProfile, readers: int = 0):
+        """A publisher, once it has its readers."""
+        publisher = self.node.create_publisher(kind, topic, qos)
+        self.wait(lambda: publisher.get_subscription_count() >= readers, f'readers of {topic}')
+        return publisher
+
+    def call(self, service: str) -> Trigger.Response:
+        """Call a service of the player."""
+        client = self.node.create_client(Trigger, f'/bag_player/{service}')
+        self.wait(client.service_is_ready, f'the service {service}')
+        future = client.call_async(Trigger.Request())
+        self.wait(future.done, f'the answer of {service}')
+        return future.result()
+
+    def end(self, process: subprocess.Popen, number: int | None = signal.SIGINT) -> tuple[int, str]:
+        """Signal a process if asked to, wait for its end while spinning; its exit code and what it said."""
+        if number is not None:
+            process.send_signal(number)
+        self.wait(lambda: process.poll() is not None, 'the end of a process')
+        return process.returncode, process.stderr.read()
+
+    def close(self) -> None:
+        """End everything."""
+        for process in self.processes:
+            process.kill()
+            process.communicate()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def peer(monkeypatch) -> Iterator[Peer]:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    made = Peer()
+    yield made
+    made.close()
+
+
+def series(count: int, step_s: float = 0.01) -> list[JointState]:
+    """A known series of messages."""
+    messages = []
+    for index in range(count):
+        message = JointState(name=['motor', 'zweiter'], effort=[0.1 * index, -index], velocity=[1.0, 2.0])
+        message.header.stamp = rclpy.time.Time(nanoseconds=10**9 + round(index * step_s * 1e9)).to_msg()
+        message.header.frame_id = 'x' * (index % 5)
+        messages.append(message)
+    return messages
+
+
+def make_bag(folder: Path, times_s: list[float], topic: str = '/motor/torque') -> Path:
+    """A bag whose message k has effort k and was logged at the k-th time."""
+    with BagWriter(folder) as writer:
+        writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
+        for index, time_s in enumerate(times_s):
+            stamp_ns = 10**9 + round(time_s * 1e9)
+            writer.write(topic, encode_joint_state(stamp_ns, ['motor'], effort=[index]), stamp_ns, stamp_ns)
+    return folder
+
+
+def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, tmp_path):
+    folder = tmp_path / 'bag'
+    recorder = peer.start(RECORDER, '-o', str(folder))
+    publisher = peer.publisher(JointState, 'motor/voltage', SIGNAL_QOS, readers=1)
+    sent = [serialize_message(message) for message in series(500)]
+    for data in sent:
+        publisher.publish(data)
+    assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
+    before_ns = time.time_ns()
+    code, said = peer.end(recorder)
+    assert (code, 'Traceback' in said) == (0, False)
+    assert '500 messages of 1 topics' in said
+    with BagReader(folder) as bag:
+        recorded = list(bag.messages())
+        assert bag.lost is None
+        (qos,) = parse_qos_text(bag.topics['/motor/voltage'].qos_profiles)
+        assert bag.topics['/motor/voltage'].type_hash.startswith('RIHS01_')
+    assert [message.data for message in recorded] == sent
+    assert all(m.publish_time_ns <= m.log_time_ns <= before_ns for m in recorded)
+    assert (qos['reliability'], qos['durability']) == ('reliable', 'volatile')
+
+    rosbags = pytest.importorskip('rosbags.highlevel')
+    with rosbags.AnyReader([folder]) as theirs:
+        assert [bytes(raw) for _, _, raw in theirs.messages()] == sent
+
+    peer.node.destroy_publisher(publisher)
+    heard: list[bytes] = []
+    peer.node.create_subscription(JointState, 'motor/voltage', heard.append, SIGNAL_QOS, raw=True)
+    player = peer.start(PLAYER, str(folder), rate=0, wait_for_subscribers=1)
+    code, said = peer.end(player, None)
+    assert (code, 'Traceback' in said) == (0, False)
+    peer.wait(lambda: len(heard) >= len(sent), 'the replayed messages')
+    assert heard == sent
+
+
+def test_a_killed_recorder_leaves_a_readable_bag_with_little_lost(peer, tmp_path):
+    folder = tmp_path / 'bag'
+    recorder = peer.start(RECORDER, '-o', str(folder))
+    publisher = peer.publisher(JointState, 'motor/torque', SIGNAL_QOS, readers=1)
+    messages, until_s = iter(series(100_000)), time.monotonic() + 3.0
+    count = 0
+    while time.monotonic() < until_s:
+        publisher.publish(next(messages))
+        count += 1
+        time.sleep(0.005)
+    code, _ = peer.end(recorder, signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    with BagReader(folder) as bag:
+        efforts = [decode_joint_state(message.data).effort[1] for message in bag.messages()]
+    assert efforts == [-k for k in range(len(efforts))]
+    assert len(efforts) > count / 3, 'no more than two of three seconds may be lost'
+
+
+def test_topics_that_appear_later_are_recorded_with_their_own_quality_of_service(peer, tmp_path):
+    folder = tmp_path / 'bag'
+    recorder = peer.start(RECORDER, 'fast', '/latched', output=folder)
+    peer.wait(lambda: any(n == 'bag_recorder' for n in peer.node.get_node_names()), 'the recorder')
+    best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = peer.publisher(Float64, '/latched', LATCHED_QOS)
+    latched.publish(Float64(data=4.0))
+    fast = peer.publisher(Float64, '/fast', best_effort, readers=1)
+    peer.wait(lambda: latched.get_subscription_count(), 'the reader of /latched')
+    ignored = peer.publisher(Float64, '/ignored', SIGNAL_QOS)
+    for _ in range(20):
+        fast.publish(Float64(data=5.0))
+        time.sleep(0.01)
+    assert ignored.get_subscription_count() == 0
+    assert latched.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
+    assert peer.end(recorder, signal.SIGTERM)[0] == 0
+    with BagReader(folder) as bag:
+        values = {m.topic: content.data for m, content in bag.decoded()}
+        profiles = {name: parse_qos_text(info.qos_profiles)[0] for name, info in bag.topics.items()}
+    assert values == {'/latched': 4.0, '/fast': 5.0}
+    assert profiles['/fast']['reliability'] == 'best_effort'
+    assert profiles['/latched']['durability'] == 'transient_local'
+
+
+def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_path):
+    recorder = peer.start(RECORDER, '/mixed', output=tmp_path / 'bag')
+    peer.publisher(Float64, '/mixed', QoSProfile(depth=10), readers=1)
+    loose = peer.publisher(Float64, '/mixed', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT), 1)
+    for _ in range(10):
+        loose.publish(Float64(data=7.0))
+        time.sleep(0.01)
+    time.sleep(0.2)
+    assert peer.end(recorder)[0] == 0
+    with BagReader(tmp_path / 'bag') as bag:
+        assert {content.data for _, content in bag.decoded()} == {7.0}
+
+
+def test_a_recording_ends_by_itself_after_its_duration(peer, tmp_path):
+    started_s = time.monotonic()
+    code, said = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
+    assert (code, 'Traceback' in said) == (0, False)
+    assert time.monotonic() - started_s > 1.0
+
+
+def test_a_type_that_is_not_installed_is_named_and_skipped(peer, tmp_path, monkeypatch):
+    publisher = peer.publisher(Float64, '/strange', SIGNAL_QOS)
+    monkeypatch.setattr(recorder_node, 'message_class', lambda name: None)
+    rclpy.init(domain_id=peer.domain)
+    try:
+        recorder = recorder_node.BagRecorder(Stop(), ['/strange'], str(tmp_path / 'bag'))
+        peer.wait(lambda: recorder.get_publishers_info_by_topic('/strange'), 'discovery')
+        recorder._discover()
+        assert recorder._refused == {'/strange'}
+        assert publisher.get_subscription_count() == 0
+        recorder.close()
+        recorder.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_path):
+    heard: list[float] = []
+    peer.node.create_subscription(JointState, '/elsewhere', lambda m: heard.append(m.effort[0]), SIGNAL_QOS)
+    bag = make_bag(tmp_path / 'bag', [0.0, 3600.0, 3600.1, 3600.2])
+    player = peer.start(
+        PLAYER,
+        str(bag),
+        '--ros-args',
+        '-r',
+        '/motor/torque:=/elsewhere',
+        '-p',
+        'paused:=true',
+        '-p',
+        'wait_for_subscribers:=1',
+    )
+    for count in (1, 2):
+        assert peer.call('play_next').success
+        peer.wait(lambda count=count: len(heard) == count, 'the next message')
+    assert heard == [0.0, 1.0]
+    assert peer.call('toggle_paused').message == 'playing'
+    assert not peer.call('play_next').success
+    code, said = peer.end(player, None)
+    peer.wait(lambda: len(heard) == 4, 'the rest')
+    assert (code, heard, 'Traceback' in said) == (0, [0.0, 1.0, 2.0, 3.0], False)
+
+
+def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins_again(peer, tmp_path):
+    clocks: list[int] = []
+    peer.node.create_subscription(
+        Clock, '/clock', lambda m: clocks.append(rclpy.time.Time.from_msg(m.clock).nanoseconds), 100
+    )
+    bag = make_bag(tmp_path / 'bag', [0.0, 0.5, 1.0])
+    player = peer.start(PLAYER, bag=bag, clock='true', loop='true', rate=4)
+    peer.wait(lambda: sum(b < a for a, b in itertools.pairwise(clocks)) >= 2, 'two jumps back')
+    assert peer.end(player, signal.SIGTERM)[0] == 0
+    assert min(clocks) >= 10**9 and max(clocks) == 2 * 10**9
+    forward = [b - a for a, b in itertools.pairwise(clocks) if b > a]
+    assert max(forward) < 0.4e9, 'the clock ticks between the messages too'
+
+
+def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_path):
+    heard: list[tuple[float, float]] = []
+    peer.node.create_subscription(
+        JointState, 'motor/torque', lambda m: heard.append((time.monotonic(), m.effort[0])), SIGNAL_QOS
+    )
+    bag = make_bag(tmp_path / 'bag', [0.2 * k for k in range(11)])
+    player = peer.start(PLAYER, str(bag), rate=2.0, start_offset_s=1, topics='[motor/torque]', wait_for_subscribers=1)
+    assert peer.end(player, None)[0] == 0
+    peer.wait(lambda: len(heard) == 6, 'the last six messages')
+    assert [effort for _, effort in heard] == [5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+    assert heard[-1][0] - heard[0][0] == pytest.approx(0.5, abs=0.2)
+
+
+def test_latched_messages_are_replayed_latched(peer, tmp_path):
+    with BagWriter(tmp_path / 'bag') as writer:
+        profile = {'reliability': 'reliable', 'durability': 'transient_local', 'depth': 1}
+        writer.add_topic('/latched', 'std_msgs/msg/Float64', 'float64 data\n', [profile])
+        for index, time_ns in enumerate((0, 3600 * 10**9)):
+            writer.write('/latched', serialize_message(Float64(data=float(index))), time_ns, time_ns)
+    player = peer.start(PLAYER, str(tmp_path / 'bag'))
+    publishers: list = []
+    peer.wait(lambda: publishers.extend(peer.node.get_publishers_info_by_topic('/latched')) or publishers, 'it')
+    assert publishers[0].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    heard: list[float] = []
+    peer.node.create_subscription(Float64, '/latched', lambda m: heard.append(m.data), LATCHED_QOS)
+    peer.wait(lambda: heard == [0.0], 'the latched message')
+    assert peer.end(player)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ('module', 'arguments', 'message'),
+    [
+        (PLAYER, [], 'player: error: no bag to replay'),
+        (PLAYER, ['{tmp}/none'], 'no such bag'),
+        (PLAYER, ['{tmp}/text.mcap'], 'is no MCAP file'),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate is 'fast', expected a number"),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
+        (
+            PLAYER,
+            ['{tmp}/bag', '--ros-args', '-p', 'wait_for_subscribers:=1', '-p', 'wait_timeout_s:=0.3'],
+            'waited 0.3 s for 1 readers, found 0 of /motor/torque',
+        ),
+        (RECORDER, ['-o', '{tmp}/bag'], 'exists already and is not overwritten'),
+        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'], "expected '' or 'zstd'"),
+        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'duration_s:=-1'], 'duration_s is -1'),
+        (RECORDER, ['not a topic'], 'error: '),
+        (RECORDER, ['--frobnicate'], 'unrecognized arguments: --frobnicate'),
+    ],
+)
+def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arguments, message):
+    make_bag(tmp_path / 'bag', [0.0, 1.0])
+    (tmp_path / 'text.mcap').write_text('no bag')
+    process = peer.start(module, *(argument.format(tmp=tmp_path) for argument in arguments))
+    code, said = peer.end(process, None)
+    assert (code, 'Traceback' in said) == (2, False)
+    lines = [line for line in said.splitlines() if 'error:' in line]
+    assert len(lines) == 1 and message in lines[0]
+
+
+@pytest.mark.parametrize('module', [RECORDER, PLAYER])
+def test_help_names_every_parameter(peer, module):
+    process = peer.start(module, '--help')
+    out, _ = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 0
+    source = Path(sys.modules[RECORDER].__file__).with_name(f'{module.rpartition(".")[2]}.py').read_text()
+    declared = {part.split("'")[1] for part in source.split('self._number(')[1:] if part.startswith("'")}
+    assert declared and all(name in out for name in declared)

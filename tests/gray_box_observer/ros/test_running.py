@@ -1,0 +1,121 @@
+"""How executables end: signals, errors, exit codes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+TIMEOUT_S = 20.0
+SCRIPT = """
+    import sys
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from gray_box_observer.errors import BagError
+    from gray_box_observer.ros.running import make_executor, run_node
+
+    how, executor = sys.argv[1:3]
+
+    class Example(Node):
+        def __init__(self, stop):
+            super().__init__('example')
+            self.stop = stop
+            self.declare_parameter('rate', 1.0)
+            if how == 'refuses to start':
+                raise BagError('no such\\nbag')
+            if how == 'ends before it spins':
+                stop()
+            self.create_timer(0.05, self.tick)
+            print('up', flush=True)
+
+        def tick(self):
+            if how == 'raises':
+                raise BagError('went wrong')
+            if how == 'has a defect':
+                raise ValueError('a defect')
+            if how == 'ends':
+                self.stop()
+            if how == 'ends with an error':
+                self.stop(BagError('disk full'))
+                self.stop(BagError('only a consequence'))
+            if how == 'cannot close':
+                self.stop()
+
+        def close(self):
+            print('closed', flush=True)
+            if how == 'cannot close':
+                raise BagError('cannot close')
+
+    factory = make_executor if executor == 'default' else SingleThreadedExecutor
+    raise SystemExit(run_node(Example, sys.argv, name='example', executor_factory=factory))
+"""
+
+
+def start(how: str, executor: str = 'default', *args: str) -> subprocess.Popen:
+    environment = {
+        **os.environ,
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_DOMAIN_ID': str(os.getpid() % 100),
+    }
+    command = [sys.executable, '-c', textwrap.dedent(SCRIPT), how, executor, *args]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finish(process: subprocess.Popen) -> tuple[int, str, list[str]]:
+    try:
+        out, err = process.communicate(timeout=TIMEOUT_S)
+    finally:
+        process.kill()
+    return process.returncode, out, [line for line in err.splitlines() if 'error:' in line or 'Traceback' in line]
+
+
+@pytest.mark.parametrize('executor', ['default', 'single'])
+@pytest.mark.parametrize(
+    ('how', 'code', 'lines'),
+    [
+        ('ends', 0, []),
+        ('ends before it spins', 0, []),
+        ('ends with an error', 2, ['example: error: disk full']),
+        ('raises', 2, ['example: error: went wrong']),
+        ('cannot close', 2, ['example: error: cannot close']),
+        ('refuses to start', 2, ['example: error: no such bag']),
+    ],
+)
+def test_a_node_ends_with_its_code_and_at_most_one_line(how, code, lines, executor):
+    returned, out, errors = finish(start(how, executor))
+    assert (returned, errors) == (code, lines)
+    assert ('closed' in out) == (how != 'refuses to start')
+
+
+@pytest.mark.parametrize('executor', ['default', 'single'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_an_idle_node_at_once_and_lets_it_close(number, executor):
+    process = start('waits', executor)
+    assert process.stdout.readline() == 'up\n'
+    asked_s = time.monotonic()
+    process.send_signal(number)
+    returned, out, errors = finish(process)
+    assert (returned, out, errors) == (0, 'closed\n', [])
+    assert time.monotonic() - asked_s < 3.0
+
+
+def test_a_defect_shows_its_traceback():
+    returned, out, errors = finish(start('has a defect'))
+    assert returned == 1 and 'closed' in out
+    assert any('Traceback' in line for line in errors)
+
+
+@pytest.mark.parametrize(
+    'arguments', [('-p', 'rate:=fast'), ('-p', 'rate'), ('--params-file', '/nowhere.yaml'), ('--nonsense',)]
+)
+def test_what_ros_refuses_is_one_line_too(arguments):
+    returned, _, errors = finish(start('waits', 'default', '--ros-args', *arguments))
+    assert returned == 2
+    assert len(errors) == 1 and errors[0].startswith('example: error: ')
