@@ -1,6 +1,6 @@
 """Build description of the gray_box_observer package."""
 
-from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -13,8 +13,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', glob('config/*.yaml')),
-        (f'share/{PACKAGE}/launch', glob('launch/*.launch.py')),
+        (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.yaml'))]),
+        (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
     ],
     package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html']},
     install_requires=['setuptools', 'numpy', 'PyYAML'],

@@ -23,7 +23,8 @@ def save(observer: Observer, path: Path) -> None:
     """
     if not observer.motors:
         raise GrayBoxError('nothing to save yet: no motor has been seen')
-    content: dict[str, Any] = {'version': VERSION, 'motors': {}}
+    rule = observer.configuration['context_update']
+    content: dict[str, Any] = {'version': VERSION, 'context_update': rule, 'motors': {}}
     for name, motor in observer.motors.items():
         plain, arrays = motor.state()
         content['motors'][name] = plain
@@ -47,13 +48,16 @@ def load(observer: Observer, path: Path) -> None:
     """
     try:
         content = messages.decode(path.read_bytes())
-        version, motors = content['version'], content['motors']
+        version, rule, motors = content['version'], content['context_update'], content['motors']
     except OSError as error:
         raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise GrayBoxError(f'{path} is not a checkpoint of this package') from error
     if version != VERSION:
         raise GrayBoxError(f'{path} is of version {version}, expected {VERSION}: it was saved by another release')
+    if rule != observer.configuration['context_update']:
+        expected = observer.configuration['context_update']
+        raise GrayBoxError(f'{path} is a checkpoint of the rule {rule}, expected {expected}: see context_update')
     strangers = sorted(set(motors) - set(observer.configuration.motors))
     if strangers:
         raise GrayBoxError(f'{path} holds motor {strangers[0]}, which is not among the configured ones')

@@ -57,6 +57,9 @@ class ParameterSpec:
         if type(value) is not type(self.default):
             wanted, got = type(self.default).__name__, type(value).__name__
             raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
+        if isinstance(value, list) and any(type(entry) is not type(self.default[0]) for entry in value):
+            wanted = type(self.default[0]).__name__
+            raise ConfigurationError(f'parameter {name} must be a list of {wanted}, got {value!r}')
         if self.choices and value not in self.choices:
             raise ConfigurationError(f'parameter {name} must be one of {", ".join(self.choices)}, got {value!r}')
         numbers = value if isinstance(value, list) else [value]
@@ -256,7 +259,7 @@ class Configuration:
             raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
         given: dict[str, Any] = {}
         for node, content in document.items() if isinstance(document, dict) else ():
-            if node.strip('/') in ('**', NODE_NAME) or node.endswith(f'/{NODE_NAME}'):
+            if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
                 if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
                     raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
                 given.update(flatten(content['ros__parameters']))

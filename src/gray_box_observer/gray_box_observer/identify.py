@@ -17,6 +17,8 @@ import yaml
 from tqdm import tqdm
 
 from gray_box_observer import offline
+from gray_box_observer.bag.csv_log import csv_to_bag
+from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
@@ -52,16 +54,30 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--json', metavar='FILE', help='write the result there; "-" for standard output')
     parser.add_argument('--report', type=Path, metavar='FILE.html', help='write a self-contained HTML report there')
     parser.add_argument('--skip-predictor', action='store_true', help='identify only; train no LSTM')
+    parser.add_argument(
+        '--from-csv', type=Path, metavar='LOG.csv', help='make the bag BAG of this log first (it must not exist yet)'
+    )
+    parser.add_argument(
+        '--columns',
+        nargs='+',
+        metavar='KEY=VALUE',
+        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
+        'torque_constant=0.05 speed=w; or one YAML file with the same keys',
+    )
     parser.add_argument('--truth', type=Path, metavar='FILE.yaml', help='true parameters, drawn into the report')
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
-    configuration = Configuration.from_yaml(options.params) if options.params else Configuration.from_flat({})
-    for name in configuration.unknown:
-        print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     if not options.bags:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
+    mapping = _convert(options) if options.from_csv else None
+    if options.params:
+        configuration = Configuration.from_yaml(options.params)
+    else:
+        configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
+    for name in configuration.unknown:
+        print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     training = None if options.skip_predictor else InlineTraining
     collector = Collector(read_truth(options.truth) if options.truth else None) if options.report else None
     with tqdm(total=_count(options.bags), unit=' messages', disable=None, file=sys.stderr, leave=False) as bar:
@@ -75,6 +91,32 @@ def _run(options: argparse.Namespace) -> None:
         _write_report(options, outcome, result, collector)
     if options.json != '-':
         _print_table(result, sys.stdout)
+
+
+def _convert(options: argparse.Namespace) -> CsvMapping:
+    """Make the bag of a CSV log; return what its columns were taken for."""
+    if len(options.bags) != 1 or not options.columns:
+        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    words = options.columns
+    is_file = len(words) == 1 and '=' not in words[0]
+    mapping = CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)
+    summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
+    left_out = summary.filtered_rows + summary.unordered_rows
+    print(
+        f'identify: {options.from_csv}: {summary.messages} messages of {summary.rows} rows over '
+        f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}',
+        file=sys.stderr,
+    )
+    return mapping
+
+
+def _constants(mapping: CsvMapping) -> dict[str, Any]:
+    """Configure the motors of a log as far as its mapping tells: names, and Kt where torque was made from current."""
+    constants: dict[str, Any] = {'motors': list(mapping.motors)}
+    for name, columns in mapping.motors.items():
+        if columns.torque_constant is not None:
+            constants[f'{name}.torque_constant'] = columns.torque_constant
+    return constants
 
 
 def _count(bags: Sequence[Path]) -> int | None:
@@ -96,7 +138,7 @@ def describe(outcome: offline.Outcome) -> dict[str, Any]:
         skill = outcome.observer.skill(name)
         motors[name] = {
             'samples': pairing.used,
-            'duration_s': (outcome.last_ns[name] - outcome.first_ns[name]) / 1e9,
+            'duration_s': round(outcome.duration_s[name], 6),
             'rejected': dict(sorted(rejected.items())),
             'parameters': {
                 p.name: {

@@ -34,6 +34,7 @@ class Outcome:
         intake: what it was fed by.
         digest: SHA-256 over every estimate in order.
         first_ns, last_ns: stamps of the first and last sample, by motor.
+        duration_s: time that the samples cover, by motor, without gaps and jumps of the clock.
         warnings: what the user should know, such as how much of a truncated bag was lost.
     """
 
@@ -42,6 +43,7 @@ class Outcome:
     digest: str = ''
     first_ns: dict[str, int] = field(default_factory=dict)
     last_ns: dict[str, int] = field(default_factory=dict)
+    duration_s: dict[str, float] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -73,6 +75,8 @@ def run(
         for result in results:
             outcome.first_ns.setdefault(result.motor, result.sample.stamp_ns)
             outcome.last_ns[result.motor] = result.sample.stamp_ns
+            covered_s = outcome.duration_s.get(result.motor, 0.0) + float(result.sample.interval_s[0])
+            outcome.duration_s[result.motor] = covered_s
             if result.estimate is not None:
                 digest.update(result.motor.encode())
                 digest.update(np.int64(result.estimate.stamp_ns).tobytes())

@@ -19,7 +19,7 @@ from gray_box_observer.errors import BagError
 __all__ = ['CsvMapping', 'CsvSummary', 'MotorColumns', 'csv_to_bag']
 
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
-_SIGNAL_QOS = {
+SIGNAL_QOS = {
     'history': 'keep_last',
     'depth': 1000,
     'reliability': 'reliable',
@@ -184,7 +184,7 @@ def _write(
     ahead = 1 if mapping.voltage_applies == 'preceding' else 0
     with BagWriter(folder, options) as writer:
         for topic in (mapping.voltage_topic, mapping.torque_topic):
-            writer.add_topic(topic, TYPE_NAME, text, [_SIGNAL_QOS], JOINT_STATE_HASH)
+            writer.add_topic(topic, TYPE_NAME, text, [SIGNAL_QOS], JOINT_STATE_HASH)
         for index, (row, stamp) in enumerate(zip(kept.tolist(), stamps_ns.tolist(), strict=True)):
             for motor in motors:
                 if index + ahead < kept.size:

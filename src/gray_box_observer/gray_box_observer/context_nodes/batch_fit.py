@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
 from gray_box_observer.context_nodes.trajectory import Linearised, Stretch, Trajectory, find_kicks, follow, linearise
 from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.flow import within_bounds
 
 MAX_STEPS = 15
 TOLERANCE = 1e-6
@@ -99,7 +100,7 @@ class _Search:
         measured = stretch.state
         self._size = np.maximum(np.sqrt(np.mean(measured**2, axis=1)), 1e-9)
         self._floor = noise_floor * self._size
-        self._p = start
+        self._p = within_bounds(white_box, start)
         self._about = measured
         self._first = measured[:, 0]
         self._gain = np.zeros(measured.shape[0])
@@ -165,7 +166,7 @@ class _Search:
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
         self._about = self._path.state + (jacobian @ step[..., None])[..., 0]
         self._first = self._about[:, 0]
-        self._p = np.clip(p * (1.0 + step[:, 1:]), prior.p / 1e3, prior.p * 1e3)
+        self._p = within_bounds(self._white_box, p * (1.0 + step[:, 1:]))
         return float(np.max(np.abs(step)))
 
     def choose_gain(self) -> bool:
@@ -183,7 +184,8 @@ class _Search:
 
     def _spread(self, residual: Array, trust: NDArray[np.bool_]) -> Array:
         spread: Array = np.sqrt(np.sum(trust * residual**2, axis=1) / np.maximum(np.sum(trust, axis=1), 1))
-        return np.maximum(spread, self._floor)
+        floored: Array = np.maximum(spread, self._floor)
+        return floored
 
     def result(self) -> Fit:
         """Return where the search has ended."""

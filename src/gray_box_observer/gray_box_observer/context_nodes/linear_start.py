@@ -30,7 +30,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: Stretch, window: 
     phi, drive = integrated_regressors(
         white_box, stretch.voltage_v, stretch.state, stretch.speed_rad_s, stretch.interval_s
     )
-    whole = ~_touches(stretch.restart, window)
+    whole = _sums(stretch.restart.astype(float), window) == 0.0
     change = _sums(phi[..., 0], window)
     columns = [_sums(drive, window)] + [-_sums(phi[..., j], window) for j in range(1, phi.shape[-1])]
     regressors = np.stack(columns, axis=-1) * initial[:, None, :] * whole[..., None]
@@ -39,14 +39,11 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: Stretch, window: 
     pull = RIDGE * np.trace(information, axis1=1, axis2=2)[:, None] / n + 1e-300
     right = np.einsum('mka,mk->ma', regressors, change * whole) + pull
     ratio = np.linalg.solve(information + pull[..., None] * np.eye(n), right[..., None])[..., 0]
-    return initial * np.clip(ratio, 1.0 / 30.0, 30.0)
+    start: Array = initial * np.clip(ratio, 1.0 / 30.0, 30.0)
+    return start
 
 
 def _sums(values: Array, window: int) -> Array:
     """Sums over every run of ``window`` entries, shape (motor, k - window + 1)."""
     total = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
     return total[:, window:] - total[:, :-window]
-
-
-def _touches(restart: Array, window: int) -> Array:
-    return _sums(restart.astype(float), window) > 0.0

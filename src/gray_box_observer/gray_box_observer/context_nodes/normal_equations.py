@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.trajectory import Trajectory
 from gray_box_observer.white_box.base import Array
@@ -48,11 +49,12 @@ class Frame:
         return covariance * ratio[:, :, None] * ratio[:, None, :]
 
 
-def robust_std(residual: Array, valid: Array) -> Array:
+def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
     """Standard deviation from the median absolute deviation, shape (motor,); outliers hardly move it."""
     masked = np.where(valid, np.abs(residual), np.nan)
     result: Array = MAD_TO_STD * np.nanmedian(masked, axis=1)
-    return np.nan_to_num(result)
+    finite: Array = np.nan_to_num(result)
+    return finite
 
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:

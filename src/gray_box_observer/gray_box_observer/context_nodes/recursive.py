@@ -27,7 +27,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
+from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters, within_bounds
 
 SUSPICIOUS_BLOCKS = 2.0
 """So many blocks in a row of which most does not fit, and the motor has changed."""
@@ -198,7 +198,7 @@ class RecursiveUpdate:
             path, residual, jacobian, spread = self._predict(stretch, about, trust)
             limit = OUTLIER * self._noise[:, None] * spread
         valid = ~stretch.restart
-        kept = valid & (np.abs(residual) <= limit)[:, 1:]
+        kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
         self.outliers += np.sum(valid & ~kept, axis=1)
         self.kicks += kicked
         block = _Block(path, residual[:, 1:], jacobian[:, 1:], spread[:, 1:], kept)
@@ -223,15 +223,17 @@ class RecursiveUpdate:
         posterior = 0.5 * (posterior + np.swapaxes(posterior, 1, 2))
         step = (posterior @ right[..., None])[..., 0]
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
-        p = self._frame.p * (1.0 + step[:, 1:])
-        p = to_coordinates(np.clip(to_parameters(p), self._lower, self._upper))
+        p = within_bounds(self._white_box, self._frame.p * (1.0 + step[:, 1:]))
         transfer = self._frame.transfer(block.path)
         moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
         moved[:, 0, 0] += _left_of_restarts(block.path, stretch) / self._frame.current_a**2
-        self._state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * self._frame.current_a
+        state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * self._frame.current_a
         frame = Frame(self._frame.current_a, p)
-        self._covariance = self._frame.moved(moved, frame)
-        self._frame = frame
+        covariance = self._frame.moved(moved, frame)
+        finite = np.isfinite(state) & np.all(np.isfinite(covariance), axis=(1, 2)) & np.all(np.isfinite(p), axis=1)
+        self._state = np.where(finite, state, stretch.state[:, -1])
+        self._covariance = np.where(finite[:, None, None], covariance, self._covariance)
+        self._frame = Frame(self._frame.current_a, np.where(finite[:, None], p, self._frame.p))
 
     def _changed(self, block: _Block, valid: NDArray[np.bool_], kicked: NDArray[np.bool_]) -> bool:
         """Whether the motor has changed; then start over from the newest samples, from where we stand."""
@@ -254,10 +256,15 @@ class RecursiveUpdate:
 
     def _whitened(self, block: _Block, total: Array, kicked: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Sensitivities and innovations of a block, made white and of unit variance; zero where not to be used."""
-        use = block.kept & ~kicked[:, None]
+        use: NDArray[np.bool_] = block.kept & ~kicked[:, None]
         jacobian = block.jacobian * use[..., None]
         spread = jacobian @ self._covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(use.shape[1])
-        root = np.linalg.cholesky(0.5 * (spread + np.swapaxes(spread, 1, 2)))
+        try:
+            root = np.linalg.cholesky(spread)
+        except np.linalg.LinAlgError:  # rounding has made the covariance indefinite: mend it
+            self._covariance = _semidefinite(self._covariance)
+            spread = jacobian @ self._covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(use.shape[1])
+            root = np.linalg.cholesky(spread)
         stacked = np.concatenate([total, block.residual[..., None]], axis=2) * use[..., None]
         white = np.linalg.solve(root, stacked) / self._noise[:, None, None]
         return white[..., :-1], white[..., -1]
@@ -351,6 +358,13 @@ class _Block:
     jacobian: Array
     spread: Array
     kept: NDArray[np.bool_]
+
+
+def _semidefinite(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
+    mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return mended
 
 
 def _evidence(stretch: Stretch, held: Fit, free: Fit) -> Array:

@@ -20,7 +20,10 @@ from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import flow
 
 KICK = 9.0
-"""Standard deviations of the measured state from which a jump of it is met by a restart; smaller ones are the gain's."""
+"""Standard deviations of the measured state from which a jump of it is met by a restart."""
+
+FAR = 1e3
+"""Times the largest measured state: no trajectory goes further."""
 
 LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
@@ -101,9 +104,13 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     """
     speed = stretch.speed_rad_s
     moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
-    decay = np.where(stretch.restart, 0.0, moved.by_state)
-    offset = np.where(stretch.restart, stretch.state[:, 1:], moved.end - decay * about[:, :-1])
-    return Linearised(decay, offset, np.where(stretch.restart, 0.0, moved.by_coordinate))
+    # Absurd coordinates can be met on the way to good ones; nothing they lead to may overflow.
+    limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
+    decay = np.where(stretch.restart, 0.0, np.clip(moved.by_state, -1.0, 1.0))
+    end = np.clip(np.nan_to_num(moved.end, nan=0.0), -limit, limit)
+    offset = np.where(stretch.restart, stretch.state[:, 1:], end - decay * about[:, :-1])
+    forced = np.nan_to_num(np.where(stretch.restart, 0.0, moved.by_coordinate))
+    return Linearised(np.nan_to_num(decay), offset, forced)
 
 
 def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:

@@ -110,14 +110,15 @@ class Predictor:
         self.scores.add(sample.torque_nm, rivals)
         anew = sample.interval_s <= 0.0
         if prediction.memory is not None:
-            keep = ~anew[:, None]
-            self._memory = Memory(prediction.memory.hidden * keep, prediction.memory.cell * keep)
+            kept = [np.where(anew[:, None], 0.0, part) for part in (prediction.memory.hidden, prediction.memory.cell)]
+            self._memory = Memory(*kept)
         self._warm = np.where(anew, 0, self._warm + 1)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
         self._rollout = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._previous_torque = sample.torque_nm
-        self._previous_speed = sample.speed_rad_s
-        self.replay.append(sample)
+        # a torque message without its speed must not put NaN into the network's memory or into a training window
+        self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
+        self.replay.append(sample, self._previous_speed)
         if self.replay.total % self._rules.period == 0:
             self._train(theta)
 

@@ -31,6 +31,13 @@ def to_parameters(p: Array) -> Array:
     return to_coordinates(p)
 
 
+def within_bounds(white_box: WhiteBox, p: Array) -> Array:
+    """Move coordinates so that every parameter lies inside its bounds."""
+    lower = np.array([parameter.lower for parameter in white_box.parameters])
+    upper = np.array([parameter.upper for parameter in white_box.parameters])
+    return to_coordinates(np.clip(to_parameters(p), lower, upper))
+
+
 def parameter_jacobian(p: Array) -> Array:
     """Derivative of the parameters by the coordinates, shape (motor, parameter, coordinate)."""
     motors, n = p.shape
