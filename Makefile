@@ -1,0 +1,59 @@
+# Every target prepares what it needs: a fresh clone runs any of them as the first command.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+RUN := ros_ws/run.sh
+PYTHON_SOURCES := src tests benchmarks ros_ws/demo.py
+CORES := src/dc_motor_sim/dc_motor_sim src/gray_box_observer/gray_box_observer
+
+# make demo
+DURATION ?= 60
+EXCITATION ?= R[5,15]D[1,20]
+SEED ?= 1
+TORQUE_NOISE ?= 0
+BAG ?=
+PARAMS ?=
+RATE ?= 1
+DEMO_ARGS ?=
+# make test
+ARGS ?=
+WORKERS ?= 2
+# make bench
+NAME ?=
+QUICK ?=
+
+.PHONY: help setup demo test lint format bench clean distclean
+
+help:  ## show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup:  ## make .venv where needed and build ros_ws/install (ROS=auto|distribution|wheels PYTHON=)
+	@ROS='$(ROS)' PYTHON='$(PYTHON)' ros_ws/setup.sh
+
+demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TORQUE_NOISE=), or a bag (BAG= RATE= PARAMS=)
+	@$(RUN) python ros_ws/demo.py --duration '$(DURATION)' --excitation '$(EXCITATION)' --seed '$(SEED)' \
+		--torque-noise '$(TORQUE_NOISE)' $(if $(BAG),--bag '$(BAG)' --rate '$(RATE)') \
+		$(if $(PARAMS),--params '$(PARAMS)') $(DEMO_ARGS)
+
+test: setup  ## run every test (ARGS='-k pairing' WORKERS=2)
+	$(RUN) python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
+
+lint: setup  ## ruff, its formatter and strict mypy over the cores
+	$(RUN) python -m ruff check $(wildcard $(PYTHON_SOURCES))
+	$(RUN) python -m ruff format --check $(wildcard $(PYTHON_SOURCES))
+	$(RUN) python -m mypy $(CORES)
+
+format: setup  ## let ruff format the code and mend what it can
+	$(RUN) python -m ruff check --fix $(wildcard $(PYTHON_SOURCES))
+	$(RUN) python -m ruff format $(wildcard $(PYTHON_SOURCES))
+
+bench: setup  ## run one benchmark (NAME=identification QUICK=1)
+	@[ -n '$(NAME)' ] || { echo "bench: error: NAME is missing; expected one of: $(basename $(notdir $(wildcard benchmarks/[a-z]*.py)))" >&2; exit 2; }
+	@[ -f 'benchmarks/$(NAME).py' ] || { echo "bench: error: no benchmark $(NAME); expected one of: $(basename $(notdir $(wildcard benchmarks/[a-z]*.py)))" >&2; exit 2; }
+	@$(RUN) python 'benchmarks/$(NAME).py' $(if $(QUICK),--quick) $(ARGS)
+
+clean:  ## remove what was built and cached (recordings and .venv stay)
+	rm -rf ros_ws/build ros_ws/install ros_ws/log .pytest_cache .mypy_cache .ruff_cache
+	find src tests benchmarks ros_ws -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean  ## clean, and remove .venv too
+	rm -rf .venv

@@ -1,0 +1,94 @@
+"""The result of the demo: live estimates beside the truth, for people and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from demo_processes import DemoError
+
+Values = Mapping[str, Mapping[str, float]]
+"""A number by motor and parameter."""
+
+
+def load_truth(path: Path | None) -> Values:
+    """The true parameters by motor from a truth file; of a parameter that changes with time, its last value.
+
+    Args:
+        path: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``, or None for an unknown truth.
+
+    Raises:
+        DemoError: The file is not of that form.
+    """
+    if path is None:
+        return {}
+    try:
+        motors = yaml.safe_load(path.read_text(encoding='utf-8'))['motors']
+        return {
+            motor: {name: float(value[-1][1] if isinstance(value, list) else value) for name, value in values.items()}
+            for motor, values in motors.items()
+        }
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError, OSError, yaml.YAMLError) as error:
+        raise DemoError(f'{path} is no truth file: expected motors: {{NAME: {{PARAMETER: VALUE}}}}') from error
+
+
+def estimates_text(estimates: Values) -> str:
+    """All estimates in one line."""
+    many = len(estimates) > 1
+    return '  '.join(
+        f'{motor + " " if many else ""}{name} {value:.5g}'
+        for motor, values in sorted(estimates.items())
+        for name, value in sorted(values.items())
+    )
+
+
+def result_of(estimates: Values, stds: Values, truth: Values) -> dict[str, dict[str, dict[str, float | None]]]:
+    """The last live estimate of every parameter with its standard deviation and, where known, its truth.
+
+    Args:
+        estimates: SI units, by motor and parameter.
+        stds: standard deviations, likewise; a missing or non-finite one becomes None, which JSON can say.
+        truth: true values, likewise, as far as they are known.
+    """
+    motors: dict[str, dict[str, dict[str, float | None]]] = {}
+    for motor, values in sorted(estimates.items()):
+        motors[motor] = {}
+        known = stds.get(motor, {})  # in the observer's own order
+        for name in [*(name for name in known if name in values), *(name for name in values if name not in known)]:
+            value = values[name]
+            std = known.get(name, math.nan)
+            entry: dict[str, float | None] = {'value': value, 'std': std if math.isfinite(std) else None}
+            true = truth.get(motor, {}).get(name)
+            if true is not None:
+                entry['truth'] = true
+                entry['error_percent'] = 100.0 * (value - true) / true if true else None
+            motors[motor][name] = entry
+    return motors
+
+
+def recorded_samples(bag: Path) -> int | None:
+    """Torque messages that the bag says it holds."""
+    try:
+        information = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
+        topics = information['rosbag2_bagfile_information']['topics_with_message_count']
+        return sum(t['message_count'] for t in topics if t['topic_metadata']['name'].endswith('motor/torque'))
+    except (OSError, KeyError, TypeError, yaml.YAMLError):
+        return None
+
+
+def summary(motors: Mapping[str, Any], recorded: int | None, used: int | None) -> str:
+    """The result for people: one line a parameter, and whether a sample was lost on the way."""
+    lines = []
+    for motor, parameters in motors.items():
+        for name, entry in parameters.items():
+            std = f' +- {entry["std"]:.2g}' if entry['std'] is not None else ''
+            error = entry.get('error_percent')
+            true = f'  (truth {entry["truth"]:g}, {error:+.3f} %)' if error is not None else ''
+            lines.append(f'{motor} {name:<12} {entry["value"]:.6g}{std}{true}')
+    if recorded is not None and used is not None:
+        lost = recorded - used
+        lines.append(f'{recorded} torque samples recorded, {used} used' + (f', {lost} lost or refused' if lost else ''))
+    return '\n'.join(lines)

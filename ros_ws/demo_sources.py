@@ -1,0 +1,129 @@
+"""What the demo observes: the simulator with a known truth, or a replayed bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from demo_processes import DemoError
+
+TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
+FIRST_GUESS_FACTOR = 3.0
+READERS_OF_TORQUE = 2
+"""Observer and recorder; the source waits for both, so that neither misses the first sample."""
+START_PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A process that publishes samples.
+
+    Attributes:
+        name: what it is called in messages.
+        command: how it is started.
+        duration_s: how long it takes.
+        params: the observer's parameter file; None for its defaults.
+        truth: file of the true parameters, where they are known.
+        record_all: whether the recorder cannot know the topics by their names.
+    """
+
+    name: str
+    command: tuple[str | Path, ...]
+    duration_s: float
+    params: Path | None
+    truth: Path | None
+    record_all: bool
+
+
+def simulator(
+    run: Path, params: Path | None, *, excitation: str, duration_s: float, seed: int, torque_noise: float
+) -> Source:
+    """The simulated motor of the thesis; without a parameter file the observer starts three times off.
+
+    Args:
+        run: folder for the files that it needs.
+        params: the observer's parameter file, if the user has one.
+        excitation: voltage signal in the language of the simulator.
+        duration_s: simulated and real seconds.
+        seed: of everything random.
+        torque_noise: as a fraction of the standard deviation of the torque.
+    """
+    truth = run / 'truth.yaml'
+    truth.write_text(yaml.safe_dump({'motors': {'motor': TRUTH}}, sort_keys=False), encoding='utf-8')
+    parameters = {
+        'excitation': excitation,
+        'duration_s': duration_s,
+        'seed': seed,
+        'torque_noise_relative': torque_noise,
+        'wait_for_subscribers': READERS_OF_TORQUE,
+        'wait_timeout_s': START_PATIENCE_S,
+        'motors': ['motor'],
+        'motor': TRUTH,
+    }
+    if params is None:
+        initial = {name: FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
+        params = write_parameters(run / 'observer.yaml', {'motors': ['motor'], 'motor': {'initial': initial}})
+    file = write_parameters(run / 'simulator.yaml', parameters)
+    command = (executable('dc_motor_sim', 'motor_sim'), '--ros-args', '--params-file', file)
+    return Source('simulator', command, duration_s, params, truth, record_all=False)
+
+
+def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
+    """A recorded bag, less what an observer said then: the running one says it anew.
+
+    Args:
+        run: folder for the files that it needs.
+        params: the observer's parameter file, if it needs one.
+        bag: rosbag2 folder or bare MCAP file; a ``truth.yaml`` in or beside it holds the true parameters.
+        rate: recorded seconds per second.
+
+    Raises:
+        DemoError: The bag cannot be used.
+    """
+    from gray_box_observer.bag.reader import BagReader
+    from gray_box_observer.errors import BagError
+
+    try:
+        reader = BagReader(bag)
+    except BagError as error:
+        raise DemoError(str(error)) from error
+    topics = [name for name in reader.topics if not name.startswith('/gray_box_observer/') and name != '/diagnostics']
+    duration_s = reader.duration_ns * 1e-9 / rate
+    reader.close()
+    if not topics:
+        raise DemoError(f'{bag} holds nothing but what an observer said; expected voltage and torque')
+    parameters = {
+        'bag': str(bag.resolve()),
+        'topics': topics,
+        'rate': rate,
+        'wait_for_subscribers': READERS_OF_TORQUE,
+        'wait_timeout_s': START_PATIENCE_S,
+    }
+    file = write_parameters(run / 'player.yaml', parameters)
+    command = (executable('gray_box_observer', 'player'), '--ros-args', '--params-file', file)
+    folder = bag.resolve() if bag.is_dir() else bag.resolve().parent
+    beside = (folder / 'truth.yaml', folder.parent / 'truth.yaml')
+    truth = next((path for path in beside if path.is_file()), None)
+    return Source('player', command, duration_s, params, truth, record_all=True)
+
+
+def executable(package: str, name: str) -> Path:
+    """The path of an executable of the sourced workspace."""
+    from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+    try:
+        path = Path(get_package_prefix(package)) / 'lib' / package / name
+    except PackageNotFoundError as error:
+        raise DemoError(f'{package} is not in the sourced workspace; run make demo') from error
+    if not path.is_file():
+        raise DemoError(f'{path} is missing; run make setup')
+    return path
+
+
+def write_parameters(path: Path, parameters: Mapping[str, Any]) -> Path:
+    """Write a ROS parameter file that serves whichever node reads it."""
+    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}, sort_keys=False), encoding='utf-8')
+    return path

@@ -1,0 +1,21 @@
+#!/usr/bin/env bash
+# Runs a command inside the workspace: its Python first on PATH, its packages sourced, nothing of another environment.
+#
+#   ros_ws/run.sh python -m pytest tests
+#   ros_ws/run.sh ros_ws/install/gray_box_observer/lib/gray_box_observer/identify --help
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+[ $# -gt 0 ] || { echo 'run.sh: error: no command; expected ros_ws/run.sh COMMAND [ARGUMENT ...]' >&2; exit 2; }
+[ -f "$root/ros_ws/install/setup.bash" ] && [ -x "$root/.venv/bin/python" ] \
+    || { echo 'run.sh: error: the workspace is not built; run make setup' >&2; exit 2; }
+
+# The library path of another ROS would offer its libraries to ours. Without one it is the user's own and stays.
+if [ -n "${AMENT_PREFIX_PATH:-}${_ROS_WHEELS_BOOTSTRAP_COMPLETE:-}" ]; then unset LD_LIBRARY_PATH; fi
+unset PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+set +u    # the generated scripts read unset variables
+# shellcheck disable=SC1091
+. "$root/ros_ws/install/setup.bash"
+export PATH="$root/.venv/bin:$PATH"
+exec "$@"

@@ -1,0 +1,234 @@
+#!/usr/bin/env bash
+# Prepares everything that the workspace needs: a virtual environment in .venv, and both packages built in ros_ws/install.
+# Safe to run again: what is in place is left alone.
+#
+#   ros_ws/setup.sh            set up, then build
+#   ros_ws/setup.sh --check    say what would be used, change nothing
+#
+# Variables: ROS=auto|distribution|wheels   where ROS 2 Jazzy comes from (auto: the distribution's, where there is one)
+#            PYTHON=python3.12              the Python of the virtual environment
+# Once chosen, both hold until they are chosen again or .venv is removed.
+#            ROS_PREFIX=/opt/ros/jazzy      where the distribution keeps it
+set -euo pipefail
+
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
+workspace=$root/ros_ws
+venv=$root/.venv
+requirements=$workspace/requirements
+ros=${ROS:-auto}
+ros_prefix=${ROS_PREFIX:-/opt/ros/jazzy}
+wheel_pythons='3.11 3.12 3.13'
+
+say() { printf 'setup: %s\n' "$*"; }
+fail() { printf 'setup: error: %s\n' "$*" >&2; exit 1; }
+
+# --- which ROS ------------------------------------------------------------------------------------------------------
+
+remembered() { # WORD: what .venv was made with, if it was made here
+    local stamp=$venv/.setup_stamp
+    grep -qsxF "root $root" "$stamp" && sed -n "s/^$1 //p" "$stamp"
+}
+
+find_ros() {
+    [ "$ros" != auto ] || ros=$(remembered ros) || ros=auto
+    case $ros in
+        distribution)
+            [ -f "$ros_prefix/setup.bash" ] || has_active_jazzy \
+                || fail "ROS=distribution, but there is no $ros_prefix/setup.bash and no sourced Jazzy; install ros-jazzy-ros-base or use ROS=wheels" ;;
+        wheels) ;;
+        auto)
+            if [ -f "$ros_prefix/setup.bash" ] || has_active_jazzy; then ros=distribution; else ros=wheels; fi ;;
+        *) fail "ROS=$ros is not known; expected auto, distribution or wheels" ;;
+    esac
+}
+
+has_active_jazzy() {
+    [ "${ROS_DISTRO:-}" = jazzy ] && "${PYTHON:-python3}" -c 'import rclpy' >/dev/null 2>&1
+}
+
+enter_ros() {
+    # Another environment's paths would be built into the workspace, and its mark stops the wheels from finding their libraries.
+    unset _ROS_WHEELS_BOOTSTRAP_COMPLETE PYTHONHOME
+    if [ "$ros" = distribution ] && [ ! -f "$ros_prefix/setup.bash" ]; then
+        return    # the sourced Jazzy is the one to use
+    fi
+    unset PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH
+    if [ "$ros" = distribution ]; then
+        set +u    # ROS's own scripts read unset variables
+        # shellcheck disable=SC1091
+        . "$ros_prefix/setup.bash"
+        set -u
+    fi
+}
+
+# --- which Python ---------------------------------------------------------------------------------------------------
+
+version_of() { "$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null; }
+
+find_python() {
+    local candidate version seen='' candidates=${PYTHON:-$(remembered executable || true) python3 python3.12 python3.11 python3.13}
+    if [ "$ros" = distribution ]; then
+        python=${PYTHON:-$(remembered executable || true)}
+        if [ -z "$python" ] && [ -f "$ros_prefix/setup.bash" ] && [ -x /usr/bin/python3 ]; then
+            python=/usr/bin/python3    # the one that the distribution was built for, whatever comes first on PATH
+        fi
+        python=${python:-python3}
+        "$python" -c 'import rclpy' 2>/dev/null \
+            || fail "ROS 2 Jazzy was found, but $python cannot import rclpy; install ros-jazzy-rclpy, name its Python with PYTHON=, or use ROS=wheels"
+    else
+        [ "$(uname -s) $(uname -m)" = 'Linux x86_64' ] \
+            || fail "the ROS wheels are for Linux x86_64 only, this is $(uname -s) $(uname -m); install ROS 2 Jazzy from its distribution"
+        python=
+        for candidate in $candidates; do
+            version=$(version_of "$candidate") || continue
+            seen="$seen $candidate ($version)"
+            case " $wheel_pythons " in *" $version "*) python=$candidate; break ;; esac
+        done
+        [ -n "$python" ] || fail "Python is missing: the wheels need ${wheel_pythons// /, }; tried $candidates, found${seen:- none}; install one or name it with PYTHON="
+    fi
+    # Run from an active environment, perhaps .venv itself, build on what that one was built on.
+    python=$("$python" -c 'import os, sys; print(os.path.realpath(getattr(sys, "_base_executable", sys.executable)))')
+    "$python" -c 'import venv, ensurepip' 2>/dev/null \
+        || fail "the venv module of $python is missing; on Debian and Ubuntu: apt install python$(version_of "$python")-venv"
+}
+
+# --- the virtual environment ----------------------------------------------------------------------------------------
+
+requirement_files() {
+    if [ "$ros" = wheels ]; then
+        echo "$requirements/ros.txt $requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+    elif "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
+        echo "$requirements/runtime.txt $requirements/dev.txt"
+    else
+        echo "$requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+    fi
+}
+
+venv_stamp() {
+    echo "root $root"
+    echo "ros $ros"
+    echo "executable $python"
+    "$python" -c 'import sys; print("version", sys.version)' | tr '\n' ' '
+    # shellcheck disable=SC2046
+    cat $(requirement_files) "$requirements/constraints.txt" "${BASH_SOURCE[0]}" | sha256sum
+}
+
+make_venv() {
+    local wanted present
+    wanted=$(venv_stamp)
+    present=$(cat "$venv/.setup_stamp" 2>/dev/null || true)
+    if [ "$wanted" = "$present" ]; then
+        say "$venv is up to date"
+        return
+    fi
+    # An environment of another place, ROS or Python cannot be mended: its scripts and compiled modules belong to that one.
+    if [ -n "$present" ] && [ "$(head -n 2 <<<"$wanted")" != "$(head -n 2 <<<"$present")" ]; then
+        say 'the environment was made for another place or another ROS: making it anew'
+        rm -rf "$venv"
+    elif [ -d "$venv" ] && [ "$(version_of "$venv/bin/python")" != "$(version_of "$python")" ]; then
+        say "the environment's Python is not $(version_of "$python"): making it anew"
+        rm -rf "$venv"
+    fi
+    rm -f "$venv/.setup_stamp"
+    if [ ! -x "$venv/bin/python" ]; then
+        say "making $venv with $python"
+        if [ "$ros" = distribution ]; then
+            "$python" -m venv --system-site-packages "$venv"
+        else
+            "$python" -m venv "$venv"
+        fi || fail "could not make $venv"
+    fi
+    install_requirements
+    [ "$ros" = distribution ] || write_wheels_hook
+    # Written last: an interrupted run leaves no stamp and is taken up again.
+    printf '%s\n' "$wanted" >"$venv/.setup_stamp"
+}
+
+install_requirements() {
+    local file arguments=() constraints=$requirements/constraints.txt
+    for file in $(requirement_files); do arguments+=(--requirement "$file"); done
+    if [ "$ros" = distribution ]; then
+        # ROS's message modules were compiled against the distribution's numpy: another one in front of it breaks them.
+        constraints=$venv/distribution_constraints.txt
+        "$python" -c 'import numpy; print("numpy==" + numpy.__version__)' >"$constraints" \
+            || fail "numpy is missing from $python; apt install python3-numpy"
+    fi
+    say 'installing pinned packages (the first time downloads some hundred megabytes and takes minutes)'
+    "$venv/bin/python" -m pip install --quiet --quiet --no-input --disable-pip-version-check \
+        --constraint "$constraints" "${arguments[@]}" \
+        || fail 'pip could not install the pinned packages; its message is above'
+}
+
+write_wheels_hook() {
+    # Makes .venv an underlay of the workspace, as /opt/ros/jazzy would be: install/setup.bash sources it first.
+    local shell
+    for shell in sh bash zsh; do
+        cat >"$venv/local_setup.$shell" <<'HOOK'
+# Written by ros_ws/setup.sh. Message definitions are looked up here.
+case ":${AMENT_PREFIX_PATH:-}:" in
+    *":$COLCON_CURRENT_PREFIX:"*) ;;
+    *) export AMENT_PREFIX_PATH="${AMENT_PREFIX_PATH:+$AMENT_PREFIX_PATH:}$COLCON_CURRENT_PREFIX" ;;
+esac
+# Left by a Python of these or other wheels, it would keep ours from finding their own libraries.
+unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+HOOK
+    done
+}
+
+# --- the workspace --------------------------------------------------------------------------------------------------
+
+build_stamp() {
+    # The build holds links to the sources, so that only what is copied or listed by it counts.
+    cat "$venv/.setup_stamp"
+    (cd "$root/src" && find . -mindepth 3 -path './*/config/*' -o -path './*/launch/*.launch.py' -o -path './*/resource/*' | LC_ALL=C sort)
+    find -L "$workspace/src" -maxdepth 2 -type f \( -name 'setup.*' -o -name package.xml \) -print0 \
+        | LC_ALL=C sort -z | xargs -0 cat
+}
+
+build() {
+    local wanted stamp=$workspace/install/.setup_stamp
+    wanted=$(build_stamp | sha256sum)
+    if [ "$wanted" = "$(cat "$stamp" 2>/dev/null || true)" ]; then
+        say 'ros_ws/install is up to date'
+        return
+    fi
+    # A build of another place or Python holds absolute paths, and a build never removes what left the sources.
+    rm -rf "$workspace/build" "$workspace/install"
+    say 'building dc_motor_sim and gray_box_observer'
+    [ "$ros" = distribution ] || export AMENT_PREFIX_PATH=$venv
+    # By .venv's Python, so that the executables start with it; links instead of copies, so that they run the present code.
+    (
+        cd "$workspace"
+        export PYTHONWARNINGS='ignore:::setuptools,ignore::DeprecationWarning'
+        "$venv/bin/python" -c 'import sys; from colcon_core.command import main; sys.exit(main())' \
+            build --base-paths src --symlink-install
+    ) || fail 'colcon could not build the workspace; its message is above, its logs are in ros_ws/log'
+    printf '%s\n' "$wanted" >"$stamp"
+}
+
+# --------------------------------------------------------------------------------------------------------------------
+
+case ${1:-} in
+    '' | --check) ;;
+    -h | --help) sed -n '2,/^set /{/^set /d;s/^#$//;s/^# //;p;}' "${BASH_SOURCE[0]}"; exit 0 ;;
+    *) fail "unknown argument $1; expected nothing, --check or --help" ;;
+esac
+
+find_ros
+enter_ros
+find_python
+if [ "$ros" = distribution ]; then
+    say "ROS 2 Jazzy of the distribution (${ros_prefix}), $python $(version_of "$python")"
+else
+    say "ROS 2 Jazzy from wheels (none found in $ros_prefix), $python $(version_of "$python")"
+fi
+[ "${1:-}" = --check ] && exit 0
+[ -e "$workspace/src/dc_motor_sim/package.xml" ] || fail 'ros_ws/src must be a link to ../src; check the checkout out with links'
+
+# One at a time: two makes started together would install into each other.
+if command -v flock >/dev/null; then
+    exec 9<"${BASH_SOURCE[0]}"
+    flock --nonblock 9 || { say 'waiting for another set-up to finish'; flock 9; }
+fi
+make_venv
+build

@@ -1,0 +1,176 @@
+"""The demo: the whole system as a user runs it, and what it does when something goes wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import psutil
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DEMO = ROOT / 'ros_ws' / 'demo.py'
+
+
+@pytest.fixture
+def result(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / 'ros_ws'))
+    import demo_result
+
+    return demo_result
+
+
+@pytest.fixture
+def processes(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(str(ROOT / 'ros_ws'))
+    import demo_processes
+
+    before = signal.getsignal(signal.SIGINT)
+    yield demo_processes
+    signal.signal(signal.SIGINT, before)
+
+
+def start_demo(*arguments: str | Path) -> subprocess.Popen[str]:
+    environment = {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'}
+    command = [sys.executable, DEMO, *arguments]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_an_estimate_stands_beside_its_truth_and_its_error(result: ModuleType):
+    motors = result.result_of(
+        {'motor': {'resistance': 1.1}}, {'motor': {'resistance': 0.2}}, {'motor': {'resistance': 1}}
+    )
+    assert motors['motor']['resistance'] == pytest.approx(
+        {'value': 1.1, 'std': 0.2, 'truth': 1.0, 'error_percent': 10.0}
+    )
+
+
+@pytest.mark.parametrize('stds', [{}, {'motor': {'resistance': math.nan}}, {'motor': {'resistance': math.inf}}])
+def test_an_unknown_std_is_null_in_json(result: ModuleType, stds: dict):
+    motors = result.result_of({'motor': {'resistance': 1.1}}, stds, {})
+    assert json.loads(json.dumps(motors, allow_nan=False)) == {'motor': {'resistance': {'value': 1.1, 'std': None}}}
+
+
+def test_the_truth_of_a_changing_parameter_is_its_last_value(result: ModuleType, tmp_path: Path):
+    path = tmp_path / 'truth.yaml'
+    path.write_text('motors: {left: {resistance: [[0, 1.0], [60, 1.3]], inductance: 0.5}}')
+    assert result.load_truth(path) == {'left': {'resistance': 1.3, 'inductance': 0.5}}
+
+
+def test_a_file_that_is_no_truth_is_refused_by_name(result: ModuleType, tmp_path: Path):
+    path = tmp_path / 'truth.yaml'
+    path.write_text('resistance: 1.0')
+    with pytest.raises(result.DemoError, match=r'truth\.yaml is no truth file'):
+        result.load_truth(path)
+
+
+def test_lost_samples_are_said(result: ModuleType):
+    assert result.summary({}, 100, 100) == '100 torque samples recorded, 100 used'
+    assert '3 lost' in result.summary({}, 100, 97)
+
+
+def test_a_process_that_dies_is_reported_with_its_last_lines(processes: ModuleType, tmp_path: Path):
+    with processes.Children(tmp_path) as children:
+        child = children.start('worker', [sys.executable, '-c', 'raise SystemExit("no such motor")'])
+        child.process.wait(30)
+        with pytest.raises(processes.DemoError, match=r'(?s)worker ended early with exit code 1.*no such motor'):
+            children.require_alive('worker')
+
+
+def test_a_program_that_is_missing_is_reported(processes: ModuleType, tmp_path: Path):
+    with processes.Children(tmp_path) as children, pytest.raises(processes.DemoError, match='cannot start the worker'):
+        children.start('worker', [tmp_path / 'missing'])
+
+
+def test_no_process_and_no_child_of_one_is_left_behind(processes: ModuleType, tmp_path: Path):
+    code = (
+        'import subprocess, sys, time; '
+        'child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"]); '
+        'print(child.pid, flush=True); time.sleep(300)'
+    )
+    with processes.Children(tmp_path) as children:
+        worker = children.start('worker', [sys.executable, '-c', code])
+        deadline_s = time.monotonic() + 30
+        while not worker.log.read_text().endswith('\n'):
+            assert time.monotonic() < deadline_s
+            time.sleep(0.02)
+        grandchild = psutil.Process(int(worker.log.read_text()))
+    assert worker.process.poll() is not None
+    with_patience = psutil.wait_procs([grandchild], timeout=10)
+    assert with_patience[1] == []
+
+
+@pytest.mark.parametrize(
+    'arguments, message',
+    [
+        (['--duration', '0'], 'expected a number above 0'),
+        (['--duration', 'soon'], "got 'soon'"),
+        (['--bag', 'missing_bag'], 'missing_bag does not exist'),
+    ],
+)
+def test_a_wrong_argument_is_refused_in_one_line(arguments: list[str], message: str):
+    demo = start_demo(*arguments)
+    _, errors = demo.communicate(timeout=60)
+    assert demo.returncode == 2
+    assert message in errors.splitlines()[-1]
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
+    (tmp_path / 'file').write_text('')
+    demo = start_demo('--runs', tmp_path / 'file' / 'runs')
+    _, errors = demo.communicate(timeout=60)
+    assert demo.returncode == 1
+    assert errors.startswith('demo: error: cannot make a folder for the run')
+
+
+@pytest.mark.system
+def test_a_short_demo_identifies_the_motor_and_loses_no_sample(tmp_path: Path):
+    demo = start_demo('--duration', '8', '--excitation', 'R[5,15]D[0.1,1]', '--runs', tmp_path)
+    output, errors = demo.communicate(timeout=110)
+    assert demo.returncode == 0, errors
+    assert len(output.splitlines()) == 1
+    answer = json.loads(output)
+    parameters = answer['motors']['motor']
+    assert set(parameters) == {'inductance', 'resistance', 'hysteresis'}
+    assert all(abs(entry['error_percent']) < 20.0 for entry in parameters.values()), parameters
+    assert '800 torque samples recorded, 800 used' in errors
+    assert Path(answer['bag'], 'metadata.yaml').is_file()
+    assert '<html' in Path(answer['report']).read_text(encoding='utf-8')[:2000].lower()
+
+
+@pytest.mark.system
+def test_a_replayed_bag_is_identified_again_and_finds_the_truth_beside_it(tmp_path: Path):
+    first = start_demo('--duration', '4', '--excitation', 'R[5,15]D[0.1,1]', '--runs', tmp_path / 'first')
+    output, errors = first.communicate(timeout=60)
+    assert first.returncode == 0, errors
+    bag = json.loads(output)['bag']
+    again = start_demo('--bag', bag, '--rate', '2', '--runs', tmp_path / 'again')
+    output, errors = again.communicate(timeout=60)
+    assert again.returncode == 0, errors
+    answer = json.loads(output)
+    assert answer['bag'] != bag
+    assert answer['motors']['motor']['resistance']['truth'] == 1.0
+    assert '400 torque samples recorded, 400 used' in errors
+
+
+@pytest.mark.system
+def test_an_interrupt_ends_every_process(tmp_path: Path):
+    demo = start_demo('--duration', '60', '--runs', tmp_path)
+    watched = psutil.Process(demo.pid)
+    deadline_s = time.monotonic() + 60
+    while len(children := watched.children(recursive=True)) < 3:
+        assert demo.poll() is None and time.monotonic() < deadline_s
+        time.sleep(0.05)
+    demo.send_signal(signal.SIGINT)
+    _, errors = demo.communicate(timeout=60)
+    assert demo.returncode == 130, errors
+    assert errors.splitlines()[-1] == 'demo: stopped'
+    assert psutil.wait_procs(children, timeout=5)[1] == []

@@ -1,0 +1,195 @@
+"""Launch files start executables, parameters and arguments that exist.
+
+``launch`` has no wheels: small stand-ins with its signatures take its place; the real one is tried where there is one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.ros.parameters import NodeParameters
+from gray_box_observer import configuration
+
+ROOT = Path(__file__).resolve().parent.parent
+LAUNCH_FILES = sorted((ROOT / 'src').glob('*/launch/*.launch.py'))
+IDS = [path.name for path in LAUNCH_FILES]
+
+
+@dataclass
+class LaunchContext:
+    """Values of the launch arguments."""
+
+    launch_configurations: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass
+class LaunchDescription:
+    """What a launch file returns."""
+
+    entities: list[Any]
+
+
+@dataclass
+class DeclareLaunchArgument:
+    """One argument of a launch file."""
+
+    name: str
+    default_value: str
+    description: str
+
+
+@dataclass
+class OpaqueFunction:
+    """Entities that depend on the values of arguments."""
+
+    function: Any
+
+
+@dataclass
+class Shutdown:
+    """Ends everything."""
+
+    reason: str
+
+
+@dataclass
+class LaunchConfiguration:
+    """Stands for the value of an argument."""
+
+    name: str
+
+    def perform(self, context: LaunchContext) -> str:
+        """Return the value."""
+        return context.launch_configurations[self.name]
+
+
+@dataclass
+class ParameterValue:
+    """Turns the text of an argument into a typed value."""
+
+    value: LaunchConfiguration
+    value_type: type
+
+
+@dataclass(kw_only=True)
+class Node:
+    """Starts an executable."""
+
+    package: str
+    executable: str
+    name: str
+    parameters: list[Any]
+    output: str = 'log'
+    namespace: Any = ''
+    on_exit: Any = None
+
+
+STAND_INS = {
+    'launch': (LaunchContext, LaunchDescription),
+    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, Shutdown),
+    'launch.substitutions': (LaunchConfiguration,),
+    'launch_ros': (),
+    'launch_ros.parameter_descriptions': (ParameterValue,),
+}
+
+
+@pytest.fixture
+def stand_ins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for name, members in STAND_INS.items():
+        module = ModuleType(name)
+        module.__dict__.update({member.__name__: member for member in members})
+        monkeypatch.setitem(sys.modules, name, module)
+    actions = ModuleType('launch_ros.actions')
+    actions.__dict__.update(Node=Node, LifecycleNode=Node)
+    monkeypatch.setitem(sys.modules, 'launch_ros.actions', actions)
+    yield
+
+
+def load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(re.sub(r'\W', '_', path.name), path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def launched(path: Path, **arguments: str) -> tuple[dict[str, str], list[Node]]:
+    """Declared arguments with their defaults, and the nodes that come of them."""
+    entities = load(path).generate_launch_description().entities
+    declared = {e.name: e.default_value for e in entities if isinstance(e, DeclareLaunchArgument)}
+    context = LaunchContext({**declared, **arguments})
+    nodes = [e for e in entities if isinstance(e, Node)]
+    for entity in entities:
+        if isinstance(entity, OpaqueFunction):
+            nodes += entity.function(context)
+    for value in (v for node in nodes for p in node.parameters if isinstance(p, dict) for v in p.values()):
+        if isinstance(value, ParameterValue):
+            value.value_type(value.value.perform(context))
+    return declared, nodes
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_every_launched_executable_is_an_entry_point_of_its_package(path: Path):
+    _, nodes = launched(path)
+    assert nodes
+    for node in nodes:
+        text = (ROOT / 'src' / node.package / 'setup.py').read_text(encoding='utf-8')
+        assert re.search(rf"'{node.executable} = ", text), node
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_every_argument_is_described_and_used(path: Path):
+    declared, _ = launched(path)
+    text = path.read_text(encoding='utf-8')
+    for name in declared:
+        assert f"LaunchConfiguration('{name}')" in text, name
+    assert set(re.findall(r"LaunchConfiguration\('(\w+)'\)", text)) == set(declared)
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_every_parameter_that_is_set_is_one_that_the_node_declares(path: Path):
+    _, nodes = launched(path)
+    known = {
+        'motor_sim': {*NodeParameters.__dataclass_fields__}
+        | {f'motor.{name}' for name in PlantParameters.__dataclass_fields__},
+        'observer': {spec.name for spec in configuration.OBSERVER_PARAMETERS}
+        | {f'motor.{spec.name}' for spec in configuration.MOTOR_PARAMETERS},
+    }
+    for node in (n for n in nodes if n.executable in known):
+        assert {name for parameters in node.parameters for name in parameters} <= known[node.executable]
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', [p for p in LAUNCH_FILES if p.name != 'demo.launch.py'], ids=lambda p: p.name)
+def test_a_parameter_file_comes_before_the_arguments_that_win_over_it(path: Path):
+    _, (without,) = launched(path)
+    _, (given,) = launched(path, params_file='mine.yaml')
+    assert given.parameters == ['mine.yaml', *without.parameters]
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_the_demo_ends_with_its_simulator():
+    _, nodes = launched(ROOT / 'src' / 'gray_box_observer' / 'launch' / 'demo.launch.py')
+    assert {n.executable: isinstance(n.on_exit, Shutdown) for n in nodes} == {
+        'observer': False,
+        'recorder': False,
+        'motor_sim': True,
+    }
+
+
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_the_real_launch_accepts_the_file(path: Path):
+    pytest.importorskip('launch_ros')
+    assert load(path).generate_launch_description().entities

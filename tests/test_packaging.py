@@ -1,0 +1,182 @@
+"""The packages are what their descriptions say: manifests, entry points, installed files, dependencies, borders."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from catkin_pkg.package import parse_package
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ('dc_motor_sim', 'gray_box_observer')
+
+ROSDEP_KEYS = {'numpy': 'python3-numpy', 'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
+WITHOUT_ROSDEP_KEY = {name: name for name in ('torch', 'mcap', 'lz4', 'zstandard', 'plotly')} | {
+    'mcap_ros2': 'mcap-ros2-support'
+}
+
+BLOCKED_IMPORT = """
+import importlib, re, sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition('.')[0]
+        if re.fullmatch(r'rclpy|launch(_ros)?|(ament|ros|rosidl|rcl)_.*|.*_(msgs|srvs|interfaces)', top):
+            raise ImportError(f'a core imported {name}')
+
+sys.meta_path.insert(0, NoRos())
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+"""
+
+
+def sources(package: str) -> list[Path]:
+    return sorted((ROOT / 'src' / package / package).rglob('*.py'))
+
+
+def core_modules(package: str) -> list[str]:
+    files = [path.relative_to(ROOT / 'src' / package).with_suffix('') for path in sources(package)]
+    return ['.'.join(p.parts).removesuffix('.__init__') for p in files if 'ros' not in p.parts]
+
+
+def imported(paths: list[Path]) -> set[str]:
+    """Top-level names of everything that the files import, wherever in them, less the standard library."""
+    names: set[str] = set()
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Import):
+                names.update(alias.name.partition('.')[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                names.add(node.module.partition('.')[0])
+    return names - set(sys.stdlib_module_names)
+
+
+def setup_arguments(package: str) -> dict[str, object]:
+    """The literal keyword arguments of ``setup(...)``."""
+    tree = ast.parse((ROOT / 'src' / package / 'setup.py').read_text(encoding='utf-8'))
+    call = next(n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, 'id', '') == 'setup')
+    arguments = {}
+    for keyword in call.keywords:
+        try:
+            arguments[keyword.arg] = ast.literal_eval(keyword.value)
+        except ValueError:
+            continue
+    return arguments
+
+
+def entry_points(package: str) -> dict[str, tuple[str, str]]:
+    """Module and function of each executable."""
+    points = {}
+    for line in setup_arguments(package)['entry_points']['console_scripts']:
+        name, target = (part.strip() for part in line.split('='))
+        points[name] = tuple(target.split(':'))
+    return points
+
+
+def install_prefix(package: str) -> Path:
+    try:
+        return Path(get_package_prefix(package))
+    except PackageNotFoundError:
+        pytest.skip('the workspace is not sourced: run make test')
+
+
+def requirements() -> list[str]:
+    files = (ROOT / 'ros_ws' / 'requirements').glob('*.txt')
+    lines = [line for f in files if f.name != 'constraints.txt' for line in f.read_text(encoding='utf-8').splitlines()]
+    return [line for line in lines if line and not line.startswith('#')]
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_a_manifest_is_valid_and_agrees_with_the_setup_file(package: str):
+    warnings: list[str] = []
+    manifest = parse_package(ROOT / 'src' / package, warnings=warnings)
+    assert warnings == []
+    assert manifest.get_build_type() == 'ament_python'
+    described = setup_arguments(package)
+    assert manifest.version == described['version']
+    assert manifest.licenses == [described['license']]
+    assert [m.email for m in manifest.maintainers] == [described['maintainer_email']]
+    assert re.fullmatch(r'[^@\s]+@[^@\s]+\.[a-z]+', described['maintainer_email'])
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_every_entry_point_names_a_function_that_exists(package: str):
+    points = entry_points(package)
+    assert points
+    for module, function in points.values():
+        path = ROOT / 'src' / package / Path(*module.split('.')).with_suffix('.py')
+        defined = {n.name for n in ast.parse(path.read_text(encoding='utf-8')).body if isinstance(n, ast.FunctionDef)}
+        assert function in defined, f'{module}:{function}'
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_every_executable_stands_where_ros_looks_for_it_and_starts_with_this_python(package: str):
+    prefix = install_prefix(package)
+    for name in entry_points(package):
+        script = prefix / 'lib' / package / name
+        interpreter = script.read_text(encoding='utf-8').splitlines()[0].removeprefix('#!').strip()
+        assert Path(interpreter).samefile(sys.executable)
+        assert script.stat().st_mode & 0o111
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_launch_files_configuration_and_manifest_are_installed(package: str):
+    share = install_prefix(package) / 'share' / package
+    wanted = [path for folder in ('launch', 'config') for path in (ROOT / 'src' / package / folder).glob('*.*')]
+    assert any(path.name.endswith('.launch.py') for path in wanted)
+    for path in wanted:
+        installed = share / path.parent.name / path.name
+        assert installed.read_bytes() == path.read_bytes(), installed
+    assert (share / 'package.xml').is_file()
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_the_manifest_declares_every_import_and_nothing_else(package: str):
+    launch_files = list((ROOT / 'src' / package / 'launch').glob('*.py'))
+    names = imported(sources(package) + launch_files)
+    for path in launch_files:
+        names.update(re.findall(r"package='(\w+)'", path.read_text(encoding='utf-8')))
+    names.discard(package)
+    used = {ROSDEP_KEYS.get(name, name) for name in names - set(WITHOUT_ROSDEP_KEY)}
+    declared = {dependency.name for dependency in parse_package(ROOT / 'src' / package).exec_depends}
+    assert used == declared
+    pinned = {line.partition('==')[0] for line in requirements()}
+    assert {WITHOUT_ROSDEP_KEY[name] for name in names & set(WITHOUT_ROSDEP_KEY)} <= pinned
+
+
+@pytest.mark.parametrize('package', PACKAGES)
+def test_every_core_module_imports_with_ros_blocked(package: str):
+    names = core_modules(package)
+    assert len(names) > 5
+    done = subprocess.run([sys.executable, '-c', BLOCKED_IMPORT, *names], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_block_really_blocks_ros():
+    done = subprocess.run(
+        [sys.executable, '-c', BLOCKED_IMPORT, 'gray_box_observer.ros.topics'],
+        capture_output=True,
+        text=True,
+        timeout=100,
+    )
+    assert 'a core imported' in done.stderr
+
+
+def test_observer_and_simulator_do_not_import_each_other():
+    assert 'dc_motor_sim' not in imported(sources('gray_box_observer'))
+    assert 'gray_box_observer' not in imported(sources('dc_motor_sim'))
+
+
+def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():
+    text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
+    explained = {name for line in text.splitlines() if line.startswith('|') for name in re.findall(r'`([^` ]+)`', line)}
+    assert requirements()
+    for line in requirements():
+        name, pin, version = line.partition('==')
+        assert pin and version, f'{line} is not pinned'
+        assert name in explained, f'{name} has no line in CONTRIBUTING.md'
