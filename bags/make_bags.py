@@ -2,8 +2,8 @@
 
     python bags/make_bags.py [--out FOLDER] [NAME ...]
 
-Each is the motor of the thesis at 100 Hz with torque noise of 1 % of the torque's standard deviation, as a rosbag2 folder
-with ``truth.yaml`` in it (times in s since the first sample).
+Each is the motor of the thesis at 100 Hz with torque noise of 1 % of the torque's standard deviation, as a rosbag2
+folder with ``truth.yaml`` in it (times in s since the first sample).
 """
 
 from __future__ import annotations

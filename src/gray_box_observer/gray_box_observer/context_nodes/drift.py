@@ -8,6 +8,7 @@ statistic is chi-square distributed, so the threshold states the false-alarm rat
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.white_box.base import Array
 
@@ -35,7 +36,7 @@ class DriftTest:
         self.score[:] = 0.0
         self.information[:] = 0.0
 
-    def take(self, sensitivity: Array, innovation: Array) -> tuple[Array, Array]:
+    def take(self, sensitivity: Array, innovation: Array) -> tuple[NDArray[np.bool_], Array]:
         """Take one block.
 
         Args:
@@ -53,5 +54,5 @@ class DriftTest:
         solved = np.linalg.solve(self.information + ridge * np.eye(n), self.score[..., None])[..., 0]
         statistic = np.sum(self.score * solved, axis=-1)
         worst = np.argmax(statistic > self._threshold, axis=0)
-        alarm: Array = np.any(statistic > self._threshold, axis=0)
+        alarm: NDArray[np.bool_] = np.any(statistic > self._threshold, axis=0)
         return alarm, np.array(MEMORIES_BLOCKS)[worst]

@@ -245,14 +245,15 @@ class RecursiveUpdate:
         self._suspicion = np.where(lost, self._suspicion + 1.0, 0.0)
         fresh = np.where(self._suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
         self._since = np.where(lost, self._since + np.where(fresh > 0, fresh, valid.shape[1]), 0)
-        sudden = self._suspicion >= SUSPICIOUS_BLOCKS
-        if not np.any(alarm | sudden):
+        sudden: NDArray[np.bool_] = self._suspicion >= SUSPICIOUS_BLOCKS
+        suspects = alarm | sudden
+        if not np.any(suspects):
             return False
         if np.any(sudden):
             samples = int(np.max(self._since[sudden]))
         else:
             samples = max(self._rules.first_fit, int(np.max(memory[alarm]) * self._rules.block))
-        return self._start_over(samples, alarm | sudden)
+        return self._start_over(samples, suspects)
 
     def _whitened(self, block: _Block, total: Array, kicked: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Sensitivities and innovations of a block, made white and of unit variance; zero where not to be used."""
@@ -299,7 +300,8 @@ class RecursiveUpdate:
     @property
     def _posterior(self) -> Array:
         """Covariance of the coordinates' logarithms."""
-        return self._covariance[:, 1:, 1:] * self._noise[:, None, None] ** 2
+        posterior: Array = self._covariance[:, 1:, 1:] * self._noise[:, None, None] ** 2
+        return posterior
 
     def _changes(self) -> list[tuple[Array, float]]:
         """Directions, in the coordinates' logarithms, in which a motor may have changed, and what each must pay.
