@@ -120,7 +120,7 @@ def follow(children: Children, watch: Any, source: Source) -> None:
     with tqdm(
         total=source.duration_s,
         disable=not sys.stderr.isatty(),
-        bar_format='{l_bar}{bar}| {n:.0f}/{total:.0f} s {postfix}',
+        bar_format='{l_bar}{bar}| {n:.0f}/{total:.0f} s{postfix}',
         leave=False,
     ) as bar:
         while process.poll() is None:

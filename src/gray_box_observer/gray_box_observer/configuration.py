@@ -111,6 +111,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         choices=('main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
+    ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
     ParameterSpec('hold_s', 0.25, 'How far torque may run ahead of voltage, in s, before voltage is held.', 0.0, 1e6),
     ParameterSpec('jump_back_s', 1.0, 'Backward jump of a stamp, in s, that means a restarted clock.', 0.0, 1e6),
@@ -140,7 +141,6 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0
     ),
     ParameterSpec('checkpoint.path', 'gray_box_observer.npz', 'File that save writes and load reads.', live=True),
-    ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
 )
 """Parameters of the node as a whole."""
 

@@ -52,7 +52,7 @@ class Frame:
 def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
     """Standard deviation from the median absolute deviation, shape (motor,); outliers hardly move it."""
     masked = np.where(valid, np.abs(residual), np.nan)
-    result: Array = MAD_TO_STD * np.nanmedian(masked, axis=1)
+    result = MAD_TO_STD * np.nanmedian(masked, axis=1)
     finite: Array = np.nan_to_num(result)
     return finite
 

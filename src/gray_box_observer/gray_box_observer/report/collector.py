@@ -74,7 +74,7 @@ class Collector:
             parameters=self._parameters(name, course),
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
             rejected=dict(rejected),
-            scores={key: float(value) for key, value in scores.items() if value is not None},
+            scores={key: float(v) for key, v in scores.items() if v is not None and key != 'samples'},
             notes=tuple(notes(name, observer)),
         )
 

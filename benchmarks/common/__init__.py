@@ -1,0 +1,1 @@
+"""What the benchmarks share: data, bounds, peers and how results are told."""

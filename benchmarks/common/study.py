@@ -1,0 +1,178 @@
+"""The runs behind the figures: one unit of work is one seed of one case, so that two processes can share them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from common.cases import CASES, Case, Clean, Record, simulate
+from common.cramer_rao import bound_over_time
+from common.estimator import OWN_RULES, Online, OwnRule
+from common.motion import FloatArray
+from common.trace import Trace, follow, grow, marks_of
+from common.tuning import estimators
+
+STEP_AT_S = 20.0
+STEP_FACTOR = 1.3
+STEP_WATCHED_S = 10.0
+OUTLIERS = ('torque', 'voltage')
+HORIZON_SLOW = 'mhe'
+ROBUSTNESS = (*OWN_RULES, 'ekf')
+"""Methods that are also run with outliers and with a step of R; the filter beside the rules, for information."""
+
+BATCH = 'batch'
+
+Key = tuple[str, str, float, bool]
+"""Method, case name, noise, whether the starts lie either way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What to run on one seed of one case.
+
+    Attributes:
+        case: which data.
+        seed: of excitation and noise.
+        methods: online methods by name, besides ``batch``.
+        noises: standard deviations of the torque noise, as fractions of the torque's.
+        either_way: kinds of start: all too large (False), either way (True).
+        part: fraction of the recording that is used.
+        marks: number of instants that are kept.
+        robustness: also run :data:`ROBUSTNESS` with outliers and with a step of R.
+    """
+
+    case: Case
+    seed: int
+    methods: tuple[str, ...]
+    noises: tuple[float, ...]
+    either_way: tuple[bool, ...] = (False,)
+    part: float = 1.0
+    marks: int = 240
+    robustness: bool = False
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What came of it.
+
+    Attributes:
+        seed: of the data.
+        case: its name.
+        traces: by method, case, noise and kind of start.
+        bounds: by noise, shape (mark, parameter): the Cramer-Rao bound as a fraction of the value.
+        time_s: shape (mark,).
+        moved: by rule and kind of outlier, shape (parameter,): how far outliers moved the estimate, a fraction.
+        step_s: by rule, seconds from the step of R until the estimate stays within 2 % of the new value.
+    """
+
+    seed: int
+    case: str
+    traces: dict[Key, Trace] = field(default_factory=dict)
+    bounds: dict[float, FloatArray] = field(default_factory=dict)
+    time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    moved: dict[tuple[str, str], FloatArray] = field(default_factory=dict)
+    step_s: dict[str, float] = field(default_factory=dict)
+
+
+def carry_out(work: Work) -> Outcome:
+    """Simulate once, then run every method at every noise from every kind of start."""
+    case = work.case
+    clean = simulate(case, [work.seed], work.part * case.duration_s)
+    outcome = Outcome(work.seed, case.name)
+    for noise in work.noises:
+        for either_way in work.either_way:
+            record = clean.record(work.seed, noise, either_way=either_way)
+            marks = marks_of(record, work.marks)
+            outcome.time_s = record.time_s[marks]
+            outcome.bounds[noise] = bound_over_time(record, marks)
+            builders = estimators(case)
+            for method in work.methods:
+                run = grow(record, marks) if method == BATCH else follow(builders[method], record, marks)
+                outcome.traces[method, case.name, noise, either_way] = run
+    if work.robustness:
+        for rule in [name for name in ROBUSTNESS if name in work.methods]:
+            _hit_with_outliers(outcome, clean, rule)
+            if case.name == 'short holds':
+                outcome.step_s[rule] = _step_resistance(case, work.seed, rule)
+    return outcome
+
+
+def _hit_with_outliers(outcome: Outcome, clean: Clean, rule: str) -> None:
+    noise = 0.01
+    undisturbed = clean.record(outcome.seed, noise)
+    marks = np.array([undisturbed.stamp_ns.size - 1])
+    before = follow(estimators(clean.case)[rule], undisturbed, marks).error[-1]
+    for kind in OUTLIERS:
+        record = clean.record(outcome.seed, noise, outliers=kind)
+        after = follow(estimators(clean.case)[rule], record, marks).error[-1]
+        outcome.moved[rule, kind] = after - before
+
+
+def _step_resistance(case: Case, seed: int, rule: str) -> float:
+    """Raise R by 30 % and wait for the estimate, at 1 % noise; inf if it does not come and stay."""
+    value = STEP_FACTOR * case.plant.resistance
+    schedule = [f'motor.resistance={value:g}@{STEP_AT_S:g}']
+    clean = simulate(case, [seed], STEP_AT_S + STEP_WATCHED_S, schedule)
+    record = clean.record(seed, 0.01)
+    marks = np.flatnonzero(record.time_s >= STEP_AT_S)
+    found = case.plant.resistance * (1.0 + follow(estimators(case)[rule], record, marks).error[:, 1])
+    return settled_s(np.abs(found / value - 1.0), record.time_s[marks] - STEP_AT_S, 0.02)
+
+
+def settled_s(deviation: FloatArray, time_s: FloatArray, tolerance: float) -> float:
+    """First instant from which the deviation stays within the tolerance to the end; inf if there is none.
+
+    Args:
+        deviation: shape (mark,), not negative; NaN counts as outside.
+        time_s: shape (mark,).
+        tolerance: largest deviation that counts as settled.
+    """
+    outside = np.flatnonzero(~(deviation <= tolerance))
+    if outside.size == 0:
+        return float(time_s[0])
+    return float(time_s[outside[-1] + 1]) if outside[-1] + 1 < len(time_s) else float('inf')
+
+
+def microseconds_per_sample(
+    record: Record, builders: dict[str, Callable[[Record], Online]], repeats: int = 3
+) -> dict[str, float]:
+    """Mean time to learn one sample, the least of some repeats, taken in turns so that all meet the same weather."""
+    spent: dict[str, list[float]] = {name: [] for name in builders}
+    for _ in range(repeats):
+        for name, build in builders.items():
+            count = record.stamp_ns.size if name != HORIZON_SLOW else min(150, record.stamp_ns.size)
+            estimator = build(record)
+            begin = time.perf_counter()
+            for k in range(count):
+                estimator.learn(k)
+            spent[name].append(1e6 * (time.perf_counter() - begin) / count)
+    return {name: min(values) for name, values in spent.items()}
+
+
+def false_alarms_in_an_hour(case: Case, rule: str, seed: int) -> int:
+    """Let a motor run unchanged for an hour at 1 % noise and count the drifts announced."""
+    record = simulate(case, [seed], 3600.0).record(seed, 0.01)
+    estimator = OwnRule(rule, record)
+    for k in range(record.stamp_ns.size):
+        estimator.learn(k)
+    return estimator.alarms
+
+
+def gather(
+    outcomes: Sequence[Outcome], method: str, case: str, noise: float, either_way: bool, seeds: int | None = None
+) -> list[tuple[Trace, FloatArray, FloatArray]]:
+    """Traces of one method on one case with their bounds and times, in the order of the seeds."""
+    key = (method, case, noise, either_way)
+    chosen = sorted((o for o in outcomes if o.case == case and key in o.traces), key=lambda o: o.seed)
+    return [(o.traces[key], o.bounds[noise], o.time_s) for o in chosen[:seeds]]
+
+
+def timing(methods: Sequence[str], part: float) -> dict[str, float]:
+    """Microseconds a sample of every method, on short holds at 1 % noise."""
+    case = next(case for case in CASES if case.name == 'short holds')
+    record = simulate(case, [0], part * case.duration_s).record(0, 0.01)
+    builders = {name: build for name, build in estimators(case).items() if name in methods}
+    return microseconds_per_sample(record, builders)

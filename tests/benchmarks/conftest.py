@@ -1,0 +1,11 @@
+"""The benchmarks are programs, not a package: their folder goes on the path, as it is when one of them runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / 'benchmarks'
+
+if str(BENCHMARKS) not in sys.path:
+    sys.path.insert(0, str(BENCHMARKS))

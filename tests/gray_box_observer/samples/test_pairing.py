@@ -1,0 +1,254 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from gray_box_observer.samples import Pairing, Rejection, Sample
+from gray_box_observer.samples.pairing import PairingRules
+
+MS = 1_000_000
+Event = tuple[str, int, float]
+
+
+def feed(pairing: Pairing, events: Iterable[Event]) -> list[Sample]:
+    samples: list[Sample] = []
+    for kind, at_ms, value in events:
+        samples += (pairing.voltage if kind == 'v' else pairing.torque)(round(at_ms * MS), value)
+    return samples
+
+
+def content(samples: list[Sample]) -> list[tuple[int, float, float, float]]:
+    return [(s.stamp_ns, float(s.interval_s[0]), float(s.voltage_v[0]), float(s.torque_nm[0])) for s in samples]
+
+
+def steady(count: int, period_ms: int = 10) -> tuple[list[Event], list[Event]]:
+    voltages: list[Event] = [('v', k * period_ms, 1.0 + k % 7) for k in range(count)]
+    torques: list[Event] = [('t', k * period_ms, 0.1 * k) for k in range(count)]
+    return voltages, torques
+
+
+def test_a_voltage_sample_holds_until_the_next_one() -> None:
+    samples = feed(Pairing(), [('v', 0, 5.0), ('t', 0, 0.1), ('v', 10, 7.0), ('t', 10, 0.2), ('v', 20, 9.0)])
+    samples += feed(Pairing(), [])
+    assert content(samples)[1] == (10 * MS, 0.01, 5.0, 0.2)
+
+
+def test_the_first_sample_only_says_where_the_motor_stands() -> None:
+    first = feed(Pairing(), [('v', 0, 5.0), ('t', 0, 0.1)])
+    assert [s.interval_s[0] for s in first] == [0.0]
+
+
+@pytest.mark.parametrize('arrival', ['voltage first', 'torque first', 'voltage a step ahead', 'torque two steps ahead'])
+def test_the_order_of_arrival_does_not_change_the_samples(arrival: str) -> None:
+    voltages, torques = steady(60)
+    shift = {'voltage first': 0.0, 'torque first': 0.1, 'voltage a step ahead': -10.0, 'torque two steps ahead': 20.0}
+    late = shift[arrival]
+    events = sorted(
+        [(at + late, 'v', at, value) for _, at, value in voltages]
+        + [(at + 0.05, 't', at, value) for _, at, value in torques]
+    )
+    pairing = Pairing()
+    samples = feed(pairing, [(kind, at, value) for _, kind, at, value in events]) + pairing.flush()
+    reference = Pairing()
+    expected = feed(reference, [e for pair in zip(voltages, torques, strict=True) for e in pair]) + reference.flush()
+    assert content(samples) == content(expected)
+    assert len(samples) == 60
+
+
+def test_torque_waits_for_a_voltage_that_is_stamped_at_or_after_it() -> None:
+    pairing = Pairing()
+    assert feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('t', 10, 0.1)])[1:] == []
+    assert pairing.waiting == 1
+    assert content(feed(pairing, [('v', 10, 6.0)])) == [(10 * MS, 0.01, 5.0, 0.1)]
+    assert pairing.waiting == 0
+
+
+def test_a_voltage_that_changes_inside_the_interval_counts_for_its_share_of_it() -> None:
+    samples = feed(
+        Pairing(), [('v', 0, 2.0), ('t', 0, 0.0), ('v', 3, 8.0), ('v', 7, 4.0), ('v', 10, 1.0), ('t', 10, 1.0)]
+    )
+    assert samples[1].voltage_v[0] == pytest.approx((3 * 2.0 + 4 * 8.0 + 3 * 4.0) / 10, rel=1e-14)
+
+
+def test_a_voltage_stamped_before_the_first_torque_is_in_force_from_there() -> None:
+    samples = feed(Pairing(), [('v', 0, 2.0), ('v', 4, 6.0), ('t', 5, 0.0), ('v', 10, 9.0), ('t', 10, 1.0)])
+    assert samples[1].voltage_v[0] == 6.0
+
+
+def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> None:
+    pairing = Pairing(PairingRules(hold_s=0.05))
+    samples = feed(pairing, [('v', 0, 3.0), *(('t', 10 * k, 0.1 * k) for k in range(10))])
+    assert [s.stamp_ns // MS for s in samples] == [0, 10, 20, 30, 40]
+    assert all(s.voltage_v[0] == 3.0 for s in samples[1:])
+    assert pairing.waiting == 5
+    late = feed(pairing, [('v', 55, 7.0)])  # within patience: the change still lands where it belongs
+    assert [s.stamp_ns // MS for s in late] == [50]
+    assert feed(pairing, [('v', 60, 7.0)])[0].voltage_v[0] == pytest.approx(5.0)
+
+
+def test_a_gap_never_becomes_a_derivative() -> None:
+    pairing = Pairing(PairingRules(gap_s=0.5))
+    samples = feed(
+        pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('v', 600, 5.0), ('t', 600, 9.0), ('v', 610, 5.0), ('t', 610, 9.1)]
+    )
+    assert [float(s.interval_s[0]) for s in samples] == [0.0, 0.0, 0.01]
+    assert pairing.rejected == {}
+
+
+def test_a_silence_of_just_the_gap_is_still_an_interval() -> None:
+    samples = feed(Pairing(PairingRules(gap_s=0.5)), [('v', 0, 5.0), ('t', 0, 0.0), ('v', 500, 5.0), ('t', 500, 1.0)])
+    assert samples[1].interval_s[0] == 0.5
+
+
+def test_torque_before_any_voltage_is_counted_and_teaches_nothing() -> None:
+    pairing = Pairing()
+    samples = feed(pairing, [*(('t', 10 * k, 1.0) for k in range(5)), ('v', 100, 5.0)])
+    assert samples == []
+    assert pairing.rejected == {Rejection.NO_VOLTAGE: 5}
+
+
+def test_torque_whose_voltage_never_came_is_no_sample_at_the_end_of_a_bag() -> None:
+    pairing = Pairing()
+    assert feed(pairing, [('t', 10 * k, 1.0) for k in range(20)]) + pairing.flush() == []
+    assert pairing.rejected == {Rejection.NO_VOLTAGE: 20}
+
+
+@pytest.mark.parametrize(
+    ('value', 'reason'),
+    [
+        (math.nan, Rejection.NON_FINITE),
+        (math.inf, Rejection.NON_FINITE),
+        (-math.inf, Rejection.NON_FINITE),
+        (2e9, Rejection.ABSURD),
+        (-2e9, Rejection.ABSURD),
+    ],
+)
+@pytest.mark.parametrize('kind', ['v', 't'])
+def test_a_value_that_no_motor_has_is_counted_and_leaves_no_trace(kind: str, value: float, reason: Rejection) -> None:
+    clean = [('v', 0, 5.0), ('t', 0, 0.0), ('v', 10, 6.0), ('t', 10, 0.1), ('v', 20, 6.0), ('t', 20, 0.1)]
+    pairing, reference = Pairing(), Pairing()
+    samples = feed(pairing, [*clean[:4], (kind, 15, value), *clean[4:]])
+    assert content(samples) == content(feed(reference, clean))
+    assert pairing.rejected == {reason: 1}
+
+
+def test_a_speed_that_is_not_finite_refuses_the_torque_but_no_speed_does_not() -> None:
+    pairing = Pairing()
+    pairing.voltage(0, 5.0)
+    assert pairing.torque(0, 0.1, math.inf) == []
+    assert pairing.rejected == {Rejection.NON_FINITE: 1}
+    assert len(pairing.torque(0, 0.1, math.nan)) == 1
+
+
+@pytest.mark.parametrize('kind', ['v', 't'])
+def test_duplicates_and_messages_out_of_order_are_told_apart(kind: str) -> None:
+    pairing = Pairing()
+    feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('v', 10, 5.0), ('t', 10, 0.1)])
+    assert feed(pairing, [(kind, 10, 9.0), (kind, 5, 9.0)]) == []
+    assert pairing.rejected == {Rejection.DUPLICATE: 1, Rejection.OUT_OF_ORDER: 1}
+
+
+@pytest.mark.parametrize('kind', ['v', 't'])
+def test_a_jump_of_the_clock_restarts_the_history_and_loses_nothing_that_waited(kind: str) -> None:
+    pairing = Pairing(PairingRules(jump_back_s=1.0))
+    before = feed(pairing, [('v', 5000, 5.0), ('t', 5000, 0.0), ('t', 5010, 0.1)])
+    assert [s.stamp_ns // MS for s in before] == [5000]
+    at_jump = feed(pairing, [(kind, 3000, 0.5)])
+    assert [(s.stamp_ns // MS, float(s.voltage_v[0])) for s in at_jump] == [(5010, 5.0)]
+    assert pairing.restarts == 1
+    after = feed(pairing, [('v', 3005, 1.0), ('t', 3010, 0.2), ('v', 3020, 2.0), ('t', 3020, 0.3)])
+    intervals = [float(s.interval_s[0]) for s in after]
+    assert intervals[0] == 0.0
+    assert intervals[-1] == 0.01
+    assert after[-1].voltage_v[0] == 1.0
+
+
+def test_the_voltage_before_a_jump_of_the_clock_does_not_hold_on_behind_it() -> None:
+    pairing = Pairing()
+    feed(pairing, [('v', 5000, 99.0), ('t', 5000, 0.0), ('t', 1000, 0.1), ('t', 1010, 0.2)])
+    assert pairing.flush() == []
+    assert pairing.rejected == {Rejection.NO_VOLTAGE: 2}
+
+
+def test_flush_completes_what_waits_with_the_last_voltage() -> None:
+    pairing = Pairing()
+    feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('t', 10, 0.1), ('t', 20, 0.2)])
+    assert content(pairing.flush()) == [(10 * MS, 0.01, 5.0, 0.1), (20 * MS, 0.01, 5.0, 0.2)]
+    assert pairing.flush() == []
+
+
+def test_ahead_equals_the_pair_that_is_made_later() -> None:
+    random = np.random.default_rng(3)
+    pairing, checked = Pairing(), 0
+    for k in range(300):
+        stamp = k * 10 * MS
+        if random.random() < 0.7:
+            pairing.voltage(stamp - round(4 * MS * random.random()), float(random.normal()))
+        pairing.voltage(stamp, float(random.normal()))
+        foreseen = pairing.ahead(stamp)
+        made = pairing.torque(stamp, 0.0)
+        if foreseen is not None:
+            checked += 1
+            assert foreseen == (float(made[0].interval_s[0]), float(made[0].voltage_v[0]))
+    assert checked == 299
+
+
+def test_ahead_changes_nothing() -> None:
+    voltages, torques = steady(30)
+    asked, silent = Pairing(), Pairing()
+    expected = feed(silent, [e for pair in zip(voltages, torques, strict=True) for e in pair])
+    samples = []
+    for pair in zip(voltages, torques, strict=True):
+        for event in pair:
+            asked.ahead(pair[0][1] * MS)
+            samples += feed(asked, [event])
+    assert content(samples) == content(expected)
+
+
+def test_nothing_is_foreseen_without_history_or_voltage_or_across_a_gap() -> None:
+    pairing = Pairing(PairingRules(gap_s=0.5))
+    assert pairing.ahead(0) is None
+    feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0)])
+    assert pairing.ahead(10 * MS) is None  # the voltage is not known that far
+    feed(pairing, [('v', 10, 5.0)])
+    assert pairing.ahead(10 * MS) == (0.01, 5.0)
+    assert pairing.ahead(0) is None  # its torque has come
+    feed(pairing, [('v', 900, 5.0)])
+    assert pairing.ahead(900 * MS) is None
+
+
+def test_everything_received_is_used_or_rejected_or_waits() -> None:
+    random = np.random.default_rng(11)
+    pairing, produced, stamp = Pairing(PairingRules(hold_s=0.05)), 0, 0
+    for _ in range(4000):
+        stamp += round(MS * random.choice([1, 5, 10, 10, 10, 700]))
+        if random.random() < 0.6:
+            produced += len(pairing.voltage(stamp, float(random.normal())))
+        late = round(MS * random.choice([0, 0, 0, 0, 3, 10, 1500]))
+        value = float(random.choice([0.1, 0.2, math.nan, math.inf, 1e12], p=[0.45, 0.45, 0.04, 0.03, 0.03]))
+        voltage_rejections = pairing.rejected.total()
+        produced += len(pairing.torque(max(stamp - late, 0), value))
+        assert pairing.rejected.total() - voltage_rejections <= 20
+        assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
+    assert produced == pairing.used
+    assert pairing.restarts > 10
+    assert {Rejection.NON_FINITE, Rejection.ABSURD, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(
+        pairing.rejected
+    )
+    produced += len(pairing.flush())
+    assert pairing.waiting == 0
+    assert pairing.received_torque == produced + pairing.rejected.total()
+
+
+def test_a_silent_torque_sensor_does_not_let_memory_grow() -> None:
+    pairing = Pairing()
+    for k in range(25_000):
+        pairing.voltage(k * MS, float(k))
+    assert len(pairing._voltages) <= 10_000
+    pairing.torque(24_999 * MS, 0.0)
+    pairing.voltage(25_009 * MS, 0.0)
+    made = pairing.torque(25_009 * MS, 0.1)
+    assert made[0].voltage_v[0] == 24_999.0

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.samples import ReplayBuffer, Sample
+
+
+def sample(random: np.random.Generator, motors: int) -> Sample:
+    return Sample(0, *(random.normal(size=motors) for _ in range(4)))
+
+
+def rows(samples: list[Sample]) -> list[np.ndarray]:
+    names = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
+    return [np.array([getattr(s, name) for s in samples]).T for name in names]
+
+
+def views(buffer: ReplayBuffer, count: int | None = None) -> list[np.ndarray]:
+    return [f(count) for f in (buffer.interval_s, buffer.voltage_v, buffer.torque_nm, buffer.speed_rad_s)]
+
+
+@pytest.mark.parametrize(('motors', 'capacity'), [(1, 1), (1, 7), (3, 16)])
+def test_a_replay_buffer_remembers_what_a_deque_would(motors: int, capacity: int) -> None:
+    random = np.random.default_rng(0)
+    buffer, reference = ReplayBuffer(motors, capacity), deque(maxlen=capacity)
+    for step in range(6 * capacity):
+        new = sample(random, motors)
+        buffer.append(new)
+        reference.append(new)
+        if step % 5 == 4:
+            keep = int(random.integers(0, capacity + 3))
+            buffer.forget(keep)
+            while len(reference) > keep:
+                reference.popleft()
+        assert len(buffer) == len(reference)
+        if reference:
+            for got, expected in zip(views(buffer), rows(list(reference)), strict=True):
+                np.testing.assert_array_equal(got, expected)
+    assert buffer.total == 6 * capacity
+
+
+def test_the_newest_few_can_be_asked_for_and_never_more_than_there_are() -> None:
+    random = np.random.default_rng(1)
+    buffer, all_samples = ReplayBuffer(2, 10), [sample(random, 2) for _ in range(8)]
+    for one in all_samples:
+        buffer.append(one)
+    for got, expected in zip(views(buffer, 3), rows(all_samples[-3:]), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    assert buffer.torque_nm(99).shape == (2, 8)
+
+
+def test_views_are_not_copies() -> None:
+    buffer = ReplayBuffer(1, 4)
+    buffer.append(sample(np.random.default_rng(2), 1))
+    assert np.shares_memory(buffer.torque_nm(), buffer.torque_nm())
+
+
+@pytest.mark.parametrize('capacity', [3, 10, 40])
+def test_content_refills_another_buffer_as_far_as_it_has_room(capacity: int) -> None:
+    random = np.random.default_rng(4)
+    source, target = ReplayBuffer(2, 10), ReplayBuffer(2, capacity)
+    for _ in range(27):
+        source.append(sample(random, 2))
+    target.refill(source.content())
+    keep = min(10, capacity)
+    assert len(target) == keep
+    for got, expected in zip(views(target), views(source, keep), strict=True):
+        np.testing.assert_array_equal(got, expected)
+    new = sample(random, 2)
+    target.append(new)
+    np.testing.assert_array_equal(target.voltage_v()[:, -1], new.voltage_v)
+
+
+def test_content_is_a_copy() -> None:
+    buffer = ReplayBuffer(1, 4)
+    buffer.append(sample(np.random.default_rng(2), 1))
+    kept = buffer.content()
+    kept[:] = 7.0
+    assert buffer.torque_nm()[0, 0] != 7.0
+
+
+@pytest.mark.parametrize(('motors', 'capacity'), [(0, 5), (1, 0)])
+def test_a_buffer_of_nothing_is_refused(motors: int, capacity: int) -> None:
+    with pytest.raises(ConfigurationError, match='capacity'):
+        ReplayBuffer(motors, capacity)

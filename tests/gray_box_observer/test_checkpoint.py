@@ -1,0 +1,201 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.checkpoint import VERSION, load, save
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.observer import Observer, Result
+from gray_box_observer.predictor import InlineTraining, messages
+
+SMALL: dict[str, Any] = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
+
+
+def observer(training: Any = None, **given: Any) -> Observer:
+    return Observer(Configuration.from_flat({**SMALL, **given}), training)
+
+
+def feed(one: Observer, recording: Recording, start: int, end: int) -> list[Result]:
+    results: list[Result] = []
+    for k in range(start, end):
+        stamp = int(recording.stamp_ns[k])
+        results += one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        results += one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    return results
+
+
+@pytest.fixture
+def recording(record: Callable[..., Recording]) -> Recording:
+    return record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
+
+
+@pytest.fixture
+def saved(tmp_path: Path, recording: Recording) -> Path:
+    one = observer()
+    feed(one, recording, 0, 1000)
+    path = tmp_path / 'c.npz'
+    save(one, path)
+    return path
+
+
+@pytest.mark.parametrize('rule', ['gradient', 'recursive'])
+def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
+    tmp_path: Path, recording: Recording, rule: str
+) -> None:
+    one, other = observer(context_update=rule), observer(context_update=rule, seed=77)
+    feed(one, recording, 0, 1010)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    before, after = one.estimates()['motor'], other.estimates()['motor']
+    assert before.value.tobytes() + before.covariance.tobytes() == after.value.tobytes() + after.covariance.tobytes()
+    assert before.stamp_ns == after.stamp_ns
+    samples = [r.sample for r in feed(observer(), recording, 0, 2000)][1010:]
+    for sample in samples:
+        changed = [o.motors['motor'].context_nodes.learn(sample) for o in (one, other)]
+        assert changed[0] == changed[1]
+    on, again = one.estimates()['motor'], other.estimates()['motor']
+    assert on.value.tobytes() + on.covariance.tobytes() == again.value.tobytes() + again.covariance.tobytes()
+    assert not np.array_equal(on.value, before.value)
+
+
+def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: Path) -> None:
+    other = observer()
+    load(other, saved)
+    save(other, tmp_path / 'again.npz')
+    first, second = (messages.decode(p.read_bytes()) for p in (saved, tmp_path / 'again.npz'))
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        np.testing.assert_array_equal(value, second[name])
+
+
+def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
+    one, other = observer(InlineTraining), observer(InlineTraining)
+    feed(one, recording, 0, 500)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    said = [float(r.prediction.torque_nm[0]) for r in feed(other, recording, 500, 530) if r.prediction is not None]
+    assert np.isnan(said[:8]).all()
+    assert np.isfinite(said[12:]).all()
+
+
+def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recording: Recording) -> None:
+    old = saved.read_bytes()
+    one = observer()
+    feed(one, recording, 0, 1500)
+    save(one, saved)
+    assert saved.read_bytes() != old
+    assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+
+def test_saving_makes_the_folder(tmp_path: Path, recording: Recording) -> None:
+    one = observer()
+    feed(one, recording, 0, 100)
+    save(one, tmp_path / 'a' / 'b' / 'c.npz')
+    load(observer(), tmp_path / 'a' / 'b' / 'c.npz')
+
+
+def test_there_is_nothing_to_save_before_the_first_sample(tmp_path: Path) -> None:
+    with pytest.raises(GrayBoxError, match='nothing to save yet'):
+        save(observer(), tmp_path / 'c.npz')
+    assert not (tmp_path / 'c.npz').exists()
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Recording) -> None:
+    one = observer()
+    feed(one, recording, 0, 100)
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(GrayBoxError, match='cannot write'):
+        save(one, tmp_path / 'file' / 'c.npz')
+
+
+def refuse(path: Path, message: str, **given: Any) -> None:
+    one = observer(**given)
+    with pytest.raises(GrayBoxError, match=message) as caught:
+        load(one, path)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    refuse(tmp_path / 'none.npz', 'cannot read .*none.npz')
+
+
+def garbage() -> dict[str, bytes]:
+    import io
+    import pickle
+
+    array, archive = io.BytesIO(), io.BytesIO()
+    np.save(array, np.zeros(3))
+    np.savez(archive, a=np.zeros(3))
+    return {
+        'empty': b'',
+        'text': b'this is no checkpoint',
+        'pickle': pickle.dumps({'version': VERSION}),
+        'npy': array.getvalue(),
+        'npz': archive.getvalue(),
+        'json list': messages.encode({'version': VERSION}),
+    }
+
+
+@pytest.mark.parametrize('kind', list(garbage()))
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / 'c.npz'
+    path.write_bytes(garbage()[kind])
+    refuse(path, 'is not a checkpoint of this package')
+
+
+@pytest.mark.parametrize('share', [0.2, 0.9, 0.999])
+def test_a_file_that_was_cut_is_refused(saved: Path, share: float) -> None:
+    data = saved.read_bytes()
+    saved.write_bytes(data[: int(share * len(data))])
+    refuse(saved, 'is not a checkpoint of this package')
+
+
+def test_a_damaged_file_is_refused(saved: Path) -> None:
+    data = bytearray(saved.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    saved.write_bytes(bytes(data))
+    refuse(saved, 'is not a checkpoint of this package')
+
+
+def test_another_version_is_refused(saved: Path) -> None:
+    content = messages.decode(saved.read_bytes())
+    saved.write_bytes(messages.encode({**content, 'version': VERSION + 1}))
+    refuse(saved, f'is of version {VERSION + 1}, expected {VERSION}')
+
+
+def test_another_motor_is_refused(saved: Path) -> None:
+    refuse(saved, 'holds motor motor, which is not among the configured ones', motors=['left'])
+
+
+@pytest.mark.parametrize(
+    'given',
+    [
+        {'motor.torque_constant': 0.02},
+        {'motor.back_emf_constant': 0.5},
+        {'motor.context_nodes': ['inductance', 'resistance']},
+        {'motor.context_nodes': ['inductance', 'hysteresis', 'resistance']},
+    ],
+)
+def test_another_white_box_is_refused_and_changes_nothing(
+    saved: Path, recording: Recording, given: dict[str, Any]
+) -> None:
+    refuse(saved, 'motor motor: the checkpoint was learnt with other known constants or terms', **given)
+    one = observer(**given)
+    feed(one, recording, 0, 500)
+    before = one.estimates()['motor'].value.copy()
+    with pytest.raises(GrayBoxError):
+        load(one, saved)
+    np.testing.assert_array_equal(one.estimates()['motor'].value, before)
+
+
+def test_the_checkpoint_of_another_rule_is_refused(tmp_path: Path, recording: Recording) -> None:
+    one = observer(context_update='gradient')
+    feed(one, recording, 0, 500)
+    save(one, tmp_path / 'c.npz')
+    refuse(tmp_path / 'c.npz', 'is a checkpoint of the rule gradient, expected recursive', context_update='recursive')

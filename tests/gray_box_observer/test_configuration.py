@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gray_box_observer.configuration import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, Configuration, flatten
+from gray_box_observer.context_nodes import GradientRules, VerdictRules
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor import TrainingRules, Variant
+from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.white_box import TERMS
+
+HEAD = '/**:\n  ros__parameters:\n'
+
+
+def refuse(message: str, **given: Any) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        Configuration.from_flat({name.replace('__', '.'): value for name, value in given.items()})
+    assert '\n' not in str(caught.value)
+
+
+def test_everything_has_a_default() -> None:
+    configuration = Configuration.from_flat({})
+    assert list(configuration.motors) == ['motor']
+    assert configuration.unknown == ()
+    motor = configuration.motors['motor']
+    assert motor.values['context_nodes'] == ['inductance', 'resistance', 'hysteresis']
+    assert motor.initial() == [1.5, 3.0, 1.0]
+    assert motor.white_box(speed_measured=False).to_dict() == {
+        'context_nodes': ['inductance', 'resistance', 'hysteresis'],
+        'torque_constant': 0.01,
+        'known': {'back_emf_constant': 0.01},
+        'speed_measured': False,
+    }
+
+
+@pytest.mark.parametrize('spec', [*OBSERVER_PARAMETERS, *MOTOR_PARAMETERS], ids=lambda spec: spec.name)
+def test_every_parameter_is_described_and_accepts_its_own_default(spec: Any) -> None:
+    assert len(spec.description) > 10
+    assert spec.description.endswith('.')
+    assert '\n' not in spec.description
+    assert spec.check(spec.default) == spec.default
+    assert spec.minimum is None or spec.maximum is None or spec.minimum < spec.maximum
+
+
+def test_no_parameter_is_declared_twice() -> None:
+    for specs in (OBSERVER_PARAMETERS, MOTOR_PARAMETERS):
+        names = [spec.name for spec in specs]
+        assert len(names) == len(set(names))
+
+
+def test_every_term_has_an_initial_value_inside_its_bounds() -> None:
+    specs = {spec.name: spec for spec in MOTOR_PARAMETERS}
+    for name, term in TERMS.items():
+        spec = specs[f'initial.{name}']
+        assert (spec.default, spec.minimum, spec.maximum) == (
+            term.parameter.initial,
+            term.parameter.lower,
+            term.parameter.upper,
+        )
+        assert term.parameter.unit in spec.description
+
+
+@pytest.mark.parametrize(
+    ('group', 'rules'),
+    [('gradient', GradientRules()), ('training', TrainingRules()), ('verdict', VerdictRules())],
+)
+def test_declared_defaults_are_those_of_the_rules(group: str, rules: Any) -> None:
+    declared = Configuration.from_flat({}).group(group)
+    assert declared
+    for name, value in declared.items():
+        assert value == getattr(rules, name), name
+
+
+def test_the_declared_recursive_defaults_are_those_of_the_rules() -> None:
+    recursive = pytest.importorskip('gray_box_observer.context_nodes.recursive')
+    declared = Configuration.from_flat({}).group('recursive')
+    rules = recursive.RecursiveRules()
+    for name, value in declared.items():
+        assert value == getattr(rules, name), name
+
+
+def test_the_declared_pairing_defaults_are_those_of_the_rules() -> None:
+    configuration, rules = Configuration.from_flat({}), PairingRules()
+    for name in ('gap_s', 'hold_s', 'jump_back_s'):
+        assert configuration[name] == getattr(rules, name)
+
+
+def test_the_declared_variants_are_those_there_are() -> None:
+    spec = next(spec for spec in OBSERVER_PARAMETERS if spec.name == 'variant')
+    assert spec.choices == tuple(variant.value for variant in Variant)
+    assert Variant(spec.default) is TrainingRules().variant
+
+
+def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> None:
+    configuration = Configuration.from_flat({'gap_s': 2, 'motor.torque_constant': 1})
+    assert configuration['gap_s'] == 2.0
+    assert isinstance(configuration['gap_s'], float)
+    assert isinstance(configuration.motors['motor'].values['torque_constant'], float)
+    refuse(r'seed must be of type int, got 1\.0 \(float\)', seed=1.0)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'message'),
+    [
+        ('seed', True, 'seed must be of type int, got True'),
+        ('predictor', 1, 'predictor must be of type bool, got 1'),
+        ('gap_s', 'long', "gap_s must be of type float, got 'long'"),
+        ('gap_s', None, 'gap_s must be of type float, got None'),
+        ('gap_s', 0.0, r'gap_s must be in \[1e-06, 1e\+06\], got 0'),
+        ('gap_s', float('nan'), 'gap_s must be in .* got nan'),
+        ('gap_s', float('inf'), 'gap_s must be in .* got inf'),
+        ('seed', -1, r'seed must be in \[0, inf\], got -1'),
+        ('variant', 'best', "variant must be one of main, .* got 'best'"),
+        ('context_update', 'magic', 'context_update must be one of .*gradient'),
+        ('motors', 'motor', "motors must be of type list, got 'motor'"),
+        ('motors', [], 'motors must be distinct names'),
+        ('motors', ['a', 'a'], 'motors must be distinct names'),
+        ('motors', ['left wheel'], 'motors must be distinct names'),
+        ('motors', ['1st'], 'motors must be distinct names'),
+        ('motors', [3], r'motors must be a list of str, got \[3\]'),
+        ('motors', [['a']], 'motors must be a list of str'),
+        ('motor__torque_constant', -1.0, r'motor\.torque_constant must be in'),
+        ('motor__context_nodes', ['inductance', 'mass'], "motor motor: no term named 'mass'"),
+        ('motor__context_nodes', ['inductance', 5], r'motor\.context_nodes must be a list of str'),
+        ('motor__context_nodes', ['resistance'], 'must begin with inductance'),
+        ('motor__context_nodes', [['inductance']], r'motor\.context_nodes must be a list of str'),
+        ('motor__initial__resistance', 1e9, r'motor\.initial\.resistance must be in'),
+        ('motor__speed_source', 'guess', 'speed_source must be one of'),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
+    refuse(message, **{name: value})
+
+
+def test_back_emf_cannot_be_identified_where_speed_is_taken_from_torque() -> None:
+    refuse(
+        'motor motor: back_emf_constant cannot be told from resistance without measured speed',
+        motor__context_nodes=['inductance', 'resistance', 'back_emf_constant'],
+        motor__speed_source='torque_constant',
+    )
+
+
+def test_names_that_nobody_declared_are_reported_and_not_fatal() -> None:
+    configuration = Configuration.from_flat({'gap_z': 1.0, 'rotor.torque_constant': 0.2, 'use_sim_time': True})
+    assert configuration.unknown == ('gap_z', 'rotor.torque_constant')
+
+
+def test_each_motor_has_a_group_of_its_own() -> None:
+    configuration = Configuration.from_flat(
+        {'motors': ['left', 'right'], 'left.torque_constant': 0.2, 'right.initial.inductance': 0.01}
+    )
+    assert configuration.motors['left'].values['torque_constant'] == 0.2
+    assert configuration.motors['right'].values['torque_constant'] == 0.01
+    assert configuration.motors['right'].initial()[0] == 0.01
+    assert configuration.unknown == ()
+
+
+def test_the_lists_of_one_motor_are_not_those_of_another() -> None:
+    configuration = Configuration.from_flat({'motors': ['a', 'b']})
+    configuration.motors['a'].values['context_nodes'].append('brush_drop')
+    assert configuration.motors['b'].values['context_nodes'] == ['inductance', 'resistance', 'hysteresis']
+    assert Configuration.from_flat({}).motors['motor'].values['context_nodes'][-1] == 'hysteresis'
+
+
+@pytest.mark.parametrize('node', ['/**', 'gray_box_observer', '/gray_box_observer', '/robot/gray_box_observer'])
+def test_a_parameter_file_is_that_of_the_node(tmp_path: Path, node: str) -> None:
+    path = tmp_path / 'p.yaml'
+    path.write_text(
+        f'{node}:\n  ros__parameters:\n    motors: [m]\n    m:\n      torque_constant: 1\n'
+        '      initial: {inductance: 0.3}\nother_node:\n  ros__parameters: {gap_s: 9.0}\n'
+    )
+    configuration = Configuration.from_yaml(path)
+    assert configuration.motors['m'].values['torque_constant'] == 1.0
+    assert configuration.motors['m'].initial() == [0.3, 3.0, 1.0]
+    assert configuration['gap_s'] == 0.5
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('/**: [1, 2', 'is not YAML'),
+        ('\tx: 1', 'is not YAML'),
+        ('', 'holds no parameters for gray_box_observer'),
+        ('- 1\n- 2\n', 'holds no parameters for gray_box_observer'),
+        ('other:\n  ros__parameters: {gap_s: 1.0}\n', 'holds no parameters for gray_box_observer'),
+        ('/**:\n  gap_s: 1.0\n', 'expected ros__parameters below'),
+        ('/**: 3\n', 'expected ros__parameters below'),
+        ('1: {ros__parameters: {gap_s: 1.0}}\n', 'holds no parameters for gray_box_observer'),
+        (f'{HEAD}    gap_s: soon\n', "gap_s must be of type float, got 'soon'"),
+        (f'{HEAD}    motors: [true]\n', 'motors must be a list of str'),
+        ('!!python/object/apply:os.getcwd []\n', 'is not YAML'),
+    ],
+)
+def test_a_file_that_is_no_parameter_file_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / 'p.yaml'
+    path.write_text(text)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        Configuration.from_yaml(path)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    for path in (tmp_path / 'none.yaml', tmp_path):
+        with pytest.raises(ConfigurationError, match='cannot read the parameter file'):
+            Configuration.from_yaml(path)
+    binary = tmp_path / 'b.yaml'
+    binary.write_bytes(b'\xff\xfe\x00\x80')
+    with pytest.raises(ConfigurationError, match='is not YAML'):
+        Configuration.from_yaml(binary)
+
+
+def test_groups_become_dotted_names() -> None:
+    assert flatten({'a': {'b': {'c': 1}, 'd': [1]}, 'e.f': 2}) == {'a.b.c': 1, 'a.d': [1], 'e.f': 2}

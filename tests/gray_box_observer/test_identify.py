@@ -1,0 +1,277 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.identify import main
+
+Messages = list[tuple[str, int, bytes]]
+Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def identify(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run the command in this process; returns exit code, standard output and standard error."""
+
+    def call(*args: Any) -> tuple[int, str, str]:
+        code = main(['identify', *(str(a) for a in args)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return call
+
+
+@pytest.fixture
+def messages(record: Callable[..., Recording], messages_of: Callable[..., Messages]) -> Messages:
+    return messages_of(record('R[5,15]D[0.2,2]', 20.0))
+
+
+@pytest.fixture
+def bag(tmp_path: Path, write_bag: Callable[..., Path], messages: Messages) -> Path:
+    return write_bag(tmp_path / 'bag', messages)
+
+
+def one_line(said: str) -> str:
+    """Assert that a command said one thing on standard error and return it."""
+    lines = [line for line in said.splitlines() if line.strip()]
+    assert len(lines) == 1, said
+    assert 'Traceback' not in said
+    assert lines[0].startswith('identify: error: ')
+    return lines[0]
+
+
+def test_json_on_standard_output_is_the_promised_form(identify: Run, bag: Path) -> None:
+    code, out, _ = identify(bag, '--json', '-', '--skip-predictor')
+    assert code == 0
+    result = json.loads(out)
+    assert set(result) == {'motors', 'digest'}
+    assert len(result['digest']) == 64
+    motor = result['motors']['motor']
+    assert set(motor) >= {'samples', 'duration_s', 'rejected', 'parameters', 'covariance', 'predictor'}
+    assert motor['samples'] == 2000
+    assert motor['duration_s'] == pytest.approx(19.99)
+    assert motor['predictor'] is None
+    assert list(motor['parameters']) == ['inductance', 'resistance', 'hysteresis']
+    for name, truth, unit in (
+        ('inductance', 0.5, 'H'),
+        ('resistance', 1.0, 'ohm'),
+        ('hysteresis', 10.0, 'V s/(rad A)'),
+    ):
+        found = motor['parameters'][name]
+        assert set(found) == {'value', 'std', 'unit', 'verdict'}
+        assert found['value'] == pytest.approx(truth, rel=0.02)
+        assert found['unit'] == unit
+        assert found['verdict'] in ('identified', 'converging')
+    covariance = np.array(motor['covariance'])
+    assert covariance.shape == (3, 3)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(covariance)), [p['std'] for p in motor['parameters'].values()], rtol=1e-12
+    )
+
+
+def test_the_predictor_is_scored_unless_it_is_skipped(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    training: {hidden: 4, context: 16, steps: 4}\n')
+    code, out, _ = identify(bag, '--json', '-', '--params', params)
+    assert code == 0
+    predictor = json.loads(out)['motors']['motor']['predictor']
+    assert {'nmae', 'skill_vs_persistence', 'skill_vs_white_box'} <= set(predictor)
+    assert all(np.isfinite(value) for value in predictor.values())
+
+
+def test_json_goes_into_a_file_and_a_table_to_the_reader(identify: Run, bag: Path, tmp_path: Path) -> None:
+    code, out, _ = identify(bag, '--json', tmp_path / 'r.json', '--skip-predictor')
+    assert code == 0
+    assert json.loads((tmp_path / 'r.json').read_text())['motors']['motor']['samples'] == 2000
+    assert 'motor: 2000 samples in 20.0 s' in out
+    assert 'resistance' in out
+
+
+def test_the_same_bag_gives_the_same_json(identify: Run, bag: Path) -> None:
+    first, second = (identify(bag, '--json', '-', '--skip-predictor')[1] for _ in range(2))
+    assert first == second
+
+
+def test_the_report_is_one_page_with_what_was_found(identify: Run, bag: Path, tmp_path: Path) -> None:
+    truth = tmp_path / 'truth.yaml'
+    truth.write_text('motors: {motor: {inductance: 0.5, resistance: [[0, 1.0], [10, 1.0]]}}\n')
+    report = tmp_path / 'report.html'
+    code, _, said = identify(bag, '--report', report, '--truth', truth, '--skip-predictor')
+    assert code == 0, said
+    page = report.read_text(encoding='utf-8')
+    assert page.lstrip().lower().startswith('<!doctype html')
+    assert 'inductance' in page
+    assert 'is taken as known' in page
+
+
+def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n')
+    code, out, said = identify(bag, '--params', params, '--json', '-', '--skip-predictor')
+    assert code == 0
+    assert 'warning: parameter publish_rate is none of the observer' in said
+    assert json.loads(out)['motors']['motor']['parameters']['inductance']['value'] == pytest.approx(1.0, rel=0.03)
+
+
+def test_help_names_every_option_and_says_what_the_command_does(
+    identify: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(['identify', '--help'])
+    assert left.value.code == 0
+    text = capsys.readouterr().out
+    for option in ('BAG', '--params', '--json', '--report', '--skip-predictor', '--truth'):
+        assert option in text
+
+
+def test_no_bag_is_one_clear_line(identify: Run) -> None:
+    code, _, said = identify()
+    assert code == 2
+    assert 'no bag given' in one_line(said)
+
+
+def test_a_file_that_is_not_there_is_one_clear_line(identify: Run, tmp_path: Path) -> None:
+    code, out, said = identify(tmp_path / 'none.mcap', '--json', '-')
+    assert (code, out) == (2, '')
+    assert 'none.mcap' in one_line(said)
+
+
+@pytest.mark.parametrize('content', [b'', b'SQLite format 3\x00', b'time,voltage\n0,1\n' * 50])
+def test_a_file_that_is_no_mcap_is_one_clear_line(identify: Run, tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / 'run.mcap'
+    path.write_bytes(content)
+    code, _, said = identify(path)
+    assert code == 2
+    assert 'run.mcap' in one_line(said)
+
+
+def test_a_folder_without_a_bag_is_one_clear_line(identify: Run, tmp_path: Path) -> None:
+    code, _, said = identify(tmp_path)
+    assert code == 2
+    one_line(said)
+
+
+def test_a_bag_without_the_topic_is_one_clear_line(
+    identify: Run, tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
+) -> None:
+    only = [message for message in messages if message[0] == '/motor/voltage']
+    code, _, said = identify(write_bag(tmp_path / 'b', only, ('/motor/voltage',)))
+    assert code == 2
+    assert 'has no topic motor/torque; it has: /motor/voltage' in one_line(said)
+
+
+def test_an_empty_bag_is_one_clear_line(identify: Run, tmp_path: Path, write_bag: Callable[..., Path]) -> None:
+    code, _, said = identify(write_bag(tmp_path / 'b', []))
+    assert code == 2
+    assert 'no message' in one_line(said)
+
+
+def test_a_bag_without_a_usable_sample_says_why(
+    identify: Run, tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
+) -> None:
+    spoilt = [
+        (topic, at, encode_joint_state(at, ('motor',), effort=(float('nan'),))) for topic, at, _ in messages[:200]
+    ]
+    code, _, said = identify(write_bag(tmp_path / 'b', spoilt))
+    assert code == 2
+    assert 'no usable sample' in one_line(said)
+    assert 'non_finite' in said
+
+
+def test_samples_that_are_not_finite_are_counted_and_the_rest_is_used(
+    identify: Run, tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
+) -> None:
+    spoilt = list(messages)
+    for k in range(201, 1201, 100):
+        spoilt[k] = (spoilt[k][0], spoilt[k][1], encode_joint_state(spoilt[k][1], ('motor',), effort=(float('nan'),)))
+    code, out, _ = identify(write_bag(tmp_path / 'b', spoilt), '--json', '-', '--skip-predictor')
+    assert code == 0
+    motor = json.loads(out)['motors']['motor']
+    assert motor['rejected']['non_finite'] == 10
+    assert motor['samples'] == 1990
+    assert motor['parameters']['resistance']['value'] == pytest.approx(1.0, rel=0.01)
+
+
+def test_a_truncated_bag_is_read_as_far_as_it_goes_with_a_warning(identify: Run, bag: Path, tmp_path: Path) -> None:
+    data = next(bag.glob('*.mcap')).read_bytes()
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(data[: int(0.6 * len(data))])
+    code, out, said = identify(cut, '--json', '-', '--skip-predictor')
+    assert code == 0
+    assert 200 < json.loads(out)['motors']['motor']['samples'] < 2000
+    warnings = [line for line in said.splitlines() if line.strip()]
+    assert len(warnings) == 1
+    assert warnings[0].startswith('identify: warning: ')
+    assert 'bytes could not be read' in warnings[0]
+
+
+@pytest.mark.parametrize('option', ['--json', '--report'])
+def test_a_result_that_cannot_be_written_is_one_clear_line(
+    identify: Run, bag: Path, tmp_path: Path, option: str
+) -> None:
+    code, _, said = identify(bag, option, tmp_path / 'no' / 'such' / 'folder' / 'f', '--skip-predictor')
+    if option == '--report' and code == 0:  # it may make the folder
+        assert (tmp_path / 'no/such/folder/f').exists()
+        return
+    assert code == 2
+    assert 'cannot' in one_line(said)
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['motors: 3', '', 'motors: {motor: {inductance: heavy}}', 'motors: {motor: [1]}', '[', 'motors: {m: {R: [[1]]}}'],
+)
+def test_a_truth_file_that_is_none_is_one_clear_line(identify: Run, bag: Path, tmp_path: Path, text: str) -> None:
+    truth = tmp_path / 'truth.yaml'
+    truth.write_text(text)
+    code, _, said = identify(bag, '--truth', truth, '--report', tmp_path / 'r.html', '--skip-predictor')
+    assert code == 2
+    assert 'is no truth file' in one_line(said)
+
+
+def test_a_wrong_parameter_file_is_one_clear_line(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: heavy}\n')
+    code, _, said = identify(bag, '--params', params)
+    assert code == 2
+    assert "motor.torque_constant must be of type float, got 'heavy'" in one_line(said)
+
+
+@pytest.mark.parametrize('rule', ['gradient', 'recursive'])
+def test_a_motor_that_rests_gives_valid_json_and_nothing_identified(
+    identify: Run,
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+    rule: str,
+) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text(f'/**:\n  ros__parameters:\n    context_update: {rule}\n')
+    bag = write_bag(tmp_path / 'rest', messages_of(record('C[0]', 10.0)))
+    code, out, said = identify(bag, '--json', '-', '--skip-predictor', '--params', params)
+    assert code == 0, said
+    verdicts = {p['verdict'] for p in json.loads(out)['motors']['motor']['parameters'].values()}
+    assert verdicts == {'unexcited'}
+
+
+def test_bags_in_the_wrong_order_do_not_make_a_negative_duration(
+    identify: Run,
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+) -> None:
+    recording = record('R[5,15]D[0.2,2]', 10.0)
+    new = write_bag(tmp_path / 'new', messages_of(recording, start_ns=100 * 10**9))
+    old = write_bag(tmp_path / 'old', messages_of(recording))
+    code, out, _ = identify(new, old, '--json', '-', '--skip-predictor', '--report', tmp_path / 'r.html')
+    assert code == 0
+    assert json.loads(out)['motors']['motor']['duration_s'] == pytest.approx(2 * 9.99)

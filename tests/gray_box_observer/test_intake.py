@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gray_box_observer.bag.joint_state import JointStateView, decode_joint_state, encode_joint_state
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.intake import Intake, Signal, names_of, stamp_of
+from gray_box_observer.observer import Observer
+from gray_box_observer.samples import Rejection
+
+
+def view(stamp_ns: int, names: tuple[str, ...], effort: Any, velocity: Any = ()) -> JointStateView:
+    return decode_joint_state(encode_joint_state(stamp_ns, names, effort=effort, velocity=velocity))
+
+
+def wrench(stamp_s: int, value: float) -> SimpleNamespace:
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=stamp_s, nanosec=5))
+    return SimpleNamespace(header=header, wrench=SimpleNamespace(torque=SimpleNamespace(x=0.0, y=0.0, z=value)))
+
+
+def intake(**given: Any) -> tuple[Intake, Observer]:
+    configuration = Configuration.from_flat({name.replace('__', '.'): value for name, value in given.items()})
+    observer = Observer(configuration)
+    return Intake(observer, configuration), observer
+
+
+def signal(name: str = 'torque', **given: Any) -> Signal:
+    return Signal(name, Configuration.from_flat({k.replace('__', '.'): v for k, v in given.items()}))
+
+
+def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
+    one = signal(motors=['a', 'b'])
+    assert one.read(view(0, ('b', 'x', 'a'), (1.0, 2.0, 3.0))) == [('b', 1.0), ('a', 3.0)]
+    assert one.unknown == {'x': 1}
+
+
+def test_a_nested_field_is_found_by_its_path() -> None:
+    assert signal(torque__field='wrench.torque.z').read(wrench(1, 0.25)) == [('motor', 0.25)]
+
+
+def test_an_element_of_an_array_is_found_by_its_index() -> None:
+    assert signal(torque__field='data[2]').read(SimpleNamespace(data=[1.0, 2.0, 3.0])) == [('motor', 3.0)]
+
+
+def test_the_scale_turns_a_current_into_torque() -> None:
+    one = signal(torque__field='data', torque__scale=0.05)
+    assert one.read(SimpleNamespace(data=4)) == [('motor', pytest.approx(0.2))]
+
+
+def test_a_field_that_is_not_there_is_a_mistake_in_the_configuration_that_names_it() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"torque\.field 'wrench\.torque\.w' on motor/torque.*there are: x, y, z"
+    ):
+        signal(torque__field='wrench.torque.w').read(wrench(1, 0.25))
+
+
+def test_a_field_path_that_is_none_is_refused_at_once() -> None:
+    with pytest.raises(ConfigurationError, match='is no field path'):
+        signal(torque__field='wrench..z')
+
+
+def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
+    taker, _ = intake(torque__field='data[2]')
+    taker.take('torque', SimpleNamespace(data=[1.0, 2.0, 3.0]), 1)
+    assert taker.take('torque', SimpleNamespace(data=[1.0]), 2) == []
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+
+
+@pytest.mark.parametrize(
+    'message',
+    [
+        view(0, ('motor',), ()),
+        view(0, (), (1.0,)),
+        SimpleNamespace(name=['motor'], effort=['many']),
+        SimpleNamespace(name=['motor'], effort=None),
+    ],
+)
+def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
+    taker, observer = intake()
+    assert taker.take('torque', message, 0) == []
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert observer.pairing['motor'].received_torque == 0
+    assert taker.motors_in('torque', message) == []
+
+
+def test_a_number_without_a_name_cannot_belong_to_several_motors() -> None:
+    with pytest.raises(ConfigurationError, match=r'is one number.* but there are 2 motors'):
+        signal(torque__field='data', motors=['a', 'b']).read(SimpleNamespace(data=1.0))
+
+
+def test_several_numbers_without_names_need_an_index() -> None:
+    with pytest.raises(ConfigurationError, match='holds 3 values without names'):
+        signal(torque__field='data').read(SimpleNamespace(data=[1.0, 2.0, 3.0]))
+    assert signal(torque__field='data').read(SimpleNamespace(data=[7.0])) == [('motor', 7.0)]
+
+
+def test_the_stamp_is_that_of_the_header_and_else_that_of_arrival() -> None:
+    assert stamp_of(view(123_456_789_012, ('m',), (0.0,)), 7) == 123_456_789_012
+    assert stamp_of(wrench(3, 0.0), 7) == 3_000_000_005
+    assert stamp_of(SimpleNamespace(data=1.0), 7) == 7
+
+
+def test_names_are_found_in_views_and_in_messages_alike() -> None:
+    assert names_of(view(0, ('a',), (1.0,))) == ('a',)
+    assert names_of(SimpleNamespace(name=['a'])) == ['a']
+    assert names_of(SimpleNamespace(name='a')) is None
+    assert names_of(SimpleNamespace(data=1.0)) is None
+
+
+def test_speed_comes_with_torque_where_the_message_has_it() -> None:
+    taker, _ = intake()
+    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
+    with_speed = taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0)
+    assert with_speed[0].sample.speed_rad_s[0] == 3.0
+
+
+def test_speed_may_have_a_topic_of_its_own() -> None:
+    taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
+    taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
+    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0)
+    assert results[0].sample.speed_rad_s[0] == 6.0
+
+
+def test_without_speed_the_sample_says_so() -> None:
+    taker, observer = intake()
+    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = taker.take('torque', view(0, ('motor',), (0.1,)), 0)
+    assert math.isnan(results[0].sample.speed_rad_s[0])
+    assert not observer.motors['motor'].white_box.speed_measured
+
+
+def test_every_message_is_accounted_for() -> None:
+    taker, observer = intake()
+    random, torques = np.random.default_rng(1), 0
+    for k in range(500):
+        taker.take('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
+        kind = random.integers(4)
+        torques += 1
+        if kind == 0:
+            taker.take('torque', view(k * 10_000_000, ('motor',), ()), 0)
+        else:
+            taker.take('torque', view(k * 10_000_000, ('motor',), (math.nan if kind == 1 else 0.1,)), 0)
+    pairing = observer.pairing['motor']
+    malformed = taker.rejected['torque'].total()
+    assert malformed > 50
+    assert pairing.rejected[Rejection.NON_FINITE] > 50
+    assert torques == malformed + pairing.used + pairing.rejected.total() + pairing.waiting

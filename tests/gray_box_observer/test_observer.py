@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.observer import Observer, Result
+from gray_box_observer.predictor import InlineTraining
+
+FAST: dict[str, Any] = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
+
+
+def observer(training: Any = None, **given: Any) -> Observer:
+    return Observer(Configuration.from_flat({**FAST, **given}), training)
+
+
+def feed(one: Observer, recording: Recording, count: int | None = None, ask: bool = False) -> list[Result]:
+    results: list[Result] = []
+    for k in range(count or recording.stamp_ns.size):
+        stamp = int(recording.stamp_ns[k])
+        for m, motor in enumerate(recording.motors):
+            results += one.voltage(motor, stamp, float(recording.voltage_v[m, k]))
+            if ask:
+                one.forecast(motor, stamp)
+            results += one.torque(motor, stamp, float(recording.torque_nm[m, k]))
+    return results
+
+
+def trace(results: list[Result]) -> list[bytes]:
+    lines = []
+    for r in results:
+        said = b'' if r.prediction is None else r.prediction.torque_nm.tobytes()
+        found = b'' if r.estimate is None else r.estimate.value.tobytes() + r.estimate.covariance.tobytes()
+        lines.append(r.motor.encode() + said + found)
+    return lines
+
+
+def test_it_identifies_the_motor_of_the_thesis(record: Callable[..., Recording]) -> None:
+    one = observer()
+    results = feed(one, record())
+    assert len(results) == 6000
+    estimate = one.estimates()['motor']
+    np.testing.assert_allclose(estimate.value, [[0.5, 1.0, 10.0]], rtol=0.02)
+    assert estimate.identified(0)
+
+
+def test_the_same_samples_give_the_same_bytes(record: Callable[..., Recording]) -> None:
+    recording = record(duration_s=6.0)
+    first, second = (trace(feed(observer(InlineTraining), recording)) for _ in range(2))
+    assert first == second
+    assert first != trace(feed(observer(InlineTraining, seed=1), recording))
+
+
+def test_forecasting_changes_nothing(record: Callable[..., Recording]) -> None:
+    recording = record(duration_s=6.0)
+    assert trace(feed(observer(InlineTraining), recording, ask=True)) == trace(
+        feed(observer(InlineTraining), recording)
+    )
+
+
+def test_a_forecast_is_the_prediction_that_is_scored_later(record: Callable[..., Recording]) -> None:
+    recording, one, compared = record(duration_s=6.0), observer(InlineTraining), 0
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        forecast = one.forecast('motor', stamp)
+        (result,) = one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+        if forecast is not None:
+            compared += 1
+            assert result.prediction is not None
+            assert (forecast.stamp_ns, forecast.torque_nm) == (stamp, result.prediction.torque_nm[0])
+    assert compared > 300
+    skill = one.skill('motor')
+    assert skill is not None
+    assert skill.samples == compared
+
+
+def test_nothing_is_forecast_of_a_motor_without_predictor_or_history(record: Callable[..., Recording]) -> None:
+    one = observer()
+    assert one.forecast('motor', 0) is None
+    assert one.skill('motor') is None
+    feed(one, record(duration_s=6.0), 200)
+    one.voltage('motor', 10**10, 1.0)
+    assert one.forecast('motor', 10**10) is None
+
+
+def test_motors_do_not_disturb_each_other(record: Callable[..., Recording]) -> None:
+    recording = record('R[5,15]D[0.2,2]', 6.0, 1, ('a', 'b'))
+    both = feed(observer(motors=['a', 'b']), recording)
+    only = observer(motors=['b'])
+    alone: list[Result] = []
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        alone += only.voltage('b', stamp, float(recording.voltage_v[1, k]))
+        alone += only.torque('b', stamp, float(recording.torque_nm[1, k]))
+    assert trace([r for r in both if r.motor == 'b']) == trace(alone)
+
+
+def test_freezing_reaches_motors_seen_before_and_after(record: Callable[..., Recording]) -> None:
+    recording = record('R[5,15]D[0.2,2]', 6.0, 1, ('a', 'b'))
+    one = observer(motors=['a', 'b'])
+    stamp = 0
+    for k in range(200):
+        stamp = int(recording.stamp_ns[k])
+        one.voltage('a', stamp, float(recording.voltage_v[0, k]))
+        one.torque('a', stamp, float(recording.torque_nm[0, k]))
+    one.freeze(True)
+    before = copy.deepcopy(one.estimates()['a'].value)
+    results = feed(one, recording)
+    assert one.frozen
+    assert all(r.estimate is None for r in results)
+    np.testing.assert_array_equal(one.estimates()['a'].value, before)
+    assert {v for e in one.estimates().values() for v in e.verdicts[0]} == {Verdict.FROZEN}
+    assert observer(freeze=True).frozen
+
+
+def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
+    for source, expected in (('auto', True), ('measured', True), ('torque_constant', False)):
+        one = observer(**{'motor.speed_source': source})
+        one.voltage('motor', 0, 5.0)
+        one.torque('motor', 0, 0.1, 3.0)
+        assert one.motors['motor'].white_box.speed_measured is expected
+
+
+@pytest.mark.parametrize(
+    ('given', 'message'),
+    [
+        ({'motor.speed_source': 'measured'}, 'motor motor: speed_source is measured, but'),
+        (
+            {'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant']},
+            'back_emf_constant cannot be told from resistance without measured speed',
+        ),
+    ],
+)
+def test_a_promised_speed_that_does_not_come_is_an_error_that_says_so(given: dict[str, Any], message: str) -> None:
+    one = observer(**given)
+    one.voltage('motor', 0, 5.0)
+    with pytest.raises(ConfigurationError, match=message):
+        one.torque('motor', 0, 0.1)
+
+
+def test_flush_learns_what_still_waits(record: Callable[..., Recording]) -> None:
+    one = observer()
+    one.voltage('motor', 0, 5.0)
+    one.torque('motor', 0, 0.1)
+    one.torque('motor', 10_000_000, 0.1)
+    assert [r.sample.stamp_ns for r in one.flush()] == [10_000_000]
+    assert one.flush() == []
+
+
+def test_a_missing_speed_in_between_does_not_silence_the_predictor_for_good() -> None:
+    one = observer(InlineTraining, **{'motor.torque_constant': 0.05})
+    random, said = np.random.default_rng(0), []
+    for k in range(1200):
+        stamp = k * 10_000_000
+        one.voltage('motor', stamp, float(random.uniform(5.0, 10.0)))
+        speed = np.nan if k == 320 else 10.0 + float(random.normal())
+        for result in one.torque('motor', stamp, 0.1 + 0.01 * float(random.normal()), speed):
+            assert result.prediction is not None
+            said.append(float(result.prediction.torque_nm[0]))
+    one.close()
+    assert np.isfinite(said[200:319]).all()
+    assert np.isfinite(said[-100:]).all()
