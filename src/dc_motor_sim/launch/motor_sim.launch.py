@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-
-from launch import LaunchContext, LaunchDescription
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal, or external to drive the motor by motor/voltage_command'),

@@ -61,7 +61,8 @@ def load(observer: Observer, path: Path) -> None:
     strangers = sorted(set(motors) - set(observer.configuration.motors))
     if strangers:
         raise GrayBoxError(f'{path} holds motor {strangers[0]}, which is not among the configured ones')
+    saved = {}
     for name, plain in motors.items():
         prefix = f'{name}/'
-        arrays = {key[len(prefix) :]: value for key, value in content.items() if key.startswith(prefix)}
-        observer.restore(name, plain, arrays)
+        saved[name] = plain, {k[len(prefix) :]: value for k, value in content.items() if k.startswith(prefix)}
+    observer.restore(saved)

@@ -82,6 +82,8 @@ def _run(options: argparse.Namespace) -> None:
     collector = Collector(read_truth(options.truth) if options.truth else None) if options.report else None
     with tqdm(total=_count(options.bags), unit=' messages', disable=None, file=sys.stderr, leave=False) as bar:
         outcome = offline.run(options.bags, configuration, training, collector, bar.update)
+    unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
+    outcome.warnings += [f'no usable sample of motor {name}; it is not in the result' for name in unseen]
     for warning in outcome.warnings:
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)

@@ -25,6 +25,7 @@ class Signal:
     Attributes:
         topic: where it comes from; empty where it has no topic of its own.
         type_name: message type.
+        scale: factor from the field to SI units.
         unknown: names in messages that no configured motor has, and how often they came.
     """
 
@@ -33,7 +34,7 @@ class Signal:
         self.topic: str = configuration[f'{name}.topic']
         self.type_name: str = configuration[f'{name}.type']
         self._path = FieldPath(configuration[f'{name}.field'])
-        self._scale: float = configuration[f'{name}.scale']
+        self.scale: float = configuration[f'{name}.scale']
         self._motors = tuple(configuration.motors)
         self.unknown: Counter[str] = Counter()
         self._readable = False
@@ -48,10 +49,10 @@ class Signal:
         value = self._field(message)
         names = names_of(message)
         if isinstance(value, (int, float)):
-            return [(self._only_motor(), self._scale * value)]
+            return [(self._only_motor(), self.scale * value)]
         if names is None:
             if len(value) == 1:
-                return [(self._only_motor(), self._scale * float(value[0]))]
+                return [(self._only_motor(), self.scale * float(value[0]))]
             raise ConfigurationError(
                 f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
@@ -59,11 +60,11 @@ class Signal:
             raise SampleError(f'{len(names)} names but {len(value)} values of {self._path.text}')
         wanted = self._motors
         if len(names) == 1 and names[0] in wanted:  # the usual case, without building a list twice
-            return [(names[0], self._scale * float(value[0]))]
+            return [(names[0], self.scale * float(value[0]))]
         pairs = []
         for motor, number in zip(names, value, strict=True):
             if motor in wanted:
-                pairs.append((motor, self._scale * float(number)))
+                pairs.append((motor, self.scale * float(number)))
             elif len(self.unknown) < 100:
                 self.unknown[motor] += 1
         return pairs
@@ -144,6 +145,9 @@ class Intake:
         speeds = self._speeds(message)
         results: list[Result] = []
         for motor, value in pairs:
+            if self._own_speed_topic and motor not in speeds:  # whether speed is measured is settled once
+                self.rejected[name][Rejection.NO_SPEED] += 1
+                continue
             results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
         return results
 
@@ -167,4 +171,5 @@ class Intake:
         names = names_of(message)
         if velocity is None or names is None or len(velocity) != len(names):
             return {}
-        return {motor: float(v) for motor, v in zip(names, velocity, strict=True)}
+        scale = self.signals['speed'].scale
+        return {motor: scale * float(v) for motor, v in zip(names, velocity, strict=True)}

@@ -6,7 +6,7 @@ One core, three doors: live topics, a replayed bag and the offline command all f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,6 +100,11 @@ class MotorObserver:
         named = {f'nodes/{k}': v for k, v in arrays.items()} | {f'network/{k}': v for k, v in network.items()}
         return content, named
 
+    def close(self) -> None:
+        """Stop training."""
+        if self.predictor is not None:
+            self.predictor.close()
+
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave."""
         nodes = {k.removeprefix('nodes/'): v for k, v in arrays.items() if k.startswith('nodes/')}
@@ -176,24 +181,34 @@ class Observer:
         for observer in self.motors.values():
             observer.context_nodes.freeze(frozen)
 
-    def restore(self, motor: str, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`MotorObserver.state` gave of one motor.
+    def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
+        """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
 
         Raises:
-            ConfigurationError: it was learnt with another white box or other parameters.
+            ConfigurationError: something was learnt with another white box or other parameters.
         """
-        measured = bool(plain['white_box']['speed_measured'])
-        if motor not in self.motors:
-            self.motors[motor] = self._make(self.configuration.motors[motor], measured)
-        if self.motors[motor].white_box.to_dict() != plain['white_box']:
-            raise ConfigurationError(f'motor {motor}: the checkpoint was learnt with other known constants or terms')
-        self.motors[motor].restore(plain, arrays)
+        made: dict[str, MotorObserver] = {}
+        try:
+            for name, (plain, arrays) in saved.items():
+                measured = bool(plain['white_box']['speed_measured'])
+                made[name] = motor = self._make(self.configuration.motors[name], measured)
+                if motor.white_box.to_dict() != plain['white_box']:
+                    raise ConfigurationError(f'motor {name}: the checkpoint was learnt with other known constants')
+                motor.restore(plain, arrays)
+        except BaseException:
+            for motor in made.values():
+                motor.close()
+            raise
+        for name, motor in made.items():
+            if name in self.motors:
+                self.motors[name].close()
+            self.motors[name] = motor
+            self.pairing[name].restart()
 
     def close(self) -> None:
         """Stop whatever trains in the background."""
         for observer in self.motors.values():
-            if observer.predictor is not None:
-                observer.predictor.close()
+            observer.close()
 
     def _learn(self, motor: str, samples: list[Sample]) -> list[Result]:
         results = []

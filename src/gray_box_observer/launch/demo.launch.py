@@ -5,12 +5,11 @@ Ends when the simulator does. The observer's first guess is three times off.
 
 from __future__ import annotations
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
-
-from launch import LaunchDescription
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal of the simulator'),

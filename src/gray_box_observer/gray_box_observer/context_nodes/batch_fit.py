@@ -21,6 +21,9 @@ MAX_STEPS = 15
 TOLERANCE = 1e-6
 """Gauss-Newton ends when no unknown moves by more, relative to itself."""
 
+CREDIBLE = 10.0
+"""Times the size of the current (its 0.9 quantile): nothing is linearised about samples beyond."""
+
 GAINS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 """Kalman gains tried against zero."""
 
@@ -98,11 +101,13 @@ class _Search:
         self._precision = np.linalg.inv(prior.covariance)
         self._stretch = stretch
         measured = stretch.state
-        self._size = np.maximum(np.sqrt(np.mean(measured**2, axis=1)), 1e-9)
+        self._size = np.maximum(np.quantile(np.abs(measured), 0.9, axis=1), 1e-9)
+        reach = CREDIBLE * self._size[:, None]
+        self._measured_near = np.clip(measured, -reach, reach)
         self._floor = noise_floor * self._size
         self._p = within_bounds(white_box, start)
-        self._about = measured
-        self._first = measured[:, 0]
+        self._about = self._measured_near
+        self._first = self._about[:, 0]
         self._gain = np.zeros(measured.shape[0])
         self._scale = np.full(measured.shape[0], np.inf)
 
@@ -115,7 +120,7 @@ class _Search:
             if np.any(worse) and iteration > 0:  # stepped too far: back, and shorter
                 damping *= 0.3
                 self._p = np.where(worse[:, None], best_p, self._p)
-                self._about = np.where(worse[:, None], self._stretch.state, self._about)
+                self._about = np.where(worse[:, None], self._measured_near, self._about)
                 self._first = self._about[:, 0]
                 continue
             best_p = np.where((self._scale < best_scale)[:, None], self._p, best_p)

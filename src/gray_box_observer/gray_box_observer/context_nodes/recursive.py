@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.batch_fit import Fit, Prior, batch_fit
+from gray_box_observer.context_nodes.batch_fit import CREDIBLE, Fit, Prior, batch_fit
 from gray_box_observer.context_nodes.drift import DriftTest
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.context_nodes.linear_start import linear_start
@@ -127,7 +127,12 @@ class RecursiveUpdate:
         return self._white_box.output(self._noise)
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; samples are remembered all the same."""
+        """Stop or resume learning; samples are remembered all the same, and learning resumes where they stand."""
+        if self._frozen and not frozen and len(self.replay):
+            self._state = self._white_box.state(self.replay.torque_nm(1)[:, -1])
+            self._covariance[:, 0, :] = self._covariance[:, :, 0] = 0.0
+            self._covariance[:, 0, 0] = self._frame.current_a**-2.0
+            self._sensitivity = np.zeros_like(self._sensitivity)
         self._frozen = frozen
         self._new = 0
 
@@ -186,7 +191,8 @@ class RecursiveUpdate:
     def _update(self, samples: int) -> None:
         """Kalman update with one block of samples."""
         stretch = Stretch.newest(self._white_box, self.replay, samples + 1)
-        about = np.concatenate([self._state[:, None], stretch.state[:, 1:]], axis=1)
+        reach = CREDIBLE * self._frame.current_a[:, None]  # nothing is linearised about an absurd sample
+        about = np.concatenate([self._state[:, None], np.clip(stretch.state[:, 1:], -reach, reach)], axis=1)
         path, residual, jacobian, spread = self._predict(stretch, about, self._gain[:, None] * np.ones(samples + 1))
         limit = OUTLIER * self._noise[:, None] * spread
         kicked = np.zeros(self._state.size, dtype=bool)

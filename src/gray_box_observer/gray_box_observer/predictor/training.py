@@ -71,10 +71,11 @@ class ProcessTraining:
         self._results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._busy = False
         self.failure: str | None = None
-        threading.Thread(target=self._write, daemon=True, name='training jobs').start()
-        threading.Thread(target=self._read, daemon=True, name='training results').start()
         self._complaints: list[str] = []
-        threading.Thread(target=self._listen, daemon=True, name='training messages').start()
+        threading.Thread(target=self._write, daemon=True, name='training jobs').start()
+        self._listener = threading.Thread(target=self._listen, daemon=True, name='training messages')
+        self._listener.start()
+        threading.Thread(target=self._read, daemon=True, name='training results').start()
         self._jobs.put(configuration)
 
     @property
@@ -115,6 +116,7 @@ class ProcessTraining:
         assert self._process.stdout is not None
         while (result := messages.read(self._process.stdout)) is not None:  # type: ignore[arg-type]
             self._results.put(result)
+        self._listener.join(timeout=1.0)
         reason = self._complaints[-1] if self._complaints else f'exit status {self._process.poll()}'
         self.failure = TORCH_MISSING if 'torch' in reason and 'No module' in reason else f'training ended: {reason}'
 

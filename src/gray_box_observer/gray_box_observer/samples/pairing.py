@@ -23,6 +23,7 @@ class Rejection(str, Enum):
     DUPLICATE = 'duplicate'
     OUT_OF_ORDER = 'out_of_order'
     NO_VOLTAGE = 'no_voltage'
+    NO_SPEED = 'no_speed'
     ABSURD = 'absurd'
     MALFORMED = 'malformed'
 
