@@ -193,7 +193,9 @@ class Observer:
                 measured = bool(plain['white_box']['speed_measured'])
                 made[name] = motor = self._make(self.configuration.motors[name], measured)
                 if motor.white_box.to_dict() != plain['white_box']:
-                    raise ConfigurationError(f'motor {name}: the checkpoint was learnt with other known constants')
+                    raise ConfigurationError(
+                        f'motor {name}: the checkpoint was learnt with other known constants or terms'
+                    )
                 motor.restore(plain, arrays)
         except BaseException:
             for motor in made.values():

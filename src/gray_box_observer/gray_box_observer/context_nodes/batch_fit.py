@@ -159,15 +159,19 @@ class _Search:
         self._frame = Frame(self._size, p)
         jacobian = self._frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
+        finite = np.all(np.isfinite(information), axis=(1, 2)) & np.all(np.isfinite(right), axis=1)
+        information = np.where(finite[:, None, None], information, 0.0)  # numbers no float can square say nothing
+        right = np.where(finite[:, None], right, 0.0)
         freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         self._noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
         pull[:, 1:, 1:] = self._precision * self._noise[:, None, None] ** 2
-        pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2)
+        pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2) + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
         self._covariance = np.linalg.inv(information + pull)
         step = damping * (self._covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
+        step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
         self._about = self._path.state + (jacobian @ step[..., None])[..., 0]
         self._first = self._about[:, 0]

@@ -39,7 +39,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: Stretch, window: 
     pull = RIDGE * np.trace(information, axis1=1, axis2=2)[:, None] / n + 1e-300
     right = np.einsum('mka,mk->ma', regressors, change * whole) + pull
     ratio = np.linalg.solve(information + pull[..., None] * np.eye(n), right[..., None])[..., 0]
-    start: Array = initial * np.clip(ratio, 1.0 / 30.0, 30.0)
+    start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), 1.0 / 30.0, 30.0)
     return start
 
 

@@ -46,7 +46,8 @@ class Frame:
         """Express a covariance of this frame in the units of another."""
         state = self.current_a / new.current_a
         ratio = np.concatenate([state[:, None], self.p / new.p], axis=1)
-        return covariance * ratio[:, :, None] * ratio[:, None, :]
+        moved: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
+        return moved
 
 
 def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:

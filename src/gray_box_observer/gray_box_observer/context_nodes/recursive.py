@@ -154,12 +154,13 @@ class RecursiveUpdate:
         if self._frozen:
             return False
         self._new += 1
-        if len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity:
-            self._fit()
-        elif self._started and self._new >= self._rules.block:
-            self._update(self._new)
-        else:
-            return False
+        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
+            if len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity:
+                self._fit()
+            elif self._started and self._new >= self._rules.block:
+                self._update(self._new)
+            else:
+                return False
         self._new = 0
         return True
 
@@ -174,7 +175,9 @@ class RecursiveUpdate:
         self._take(fit, np.ones(self._state.size, dtype=bool))
 
     def _take(self, fit: Fit, which: NDArray[np.bool_]) -> None:
-        """Go on from a fit of everything remembered, for some of the motors."""
+        """Go on from a fit of everything remembered, for some of the motors; never from one that is not finite."""
+        which = which & np.isfinite(fit.state) & np.isfinite(fit.noise_std)
+        which = which & np.all(np.isfinite(fit.covariance), axis=(1, 2)) & np.all(np.isfinite(fit.frame.p), axis=1)
         column, matrix = which[:, None], which[:, None, None]
         self._frame = Frame(
             np.where(which, fit.frame.current_a, self._frame.current_a), np.where(column, fit.frame.p, self._frame.p)
@@ -289,8 +292,9 @@ class RecursiveUpdate:
         best = np.argmax(np.max(np.where(suspects, evidence, -np.inf), axis=1))
         changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
         if not np.any(changed):
-            self._state = np.where(suspects, held.state, self._state)
-            self._covariance[:, 0, 0] += np.where(suspects, held.covariance[:, 0, 0], 0.0)
+            usable = suspects & np.isfinite(held.state) & np.isfinite(held.covariance[:, 0, 0])
+            self._state = np.where(usable, held.state, self._state)
+            self._covariance[:, 0, 0] += np.where(usable, held.covariance[:, 0, 0], 0.0)
             return True
         self.alarms += int(np.sum(changed))
         self.replay.forget(samples)
@@ -326,7 +330,8 @@ class RecursiveUpdate:
         seen = seen / np.maximum(np.sum(block.kept, axis=1), 1)
         share = np.where(np.any(block.kept, axis=1), count / self._noise_count, 0.0)
         variance = self._noise**2 + share * (seen - self._noise**2)
-        self._noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * self._frame.current_a)
+        noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * self._frame.current_a)
+        self._noise = np.where(np.isfinite(noise), noise, self._noise)
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays."""

@@ -25,6 +25,9 @@ KICK = 9.0
 FAR = 1e3
 """Times the largest measured state: no trajectory goes further."""
 
+ABSURD = 1e100
+"""No sensitivity is larger; products of a few of them must still be numbers."""
+
 LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
@@ -109,7 +112,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     decay = np.where(stretch.restart, 0.0, np.clip(moved.by_state, -1.0, 1.0))
     end = np.clip(np.nan_to_num(moved.end, nan=0.0), -limit, limit)
     offset = np.where(stretch.restart, stretch.state[:, 1:], end - decay * about[:, :-1])
-    forced = np.nan_to_num(np.where(stretch.restart, 0.0, moved.by_coordinate))
+    forced = np.clip(np.nan_to_num(np.where(stretch.restart, 0.0, moved.by_coordinate)), -ABSURD, ABSURD)
     return Linearised(np.nan_to_num(decay), offset, forced)
 
 
