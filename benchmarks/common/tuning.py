@@ -103,9 +103,9 @@ PEERS = {
         'MHE (do-mpc)',
         MovingHorizon,
         HorizonSettings,
-        {'horizon': (10, 20, 40), 'memory': (1e2, 1e3, 1e4, 1e5)},
+        {'horizon': (20, 40, 80), 'memory': (1.0, 1e1, 1e2, 1e3, 1e4, 1e5)},
         1,
-        0.3,
+        0.2,
     ),
 }
 

@@ -7,14 +7,14 @@ import json
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 import yaml
-from tqdm import tqdm
 
 from gray_box_observer import offline
 from gray_box_observer.bag.csv_log import csv_to_bag
@@ -23,8 +23,10 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor import InlineTraining
-from gray_box_observer.report.collector import Collector
-from gray_box_observer.report.history import Truth
+
+if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
+    from gray_box_observer.report.collector import Collector
+    from gray_box_observer.report.history import Truth
 
 EXIT_USER_ERROR = 2
 
@@ -79,9 +81,13 @@ def _run(options: argparse.Namespace) -> None:
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     training = None if options.skip_predictor else InlineTraining
-    collector = Collector(read_truth(options.truth) if options.truth else None) if options.report else None
-    with tqdm(total=_count(options.bags), unit=' messages', disable=None, file=sys.stderr, leave=False) as bar:
-        outcome = offline.run(options.bags, configuration, training, collector, bar.update)
+    collector = None
+    if options.report:
+        from gray_box_observer.report.collector import Collector
+
+        collector = Collector(read_truth(options.truth) if options.truth else None)
+    with _progress(options.bags) as update:
+        outcome = offline.run(options.bags, configuration, training, collector, update)
     unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
     outcome.warnings += [f'no usable sample of motor {name}; it is not in the result' for name in unseen]
     for warning in outcome.warnings:
@@ -121,12 +127,20 @@ def _constants(mapping: CsvMapping) -> dict[str, Any]:
     return constants
 
 
-def _count(bags: Sequence[Path]) -> int | None:
-    counts = []
+@contextmanager
+def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
+    """Show a bar of the messages read, where somebody watches."""
+    if not sys.stderr.isatty():
+        yield lambda count: None
+        return
+    from tqdm import tqdm
+
+    total = 0
     for path in bags:
         with BagReader(path) as bag:
-            counts.append(bag.message_count)
-    return None if None in counts else sum(counts)
+            total += bag.message_count
+    with tqdm(total=total, unit=' messages', file=sys.stderr, leave=False) as bar:
+        yield bar.update
 
 
 def describe(outcome: offline.Outcome) -> dict[str, Any]:

@@ -46,7 +46,13 @@ class Signal:
             SampleError: names and values differ in number.
             ConfigurationError: the message has no such field, or one value stands for several motors.
         """
-        value = self._field(message)
+        try:
+            value = self._path(message)
+        except SampleError as error:
+            if self._readable:  # this one message is short of something
+                raise
+            raise ConfigurationError(f'{self.name}.field {self._path.text!r} on {self.topic}: {error}') from error
+        self._readable = True
         names = names_of(message)
         if isinstance(value, (int, float)):
             return [(self._only_motor(), self.scale * value)]
@@ -68,16 +74,6 @@ class Signal:
             elif len(self.unknown) < 100:
                 self.unknown[motor] += 1
         return pairs
-
-    def _field(self, message: Any) -> Any:
-        try:
-            value = self._path(message)
-        except SampleError as error:
-            if self._readable:  # this one message is short of something
-                raise
-            raise ConfigurationError(f'{self.name}.field {self._path.text!r} on {self.topic}: {error}') from error
-        self._readable = True
-        return value
 
     def _only_motor(self) -> str:
         if len(self._motors) != 1:

@@ -22,7 +22,7 @@ from gray_box_observer.observer import Observer, Result, TrainingFactory
 PROGRESS_STEP = 512
 
 Listener = Callable[[Result], None]
-Progress = Callable[[int], None]
+Progress = Callable[[int], object]
 
 
 @dataclass
@@ -129,7 +129,9 @@ def _feed(
         except SampleError:
             outcome.intake.malformed(signal)
             continue
-        take(outcome.intake.take(signal, message, raw.publish_time_ns))
+        results = outcome.intake.take(signal, message, raw.publish_time_ns)
+        if results:
+            take(results)
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)

@@ -58,7 +58,7 @@ class RecursiveRules:
         noise_memory: samples over which the noise level is followed.
     """
 
-    block: int = 20
+    block: int = 32
     first_fit: int = 40
     replay_capacity: int = 4096
     prior_relative_std: float = 2.0
@@ -148,19 +148,21 @@ class RecursiveUpdate:
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample; update when a block is full. Tell whether the estimate has changed."""
-        self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
+        if self._white_box.speed_measured:  # a torque that came without its speed: the speed before holds on
+            self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
         self.replay.append(sample, self._speed)
         self._stamp_ns = sample.stamp_ns
         if self._frozen:
             return False
         self._new += 1
+        fit = len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity
+        if not fit and (not self._started or self._new < self._rules.block):
+            return False
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
-            if len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity:
+            if fit:
                 self._fit()
-            elif self._started and self._new >= self._rules.block:
-                self._update(self._new)
             else:
-                return False
+                self._update(self._new)
         self._new = 0
         return True
 
@@ -221,7 +223,7 @@ class RecursiveUpdate:
         jacobian = self._frame.jacobian(path)
         residual = stretch.state - path.state
         residual[:, 0] = 0.0  # the first sample belongs to the block before
-        variance = np.einsum('mka,mab,mkb->mk', jacobian, self._covariance, jacobian)
+        variance = np.sum((jacobian @ self._covariance) * jacobian, axis=2)
         return path, residual, jacobian, np.sqrt(1.0 + np.maximum(variance, 0.0))
 
     def _kalman(self, block: _Block, stretch: Stretch) -> None:
@@ -235,7 +237,8 @@ class RecursiveUpdate:
         p = within_bounds(self._white_box, self._frame.p * (1.0 + step[:, 1:]))
         transfer = self._frame.transfer(block.path)
         moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
-        moved[:, 0, 0] += _left_of_restarts(block.path, stretch) / self._frame.current_a**2
+        if np.any(stretch.restart):
+            moved[:, 0, 0] += _left_of_restarts(block.path, stretch) / self._frame.current_a**2
         state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * self._frame.current_a
         frame = Frame(self._frame.current_a, p)
         covariance = self._frame.moved(moved, frame)

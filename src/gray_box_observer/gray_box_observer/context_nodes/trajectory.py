@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.flow import flow
+from gray_box_observer.white_box.flow import Flow, flow
 
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
@@ -107,13 +107,25 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     """
     speed = stretch.speed_rad_s
     moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
-    # Absurd coordinates can be met on the way to good ones; nothing they lead to may overflow.
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
-    decay = np.where(stretch.restart, 0.0, np.clip(moved.by_state, -1.0, 1.0))
-    end = np.clip(np.nan_to_num(moved.end, nan=0.0), -limit, limit)
-    offset = np.where(stretch.restart, stretch.state[:, 1:], end - decay * about[:, :-1])
-    forced = np.clip(np.nan_to_num(np.where(stretch.restart, 0.0, moved.by_coordinate)), -ABSURD, ABSURD)
-    return Linearised(np.nan_to_num(decay), offset, forced)
+    if not np.all(np.abs(moved.end) <= limit):
+        moved = _tamed(moved, limit)
+    decay = np.clip(moved.by_state, -1.0, 1.0)
+    offset, forced = moved.end - decay * about[:, :-1], moved.by_coordinate
+    if np.any(stretch.restart):
+        decay = np.where(stretch.restart, 0.0, decay)
+        offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
+        forced = np.where(stretch.restart, 0.0, forced)
+    return Linearised(decay, offset, forced)
+
+
+def _tamed(moved: Flow, limit: Array) -> Flow:
+    """Absurd coordinates can be met on the way to good ones; nothing they lead to may overflow."""
+    return Flow(
+        np.clip(np.nan_to_num(moved.end), -limit, limit),
+        np.nan_to_num(moved.by_state),
+        np.clip(np.nan_to_num(moved.by_coordinate), -ABSURD, ABSURD),
+    )
 
 
 def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:

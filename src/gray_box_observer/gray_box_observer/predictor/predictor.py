@@ -20,7 +20,7 @@ from gray_box_observer.predictor.training import Training
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.dynamics import advance
+from gray_box_observer.white_box.dynamics import advance, decay_rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +71,7 @@ class Predictor:
         self.jobs_late = 0
         self.loss: float | None = None
         self._start_from: dict[str, Any] = {}
+        self._fastest_decay: float | None = None
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -89,7 +90,7 @@ class Predictor:
         if np.any(known):
             held = np.where(known, voltage_v, 0.0)
             state = self._white_box.state(np.where(known, self._rollout, 0.0))
-            end = advance(self._white_box, theta, state, held, speed, speed, interval_s)
+            end = advance(self._white_box, theta, state, held, speed, speed, interval_s, self._fastest_decay)
             rollout = np.where(known, self._white_box.output(end), np.nan)
         if self._weights is None or self._normalisation is None or self._memory is None:
             return Prediction(blank, rollout, None)
@@ -157,6 +158,10 @@ class Predictor:
 
     def _train(self, theta: Array) -> None:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
+        largest = self._white_box.state(np.max(np.abs(self.replay.torque_nm()), axis=1))
+        fastest = np.max(np.abs(self.replay.speed_rad_s()), axis=1)
+        decay = 1.5 * np.max(np.abs(decay_rate(self._white_box, theta, largest, fastest)))
+        self._fastest_decay = float(decay) if np.isfinite(decay) else None
         if self._training.busy:
             result = self._training.collect()
             if result is None:

@@ -33,7 +33,7 @@ class TrainingRules:
     hidden: int = 12
     context: int = 64
     minibatch: int = 12
-    steps: int = 10
+    steps: int = 7
     period: int = 100
     learning_rate: float = 0.005
     smallest_learning_rate: float = 2e-4
@@ -49,8 +49,8 @@ class TrainingRules:
 
     @property
     def length(self) -> int:
-        """Samples in a training window: as much again as the context counts in the loss."""
-        return 2 * self.context
+        """Samples in a training window: half as many again as the context, and these count in the loss."""
+        return self.context + max(2, self.context // 2)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for another process."""

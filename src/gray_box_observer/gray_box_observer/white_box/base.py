@@ -48,6 +48,10 @@ class WhiteBox(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknown parameters, that of the derivative first."""
 
+    @property
+    def speed_measured(self) -> bool:
+        """Whether the terms use a measured speed."""
+
     def state(self, torque_nm: Array) -> Array:
         """Turn the measured output into the state (torque to current). Elementwise."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -42,12 +43,12 @@ def decay_rate(white_box: WhiteBox, theta: Array, state: Array, speed_rad_s: Arr
     return result
 
 
-def substeps_for(white_box: WhiteBox, theta: Array, state: Array, speed_rad_s: Array, interval_s: Array) -> int:
-    """Number of Runge-Kutta steps one interval needs for every motor of the batch, at most MAX_SUBSTEPS."""
-    stiffness = float(np.max(np.abs(decay_rate(white_box, theta, state, speed_rad_s)) * interval_s))
-    if not np.isfinite(stiffness):
+def substeps_for(fastest_decay: float, interval_s: Array) -> int:
+    """Number of Runge-Kutta steps that intervals need where nothing decays faster (1/s), at most MAX_SUBSTEPS."""
+    stiffness = fastest_decay * float(np.max(interval_s))
+    if not math.isfinite(stiffness):
         return MAX_SUBSTEPS
-    return min(MAX_SUBSTEPS, max(1, int(np.ceil(stiffness / STABLE_STEP))))
+    return min(MAX_SUBSTEPS, max(1, math.ceil(stiffness / STABLE_STEP)))
 
 
 def advance(
@@ -58,6 +59,7 @@ def advance(
     speed_rad_s: Array,
     next_speed_rad_s: Array,
     interval_s: Array,
+    fastest_decay: float | None = None,
 ) -> Array:
     """Move the state over one interval of held voltage.
 
@@ -71,11 +73,14 @@ def advance(
         speed_rad_s: shape (motor,): speed at the start.
         next_speed_rad_s: shape (motor,): speed at the end.
         interval_s: shape (motor,): length of the interval.
+        fastest_decay: a bound of the decay rate in 1/s, where one is known; else it is worked out.
 
     Returns:
         Shape (motor,): the state at the end.
     """
-    n = substeps_for(white_box, theta, state, speed_rad_s, interval_s)
+    if fastest_decay is None:
+        fastest_decay = float(np.max(np.abs(decay_rate(white_box, theta, state, speed_rad_s))))
+    n = substeps_for(fastest_decay, interval_s)
     step = interval_s / n
     slope = (next_speed_rad_s - speed_rad_s) / n
     for k in range(n):

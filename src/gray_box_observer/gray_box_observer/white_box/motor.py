@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,16 +80,16 @@ class MotorWhiteBox:
         known = {name: _take(value, index) for name, value in self.known.items()}
         return replace(self, torque_constant=_take(self.torque_constant, index), known=known)
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """The unknown parameters in the order of ``context_nodes``."""
         return tuple(TERMS[name].parameter for name in self.context_nodes)
 
-    @property
+    @cached_property
     def _unknown_terms(self) -> Sequence[Term]:
         return [TERMS[name] for name in self.context_nodes[1:]]
 
-    @property
+    @cached_property
     def _known_terms(self) -> Sequence[tuple[Term, Any]]:
         return [(TERMS[name], value) for name, value in self.known.items() if name not in self.context_nodes]
 

@@ -26,8 +26,8 @@ class Term:
     Attributes:
         parameter: the coefficient.
         value: basis function of current in A and speed in rad/s; ``None`` for the derivative term.
-        by_current: its partial derivative by the current.
-        by_speed: its partial derivative by the speed.
+        by_current: its partial derivative by the current; a plain number where it is constant.
+        by_speed: its partial derivative by the speed; likewise.
         needs_speed: whether the coefficient can be told from the others only where speed is measured.
     """
 
@@ -50,9 +50,9 @@ INDUCTANCE = Term(
 )
 RESISTANCE = Term(
     Parameter('resistance', 'ohm', 3.0, 1e-4, 1e4, 'Armature resistance R, coefficient of i.'),
-    value=lambda i, w: i + 0.0 * w,
-    by_current=lambda i, w: 1.0 + 0.0 * i + 0.0 * w,
-    by_speed=lambda i, w: 0.0 * i + 0.0 * w,
+    value=lambda i, w: i,
+    by_current=lambda i, w: 1.0,
+    by_speed=lambda i, w: 0.0,
 )
 HYSTERESIS = Term(
     Parameter(
@@ -64,21 +64,21 @@ HYSTERESIS = Term(
         'Magnetic hysteresis constant K_HS, coefficient of |w| i.',
     ),
     value=lambda i, w: abs(w) * i,
-    by_current=lambda i, w: abs(w) + 0.0 * i,
+    by_current=lambda i, w: abs(w),
     by_speed=lambda i, w: _sign(w) * i,
 )
 BACK_EMF = Term(
     Parameter('back_emf_constant', 'V s/rad', 0.01, 1e-7, 1e2, 'Back-EMF constant Kb, coefficient of w.'),
-    value=lambda i, w: w + 0.0 * i,
-    by_current=lambda i, w: 0.0 * i + 0.0 * w,
-    by_speed=lambda i, w: 1.0 + 0.0 * i + 0.0 * w,
+    value=lambda i, w: w,
+    by_current=lambda i, w: 0.0,
+    by_speed=lambda i, w: 1.0,
     needs_speed=True,
 )
 BRUSH_DROP = Term(
     Parameter('brush_drop', 'V', 0.2, 1e-4, 1e1, 'Voltage drop V_b of the brushes, coefficient of sign(i).'),
-    value=lambda i, w: i / (abs(i) + BRUSH_KNEE_A) + 0.0 * w,
-    by_current=lambda i, w: BRUSH_KNEE_A / (abs(i) + BRUSH_KNEE_A) ** 2 + 0.0 * w,
-    by_speed=lambda i, w: 0.0 * i + 0.0 * w,
+    value=lambda i, w: i / (abs(i) + BRUSH_KNEE_A),
+    by_current=lambda i, w: BRUSH_KNEE_A / (abs(i) + BRUSH_KNEE_A) ** 2,
+    by_speed=lambda i, w: 0.0,
 )
 
 TERMS: dict[str, Term] = {
