@@ -106,7 +106,6 @@ def test_a_fast_motor_gets_more_substeps_and_never_endlessly_many() -> None:
     assert substeps_for(200.0, interval_s) == 4
     assert substeps_for(1e5, interval_s) == MAX_SUBSTEPS
     assert substeps_for(np.inf, interval_s) == MAX_SUBSTEPS
-    assert substeps_for(thesis_box, slow, *one(np.nan, np.nan, 0.01)) == MAX_SUBSTEPS
 
 
 def test_advancing_moves_every_motor_as_it_would_alone() -> None:
