@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
-import os
-import random
 import signal
-import socket
-import subprocess
-import sys
 import time
 
 import pytest
-import rclpy
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
-from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 
 from dc_motor_sim.plant import PlantParameters
@@ -24,107 +16,43 @@ from dc_motor_sim.simulation import Simulation
 
 pytestmark = pytest.mark.system
 
-TIMEOUT_S = 30.0
-# From a random one on, so that test processes side by side do not race for the same; above 101, the ports of DDS
-# meet those that Linux hands out.
-DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
-
-
-def free_domain():
-    """Find a domain that nobody is in: the first participant of a domain owns a known UDP port."""
-    for domain in itertools.islice(DOMAINS, 101):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', 7410 + 250 * domain))
-            except OSError:
-                continue
-            return domain
-    raise AssertionError('every domain is taken')
-
-
-def start(domain, **values):
-    arguments = ['--ros-args']
-    for name, value in values.items():
-        arguments += ['-p', f'{name.replace("__", ".")}:={value}']
-    environment = {
-        **os.environ,
-        'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
-    }
-    command = [sys.executable, '-m', 'dc_motor_sim.ros.motor_sim', *arguments]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+MODULE = 'dc_motor_sim.ros.motor_sim'
 
 
 class Listener:
-    """A node that keeps whatever motor_sim publishes, and can talk to it."""
+    """Keeps whatever motor_sim publishes, and can talk to it."""
 
-    def __init__(self, domain):
-        self.domain = domain
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=domain)
-        self.node = rclpy.create_node('listener', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.voltage, self.torque, self.clock = [], [], []
-        for topic, kept in (
-            (topics.VOLTAGE, self.voltage),
-            (topics.TORQUE, self.torque),
-            (topics.CLOCK, self.clock),
-        ):
-            self.node.create_subscription(topic.type, topic.name, kept.append, topic.qos)
-        self.command = self.node.create_publisher(
+    def __init__(self, peer):
+        self.peer = peer
+        self.wait = peer.wait
+        self.voltage, self.torque, self.clock = (
+            peer.listen(topic.type, topic.name, topic.qos) for topic in (topics.VOLTAGE, topics.TORQUE, topics.CLOCK)
+        )
+        self.command = peer.publisher(
             topics.VOLTAGE_COMMAND.type, topics.VOLTAGE_COMMAND.name, topics.VOLTAGE_COMMAND.qos
         )
 
-    def wait(self, condition, what):
-        """Spin until the condition holds; fail after a time-out."""
-        end = time.monotonic() + TIMEOUT_S
-        while not condition():
-            assert time.monotonic() < end, f'timed out waiting for {what}'
-            self.executor.spin_once(timeout_sec=0.05)
-
     def call(self, type_, service, request):
         """Call a service of motor_sim and return its answer."""
-        client = self.node.create_client(type_, f'/motor_sim/{service}')
-        self.wait(client.service_is_ready, service)
-        future = client.call_async(request)
-        self.wait(future.done, f'the answer of {service}')
-        self.node.destroy_client(client)
-        return future.result()
+        return self.peer.call(type_, f'/motor_sim/{service}', request)
 
     def send(self, **voltages):
         """Command voltages by motor, once motor_sim listens."""
         self.wait(self.command.get_subscription_count, 'motor_sim to listen')
         self.command.publish(JointState(name=list(voltages), effort=list(voltages.values())))
 
-    def close(self):
-        """Leave the domain."""
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
+
+@pytest.fixture
+def listener(peer):
+    return Listener(peer)
 
 
 @pytest.fixture
-def listener(monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    listener = Listener(free_domain())
-    yield listener
-    listener.close()
-
-
-@pytest.fixture
-def launch(listener):
-    started = []
-
+def launch(peer):
     def launch_one(**values):
-        started.append(start(listener.domain, wait_for_subscribers=1, **values))
-        return started[-1]
+        return peer.start(MODULE, wait_for_subscribers=1, **values)
 
-    yield launch_one
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
+    return launch_one
 
 
 def stamp_ns(message):
@@ -133,12 +61,6 @@ def stamp_ns(message):
 
 def number(name, value):
     return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
-
-
-def finish(process):
-    out, err = process.communicate(timeout=TIMEOUT_S)
-    assert 'Traceback' not in err
-    return process.returncode, out, err
 
 
 def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(listener, launch):

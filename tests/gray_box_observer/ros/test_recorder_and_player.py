@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import os
-import random
 import signal
-import socket
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -36,92 +30,6 @@ pytestmark = pytest.mark.system
 
 TIMEOUT_S = 30.0
 RECORDER, PLAYER = 'gray_box_observer.ros.recorder_node', 'gray_box_observer.ros.player_node'
-DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
-"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet ephemeral ones."""
-
-
-def free_domain() -> int:
-    """A domain without participants: the first one would own a known UDP port."""
-    for domain in itertools.islice(DOMAINS, 101):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', 7410 + 250 * domain))
-            except OSError:
-                continue
-            return domain
-    raise AssertionError('every domain is taken')
-
-
-class Peer:
-    """The test's own node and the processes it starts, all in one domain."""
-
-    def __init__(self) -> None:
-        self.domain = free_domain()
-        self.context = rclpy.Context()
-        rclpy.init(context=self.context, domain_id=self.domain)
-        self.node = rclpy.create_node('peer', context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.processes: list[subprocess.Popen] = []
-
-    def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen:
-        """Start an executable, with parameters."""
-        command = [sys.executable, '-m', module, *arguments]
-        if parameters:
-            command += ['--ros-args']
-        for name, value in parameters.items():
-            command += ['-p', f'{name}:={value}']
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain)}
-        process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-        )
-        self.processes.append(process)
-        return process
-
-    def wait(self, condition: Callable[[], object], what: str) -> None:
-        """Spin until the condition holds; fail after a time-out."""
-        until_s = time.monotonic() + TIMEOUT_S
-        while not condition():
-            assert time.monotonic() < until_s, f'waited {TIMEOUT_S} s for {what}'
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def publisher(self, kind: type, topic: str, qos: QoSProfile, readers: int = 0):
-        """A publisher, once it has its readers."""
-        publisher = self.node.create_publisher(kind, topic, qos)
-        self.wait(lambda: publisher.get_subscription_count() >= readers, f'readers of {topic}')
-        return publisher
-
-    def call(self, service: str) -> Trigger.Response:
-        """Call a service of the player."""
-        client = self.node.create_client(Trigger, f'/bag_player/{service}')
-        self.wait(client.service_is_ready, f'the service {service}')
-        future = client.call_async(Trigger.Request())
-        self.wait(future.done, f'the answer of {service}')
-        return future.result()
-
-    def end(self, process: subprocess.Popen, number: int | None = signal.SIGINT) -> tuple[int, str]:
-        """Signal a process if asked to, wait for its end while spinning; its exit code and what it said."""
-        if number is not None:
-            process.send_signal(number)
-        self.wait(lambda: process.poll() is not None, 'the end of a process')
-        return process.returncode, process.stderr.read()
-
-    def close(self) -> None:
-        """End everything."""
-        for process in self.processes:
-            process.kill()
-            process.communicate()
-        self.executor.shutdown()
-        self.node.destroy_node()
-        rclpy.shutdown(context=self.context)
-
-
-@pytest.fixture
-def peer(monkeypatch) -> Iterator[Peer]:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    made = Peer()
-    yield made
-    made.close()
 
 
 def series(count: int, step_s: float = 0.01) -> list[JointState]:
@@ -154,8 +62,8 @@ def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, 
         publisher.publish(data)
     assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
     before_ns = time.time_ns()
-    code, said = peer.end(recorder)
-    assert (code, 'Traceback' in said) == (0, False)
+    code, _, said = peer.end(recorder)
+    assert code == 0
     assert '500 messages of 1 topics' in said
     with BagReader(folder) as bag:
         recorded = list(bag.messages())
@@ -174,8 +82,8 @@ def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, 
     heard: list[bytes] = []
     peer.node.create_subscription(JointState, 'motor/voltage', heard.append, SIGNAL_QOS, raw=True)
     player = peer.start(PLAYER, str(folder), rate=0, wait_for_subscribers=1)
-    code, said = peer.end(player, None)
-    assert (code, 'Traceback' in said) == (0, False)
+    code, _, said = peer.end(player, None)
+    assert code == 0
     peer.wait(lambda: len(heard) >= len(sent), 'the replayed messages')
     assert heard == sent
 
@@ -190,7 +98,7 @@ def test_a_killed_recorder_leaves_a_readable_bag_with_little_lost(peer, tmp_path
         publisher.publish(next(messages))
         count += 1
         time.sleep(0.005)
-    code, _ = peer.end(recorder, signal.SIGKILL)
+    code, _, _ = peer.end(recorder, signal.SIGKILL)
     assert code == -signal.SIGKILL
     with BagReader(folder) as bag:
         efforts = [decode_joint_state(message.data).effort[1] for message in bag.messages()]
@@ -237,8 +145,8 @@ def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_
 
 def test_a_recording_ends_by_itself_after_its_duration(peer, tmp_path):
     started_s = time.monotonic()
-    code, said = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
-    assert (code, 'Traceback' in said) == (0, False)
+    code, _, said = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
+    assert code == 0
     assert time.monotonic() - started_s > 1.0
 
 
@@ -274,14 +182,14 @@ def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_p
         'wait_for_subscribers:=1',
     )
     for count in (1, 2):
-        assert peer.call('play_next').success
+        assert peer.call(Trigger, '/bag_player/play_next').success
         peer.wait(lambda count=count: len(heard) == count, 'the next message')
     assert heard == [0.0, 1.0]
-    assert peer.call('toggle_paused').message == 'playing'
-    assert not peer.call('play_next').success
-    code, said = peer.end(player, None)
+    assert peer.call(Trigger, '/bag_player/toggle_paused').message == 'playing'
+    assert not peer.call(Trigger, '/bag_player/play_next').success
+    code, _, said = peer.end(player, None)
     peer.wait(lambda: len(heard) == 4, 'the rest')
-    assert (code, heard, 'Traceback' in said) == (0, [0.0, 1.0, 2.0, 3.0], False)
+    assert (code, heard) == (0, [0.0, 1.0, 2.0, 3.0])
 
 
 def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins_again(peer, tmp_path):
@@ -352,17 +260,16 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arg
     make_bag(tmp_path / 'bag', [0.0, 1.0])
     (tmp_path / 'text.mcap').write_text('no bag')
     process = peer.start(module, *(argument.format(tmp=tmp_path) for argument in arguments))
-    code, said = peer.end(process, None)
-    assert (code, 'Traceback' in said) == (2, False)
+    code, _, said = peer.end(process, None)
+    assert code == 2
     lines = [line for line in said.splitlines() if 'error:' in line]
     assert len(lines) == 1 and message in lines[0]
 
 
 @pytest.mark.parametrize('module', [RECORDER, PLAYER])
 def test_help_names_every_parameter(peer, module):
-    process = peer.start(module, '--help')
-    out, _ = process.communicate(timeout=TIMEOUT_S)
-    assert process.returncode == 0
+    code, out, _ = peer.end(peer.start(module, '--help'), None)
+    assert code == 0
     source = Path(sys.modules[RECORDER].__file__).with_name(f'{module.rpartition(".")[2]}.py').read_text()
     declared = {part.split("'")[1] for part in source.split('self._number(')[1:] if part.startswith("'")}
     assert declared and all(name in out for name in declared)

@@ -1,0 +1,125 @@
+"""What tests of real nodes share: a domain of their own, the test's own node in it, and the processes it starts."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+
+TIMEOUT_S = 30.0
+DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
+"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet ephemeral ones."""
+
+
+def _free_domain() -> int:
+    """Find a domain that nobody is in: the first participant of a domain owns a known UDP port."""
+    for domain in itertools.islice(DOMAINS, 101):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(('', 7410 + 250 * domain))
+            except OSError:
+                continue
+            return domain
+    raise AssertionError('every domain is taken')
+
+
+class Peer:
+    """The test's own node and the processes it starts, all in one domain."""
+
+    def __init__(self) -> None:
+        self.domain = _free_domain()
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=self.domain)
+        self.node = rclpy.create_node('peer', context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._running: list[subprocess.Popen[str]] = []
+
+    def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen[str]:
+        """Start an executable; ``motor__resistance=2.0`` sets its parameter ``motor.resistance``."""
+        command = [sys.executable, '-m', module, *arguments]
+        if parameters and '--ros-args' not in arguments:
+            command += ['--ros-args']
+        for name, value in parameters.items():
+            command += ['-p', f'{name.replace("__", ".")}:={value}']
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain)}
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        self._running.append(process)
+        return process
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        """Spin until the condition holds; fail after a time-out, or as soon as a process ends that nobody ends."""
+        until_s = time.monotonic() + TIMEOUT_S
+        while not condition():
+            assert time.monotonic() < until_s, f'waited {TIMEOUT_S} s for {what}'
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def listen(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:
+        """Subscribe; the list fills while the peer spins."""
+        heard: list[Any] = []
+        self.node.create_subscription(kind, topic, heard.append, qos)
+        return heard
+
+    def publisher(self, kind: type, topic: str, qos: QoSProfile, readers: int = 0) -> Publisher:
+        """Make a publisher and wait until it has its readers."""
+        publisher = self.node.create_publisher(kind, topic, qos)
+        self.wait(lambda: publisher.get_subscription_count() >= readers, f'readers of {topic}')
+        return publisher
+
+    def call(self, kind: type, service: str, request: Any = None) -> Any:
+        """Call a service, once it is there, and return its answer."""
+        client = self.node.create_client(kind, service)
+        self.wait(client.service_is_ready, f'the service {service}')
+        future = client.call_async(kind.Request() if request is None else request)
+        self.wait(future.done, f'the answer of {service}')
+        self.node.destroy_client(client)
+        return future.result()
+
+    def end(self, process: subprocess.Popen[str], number: int | None = signal.SIGINT) -> tuple[int, str, str]:
+        """Signal a process if asked to and wait for its end while spinning.
+
+        Returns:
+            Its exit code, and what it wrote to standard output and to standard error.
+        """
+        if number is not None:
+            process.send_signal(number)
+        self.wait(lambda: process.poll() is not None, 'the end of a process')
+        self._running.remove(process)
+        out, err = process.communicate(timeout=TIMEOUT_S)
+        assert 'Traceback' not in err, err
+        return process.returncode, out, err
+
+    def close(self) -> None:
+        """End everything; no process may have had a defect on the way."""
+        said = []
+        for process in self._running:
+            process.kill()
+            said.append(process.communicate(timeout=TIMEOUT_S)[1])
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+        assert 'Traceback' not in ''.join(said), said
+
+
+@pytest.fixture
+def peer(monkeypatch: pytest.MonkeyPatch) -> Iterator[Peer]:
+    """A node of the test's own in a domain that nobody else is in."""
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    made = Peer()
+    yield made
+    made.close()
