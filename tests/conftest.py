@@ -63,7 +63,7 @@ class Peer:
         return process
 
     def wait(self, condition: Callable[[], object], what: str) -> None:
-        """Spin until the condition holds; fail after a time-out, or as soon as a process ends that nobody ends."""
+        """Spin until the condition holds; fail after a time-out."""
         until_s = time.monotonic() + TIMEOUT_S
         while not condition():
             assert time.monotonic() < until_s, f'waited {TIMEOUT_S} s for {what}'

@@ -67,7 +67,7 @@ def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(
     began_ns = time.time_ns()
     process = launch(duration_s=1.0, seed=7, sample_rate_hz=300.0, torque_noise_std=0.01, excitation='R[1,2]D[0.1,0.2]')
     listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 300, 'all samples')
-    code, _, err = finish(process)
+    code, _, err = listener.peer.end(process, None)
     assert code == 0
     assert 'published 300 samples' in err
 
@@ -92,7 +92,7 @@ def test_a_sped_up_clock_starts_at_zero_and_finishes_early(listener, launch):
         duration_s=10.0, publish_clock='true', clock_speed_up=10.0, speed_mode='rotor', motors='[left, right]'
     )
     listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 1000, 'all samples')
-    assert finish(process)[0] == 0
+    assert listener.peer.end(process, None)[0] == 0
     assert [stamp_ns(message) for message in listener.torque] == [k * 10_000_000 for k in range(1000)]
     clock_ns = [message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock]
     assert clock_ns == sorted(clock_ns)
@@ -155,8 +155,7 @@ def test_a_schedule_shows_in_torque_and_parameters(listener, launch):
         return listener.call(GetParameters, 'get_parameters', request).values[0].double_value == 2.0
 
     listener.wait(mirrored, 'the parameter to follow')
-    process.send_signal(signal.SIGTERM)
-    assert finish(process)[0] == 0
+    assert listener.peer.end(process, signal.SIGTERM)[0] == 0
 
 
 def test_an_external_command_drives_the_plant_and_a_non_finite_one_does_not(listener, launch):
@@ -171,15 +170,14 @@ def test_an_external_command_drives_the_plant_and_a_non_finite_one_does_not(list
     listener.send(motor=7.0)
     listener.wait(lambda: listener.voltage[-1].effort[0] == 7.0, 'the second command')
     assert {message.effort[0] for message in listener.voltage} == {0.0, 6.0, 7.0}
-    process.send_signal(signal.SIGINT)
-    code, _, err = finish(process)
+    code, _, err = listener.peer.end(process, signal.SIGINT)
     assert code == 0
     assert err.count('voltage command refused') == 1  # the second warning is throttled
 
 
-def test_a_node_waits_for_its_subscribers_only_so_long():
-    process = start(free_domain(), duration_s=0.1, wait_for_subscribers=1, wait_timeout_s=0.3)
-    code, _, err = finish(process)
+def test_a_node_waits_for_its_subscribers_only_so_long(peer):
+    process = peer.start(MODULE, duration_s=0.1, wait_for_subscribers=1, wait_timeout_s=0.3)
+    code, _, err = peer.end(process, None)
     assert code == 0
     assert 'fewer than 1 subscribers after 0.3 s' in err
 
@@ -196,8 +194,8 @@ def test_a_node_waits_for_its_subscribers_only_so_long():
         ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
     ],
 )
-def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(values, what):
-    code, out, err = finish(start(free_domain(), **values))
+def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, values, what):
+    code, out, err = peer.end(peer.start(MODULE, **values), None)
     assert code == 2
     assert out == ''
     assert err.startswith('motor_sim: error: ')
@@ -205,25 +203,20 @@ def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(values, wha
     assert err.count('\n') == 1
 
 
-def test_a_whole_number_will_do_for_a_parameter_with_a_point():
-    code, _, err = finish(start(free_domain(), duration_s=1, motor__resistance=2, sample_rate_hz=10))
+def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):
+    code, _, err = peer.end(peer.start(MODULE, duration_s=1, motor__resistance=2, sample_rate_hz=10), None)
     assert code == 0
     assert 'published 10 samples' in err
 
 
-def test_a_misspelt_parameter_is_pointed_out():
-    code, _, err = finish(start(free_domain(), duration_s=0.1, motor__resistence=2.0))
+def test_a_misspelt_parameter_is_pointed_out(peer):
+    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, motor__resistence=2.0), None)
     assert code == 0
     assert 'no parameter of motor_sim: motor.resistence' in err
 
 
-def test_help_names_the_parameters_and_starts_nothing():
-    done = subprocess.run(
-        [sys.executable, '-m', 'dc_motor_sim.ros.motor_sim', '--help'],
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-    )
-    assert done.returncode == 0
-    assert 'torque_noise_relative' in done.stdout
-    assert done.stderr == ''
+def test_help_names_the_parameters_and_starts_nothing(peer):
+    code, out, err = peer.end(peer.start(MODULE, '--help'), None)
+    assert code == 0
+    assert 'torque_noise_relative' in out
+    assert err == ''

@@ -82,7 +82,7 @@ def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, 
     heard: list[bytes] = []
     peer.node.create_subscription(JointState, 'motor/voltage', heard.append, SIGNAL_QOS, raw=True)
     player = peer.start(PLAYER, str(folder), rate=0, wait_for_subscribers=1)
-    code, _, said = peer.end(player, None)
+    code, _, _ = peer.end(player, None)
     assert code == 0
     peer.wait(lambda: len(heard) >= len(sent), 'the replayed messages')
     assert heard == sent
@@ -145,7 +145,7 @@ def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_
 
 def test_a_recording_ends_by_itself_after_its_duration(peer, tmp_path):
     started_s = time.monotonic()
-    code, _, said = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
+    code, _, _ = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
     assert code == 0
     assert time.monotonic() - started_s > 1.0
 
@@ -187,7 +187,7 @@ def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_p
     assert heard == [0.0, 1.0]
     assert peer.call(Trigger, '/bag_player/toggle_paused').message == 'playing'
     assert not peer.call(Trigger, '/bag_player/play_next').success
-    code, _, said = peer.end(player, None)
+    code, _, _ = peer.end(player, None)
     peer.wait(lambda: len(heard) == 4, 'the rest')
     assert (code, heard) == (0, [0.0, 1.0, 2.0, 3.0])
 

@@ -7,10 +7,36 @@ statistic is chi-square distributed, so the threshold states the false-alarm rat
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.context_nodes.batch_fit import Fit
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.white_box.base import Array, Parameter
+
+SUSPICIOUS_BLOCKS = 2.0
+"""So many blocks in a row of which most does not fit, and the motor has changed."""
+
+
+CHANGE_EVIDENCE = 15.0
+"""Log-likelihood that other parameters must bring over the old ones before a change is believed."""
+
+UNUSUAL_PENALTY = 10.0
+"""Log-likelihood that the change of a parameter that does not heat must bring over that of one that does."""
+
+EVERYTHING_PENALTY = 30.0
+"""Log-likelihood that a change of all parameters at once must bring over the change of one."""
+
+UNCHANGED = 1e-4
+"""Relative freedom left to every coordinate in a fit that stands for an unchanged motor."""
+
+AGAIN_SAMPLES = 6000
+"""Two changes of one parameter within so many samples are a drift."""
+
+WALK_MEMORY_SAMPLES = 3000.0
+"""A drift's freedom fades over so many samples, unless it is confirmed again."""
 
 MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
 
@@ -56,3 +82,90 @@ class DriftTest:
         worst = np.argmax(statistic > self._threshold, axis=0)
         alarm: NDArray[np.bool_] = np.any(statistic > self._threshold, axis=0)
         return alarm, np.array(MEMORIES_BLOCKS)[worst]
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One kind of change.
+
+    Attributes:
+        directions: shape (coordinate,) or (coordinate, k): in the coordinates' logarithms, one standard deviation long.
+        penalty: log-likelihood that it must bring beyond the others.
+    """
+
+    directions: Array
+    penalty: float = 0.0
+
+    @property
+    def single(self) -> bool:
+        """Whether one physical parameter alone changes."""
+        return self.directions.ndim == 1
+
+
+def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Change]:
+    """List the ways in which a motor may have changed.
+
+    One physical parameter alone is what breaks or heats, and heating is the most common; all at once is believed only
+    for more.
+    """
+    n = len(parameters)
+    directions = [-np.ones(n), *np.eye(n)[1:]]  # theta_0 divides every coordinate
+    single = [
+        Change(relative_std * direction, 0.0 if parameter.heats else UNUSUAL_PENALTY)
+        for parameter, direction in zip(parameters, directions, strict=True)
+    ]
+    return [*single, Change(relative_std * np.eye(n), EVERYTHING_PENALTY)]
+
+
+def evidence_for(stretch: Stretch, held: Fit, free: Fit) -> Array:
+    """Log-likelihood that a fit brings over another on the same stretch, shape (motor,)."""
+    evidence: Array = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
+    return evidence
+
+
+class Walk:
+    """Freedom to drift: variance per sample of the coordinates' logarithms, zero for a motor that keeps still.
+
+    A parameter that has changed twice within AGAIN_SAMPLES is taken for one that walks (a winding that heats); its
+    freedom is what the last step says, and fades when no further step is needed.
+    """
+
+    def __init__(self, motors: int, coordinates: int) -> None:
+        self._rate = np.zeros((motors, coordinates, coordinates))
+        self._last_p = np.zeros((motors, coordinates))
+        self._samples_since = np.full(motors, np.inf)
+
+    @property
+    def walking(self) -> bool:
+        """Whether a parameter of any motor is taken to drift."""
+        return bool(np.any(self._rate))
+
+    def spread(self, samples: int) -> Array:
+        """Return the variance of a number of samples, shape (motor, coordinate, coordinate), and let the rate fade."""
+        self._samples_since = self._samples_since + samples
+        spread: Array = self._rate * samples
+        if self.walking:
+            self._rate = self._rate * np.exp(-samples / WALK_MEMORY_SAMPLES)
+            self._rate = np.where(self._samples_since[:, None, None] > AGAIN_SAMPLES, 0.0, self._rate)
+        return spread
+
+    def changed(self, p: Array, change: Change, which: NDArray[np.bool_]) -> None:
+        """Take note of a change; the second within the time makes it a walk."""
+        again = which & (self._samples_since < AGAIN_SAMPLES) & change.single
+        if np.any(again):
+            direction = change.directions / np.max(np.abs(change.directions))
+            step = np.log(p / np.where(self._last_p > 0.0, self._last_p, p)) @ direction / np.sum(direction**2)
+            rate = step**2 / np.maximum(self._samples_since, 1.0)
+            walk = rate[:, None, None] * np.multiply.outer(direction, direction)
+            self._rate = np.where(again[:, None, None], walk, self._rate)
+        self._last_p = np.where(which[:, None], p, self._last_p)
+        self._samples_since = np.where(which, 0.0, self._samples_since)
+
+    def state(self) -> dict[str, Array]:
+        """Everything, for a checkpoint."""
+        return {'rate': self._rate, 'last_p': self._last_p, 'samples_since': self._samples_since}
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self._rate, self._last_p = arrays['rate'], arrays['last_p']
+        self._samples_since = arrays['samples_since']

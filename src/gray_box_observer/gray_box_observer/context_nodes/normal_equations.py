@@ -63,3 +63,10 @@ def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, A
     """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor, unknown)."""
     turned = np.swapaxes(jacobian * weights[..., None], 1, 2)
     return turned @ jacobian, (turned @ residual[..., None])[..., 0]
+
+
+def semidefinite(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
+    mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return mended

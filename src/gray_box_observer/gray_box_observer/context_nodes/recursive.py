@@ -6,7 +6,8 @@ coordinates) with exact zero-order-hold sensitivities. Repeating the fit takes o
 so that the recursion stands where the batch estimate stands; with white torque noise that is the Cramer-Rao bound.
 
 Robust: outliers of torque are weighted out; a wrong voltage sample shows as a kick of the state and is met by letting
-the state, not the parameters, go. A changed motor is detected (:mod:`drift`), the estimate settles on the new data.
+the state, not the parameters, go. A changed motor is detected (:mod:`drift`), the estimate settles on the new data; a
+parameter that changes again and again is given freedom to walk.
 """
 
 from __future__ import annotations
@@ -18,29 +19,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE, Fit, Prior, batch_fit
-from gray_box_observer.context_nodes.drift import DriftTest
+from gray_box_observer.context_nodes.drift import (
+    CHANGE_EVIDENCE,
+    SUSPICIOUS_BLOCKS,
+    UNCHANGED,
+    DriftTest,
+    Walk,
+    changes,
+    evidence_for,
+)
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.context_nodes.linear_start import linear_start
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, weighted
-from gray_box_observer.context_nodes.trajectory import Stretch, Trajectory, find_kicks, follow, linearise
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, semidefinite, weighted
+from gray_box_observer.context_nodes.trajectory import (
+    Stretch,
+    Trajectory,
+    find_kicks,
+    follow,
+    left_of_restarts,
+    linearise,
+)
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters, within_bounds
-
-SUSPICIOUS_BLOCKS = 2.0
-"""So many blocks in a row of which most does not fit, and the motor has changed."""
-
-
-CHANGE_EVIDENCE = 15.0
-"""Log-likelihood that other parameters must bring over the old ones before a change is believed."""
-
-EVERYTHING_PENALTY = 20.0
-"""Log-likelihood that a change of all parameters at once must bring over the change of one."""
-
-UNCHANGED = 1e-4
-"""Relative freedom left to every coordinate in a fit that stands for an unchanged motor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +109,7 @@ class RecursiveUpdate:
         self._since = np.zeros(motors, dtype=int)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._drift = DriftTest(motors, n, self._rules.drift_threshold)
+        self._walk = Walk(motors, n)
         self._new = 0
         self._next_fit = self._rules.first_fit
         self._started = False
@@ -156,6 +160,7 @@ class RecursiveUpdate:
             return False
         self._new += 1
         fit = len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity
+        fit = fit and not self._walk.walking  # a fit takes the parameters for constant
         if not fit and (not self._started or self._new < self._rules.block):
             return False
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
@@ -238,8 +243,9 @@ class RecursiveUpdate:
         transfer = self._frame.transfer(block.path)
         moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
         if np.any(stretch.restart):
-            moved[:, 0, 0] += _left_of_restarts(block.path, stretch) / self._frame.current_a**2
+            moved[:, 0, 0] += left_of_restarts(block.path, stretch) / self._frame.current_a**2
         state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * self._frame.current_a
+        moved[:, 1:, 1:] += self._walk.spread(block.kept.shape[1]) / (self._noise**2)[:, None, None]
         frame = Frame(self._frame.current_a, p)
         covariance = self._frame.moved(moved, frame)
         finite = np.isfinite(state) & np.all(np.isfinite(covariance), axis=(1, 2)) & np.all(np.isfinite(p), axis=1)
@@ -275,7 +281,7 @@ class RecursiveUpdate:
         try:
             root = np.linalg.cholesky(spread)
         except np.linalg.LinAlgError:  # rounding has made the covariance indefinite: mend it
-            self._covariance = _semidefinite(self._covariance)
+            self._covariance = semidefinite(self._covariance)
             spread = jacobian @ self._covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(use.shape[1])
             root = np.linalg.cholesky(spread)
         stacked = np.concatenate([total, block.residual[..., None]], axis=2) * use[..., None]
@@ -289,9 +295,11 @@ class RecursiveUpdate:
         held = self._fit_from(stretch, known)
         self._suspicion, self._since = 0.0 * self._suspicion, 0 * self._since
         self._drift.reset()
-        fits = [(known.loosened(change), penalty) for change, penalty in self._changes()]
-        found = [(prior, self._fit_from(stretch, prior), penalty) for prior, penalty in fits]
-        evidence = np.array([_evidence(stretch, held, fit) - penalty for _, fit, penalty in found])
+        found = []
+        for change in changes(self._white_box.parameters, self._rules.drift_relative_std):
+            prior = known.loosened(change.directions)
+            found.append((change, prior, self._fit_from(stretch, prior)))
+        evidence = np.array([evidence_for(stretch, held, fit) - change.penalty for change, _, fit in found])
         best = np.argmax(np.max(np.where(suspects, evidence, -np.inf), axis=1))
         changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
         if not np.any(changed):
@@ -301,10 +309,10 @@ class RecursiveUpdate:
             return True
         self.alarms += int(np.sum(changed))
         self.replay.forget(samples)
-        self._prior = Prior(
-            known.p, np.where(changed[:, None, None], found[best][0].covariance, 2.0 * known.covariance)
-        )
-        self._take(found[best][1], changed)
+        change, prior, fit = found[best]
+        self._prior = Prior(known.p, np.where(changed[:, None, None], prior.covariance, 2.0 * known.covariance))
+        self._take(fit, changed)
+        self._walk.changed(self._frame.p, change, changed)
         return True
 
     def _fit_from(self, stretch: Stretch, prior: Prior) -> Fit:
@@ -315,16 +323,6 @@ class RecursiveUpdate:
         """Covariance of the coordinates' logarithms."""
         posterior: Array = self._covariance[:, 1:, 1:] * self._noise[:, None, None] ** 2
         return posterior
-
-    def _changes(self) -> list[tuple[Array, float]]:
-        """Directions, in the coordinates' logarithms, in which a motor may have changed, and what each must pay.
-
-        One physical parameter alone is what breaks or heats; all at once is believed only for more.
-        """
-        n, size = self._frame.p.shape[1], self._rules.drift_relative_std
-        leading = (-size * np.ones(n), 0.0)  # theta_0 divides every coordinate
-        single = [(size * np.eye(n)[j], 0.0) for j in range(1, n)]
-        return [leading, *single, (size * np.eye(n), EVERYTHING_PENALTY)]
 
     def _follow_noise(self, block: _Block) -> None:
         count = block.residual.shape[1]
@@ -344,6 +342,7 @@ class RecursiveUpdate:
         arrays |= {'p': self._frame.p, 'current_a': self._frame.current_a}
         arrays |= {'prior_p': self._prior.p, 'prior_covariance': self._prior.covariance}
         arrays |= {'drift_score': self._drift.score, 'drift_information': self._drift.information}
+        arrays |= {f'walk_{name}': array for name, array in self._walk.state().items()}
         return plain, {**arrays, 'replay': self.replay.content()}
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
@@ -362,6 +361,7 @@ class RecursiveUpdate:
         self._frame = Frame(arrays['current_a'], arrays['p'])
         self._prior = Prior(arrays['prior_p'], arrays['prior_covariance'])
         self._drift.score, self._drift.information = arrays['drift_score'], arrays['drift_information']
+        self._walk.restore({name[5:]: array for name, array in arrays.items() if name.startswith('walk_')})
         self.replay.refill(arrays['replay'])
 
 
@@ -374,28 +374,6 @@ class _Block:
     jacobian: Array
     spread: Array
     kept: NDArray[np.bool_]
-
-
-def _semidefinite(matrix: Array) -> Array:
-    """The nearest symmetric matrix without negative eigenvalues."""
-    values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
-    mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    return mended
-
-
-def _evidence(stretch: Stretch, held: Fit, free: Fit) -> Array:
-    """Log-likelihood that a fit brings over another on the same stretch, shape (motor,)."""
-    evidence: Array = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
-    return evidence
-
-
-def _left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
-    """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
-    k = stretch.restart.shape[1]
-    last = k - 1 - np.argmax(stretch.restart[:, ::-1], axis=1)
-    after = np.arange(k) > last[:, None]
-    left = np.prod(np.where(after, path.factor, 1.0), axis=1) ** 2
-    return np.where(np.any(stretch.restart, axis=1), left, 0.0)
 
 
 _PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count')

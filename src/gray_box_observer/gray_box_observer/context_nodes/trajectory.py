@@ -169,6 +169,15 @@ def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], nois
     return large & (before < 0.5 * change) & (after < 0.5 * change)
 
 
+def left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
+    """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
+    k = stretch.restart.shape[1]
+    last = k - 1 - np.argmax(stretch.restart[:, ::-1], axis=1)
+    after = np.arange(k) > last[:, None]
+    left = np.prod(np.where(after, path.factor, 1.0), axis=1) ** 2
+    return np.where(np.any(stretch.restart, axis=1), left, 0.0)
+
+
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
     """Work out ``x[j + 1] = factor[j] x[j] + inputs[j]``.
 

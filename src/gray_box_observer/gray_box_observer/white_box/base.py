@@ -27,6 +27,7 @@ class Parameter:
         lower: smallest plausible value; positive, because the context nodes live on a logarithmic scale.
         upper: largest plausible value.
         description: one line for documentation and parameter descriptors.
+        heats: whether it follows the temperature of the winding, and so is the first suspect when the motor changes.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Parameter:
     lower: float
     upper: float
     description: str
+    heats: bool = False
 
 
 class WhiteBox(Protocol):

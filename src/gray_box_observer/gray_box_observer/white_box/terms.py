@@ -49,7 +49,7 @@ INDUCTANCE = Term(
     None,
 )
 RESISTANCE = Term(
-    Parameter('resistance', 'ohm', 3.0, 1e-4, 1e4, 'Armature resistance R, coefficient of i.'),
+    Parameter('resistance', 'ohm', 3.0, 1e-4, 1e4, 'Armature resistance R, coefficient of i.', heats=True),
     value=lambda i, w: i,
     by_current=lambda i, w: 1.0,
     by_speed=lambda i, w: 0.0,

@@ -1,0 +1,513 @@
+"""The observer as a process of its own, on real DDS."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from lifecycle_msgs.msg import State, Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.observer import Observer
+from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
+
+pytestmark = pytest.mark.system
+
+MODULE = 'gray_box_observer.ros.observer_node'
+NODE = '/gray_box_observer'
+TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
+EXCITATION = 'R[5,15]D[0.1,1]'
+START_NS = 1_000_000_000
+END_S = 3.0
+"""A node that is asked to end has done so after this time."""
+
+
+def state(name: str, stamp_ns: int, *efforts: float) -> JointState:
+    """One message about one motor, or about several whose names are joined by spaces."""
+    message = JointState(name=name.split(), effort=list(efforts))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
+
+
+class Rig:
+    """An observer that runs, what it is sent and what it says."""
+
+    def __init__(self, peer, namespace: str = '') -> None:
+        self.peer = peer
+        self.namespace = namespace
+        self.diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
+        self.predicted = peer.listen(JointState, f'{namespace}{NODE}/predicted_torque', SIGNAL_QOS)
+        self._senders: dict[str, Any] = {}
+        self.process: subprocess.Popen | None = None
+
+    def start(self, *arguments: str, **parameters: object) -> None:
+        """Start the observer, without predictor unless asked for."""
+        self.process = self.peer.start(MODULE, *arguments, **{'predictor': 'false', **parameters})
+
+    def signals(self) -> tuple[Any, Any]:
+        """The publishers of voltage and torque, once the observer listens."""
+        for name in ('voltage', 'torque'):
+            topic = f'{self.namespace}/motor/{name}'
+            if name not in self._senders:
+                self._senders[name] = self.peer.publisher(JointState, topic, SIGNAL_QOS)
+            self.peer.wait(self._senders[name].get_subscription_count, f'the observer to listen to {topic}')
+        return self._senders['voltage'], self._senders['torque']
+
+    def send(self, recording, indices: Iterable[int]) -> None:
+        """Send samples of a recording, voltage before torque; below 1000, as many as the queues hold."""
+        voltage, torque = self.signals()
+        motors = ' '.join(recording.motors)
+        for k in indices:
+            stamp_ns = START_NS + int(recording.stamp_ns[k])
+            voltage.publish(state(motors, stamp_ns, *recording.voltage_v[:, k].tolist()))
+            torque.publish(state(motors, stamp_ns, *recording.torque_nm[:, k].tolist()))
+
+    def status(self, motor: str = 'motor') -> Any:
+        """The newest diagnostic status of a motor; None before the first."""
+        found = [s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == motor]
+        return found[0] if found else None
+
+    def values(self, motor: str = 'motor') -> dict[str, str]:
+        """The newest key-value pairs of a motor's diagnostics."""
+        status = self.status(motor)
+        return {} if status is None else {pair.key: pair.value for pair in status.values}
+
+    def wait_for(self, motor: str = 'motor', **expected: object) -> None:
+        """Wait for diagnostics with these counts, such as ``samples_used=100``."""
+        wanted = {key.replace('_', ' '): str(value) for key, value in expected.items()}
+        self.peer.wait(lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}')
+
+    def wait_for_level(self, level: bytes, words: str) -> None:
+        """Wait for diagnostics of a level that say something."""
+        self.diagnostics.clear()
+
+        def said() -> bool:
+            return any(s.level == level and words in s.message for array in self.diagnostics for s in array.status)
+
+        self.peer.wait(said, f'diagnostics that say {words!r}')
+
+    def latched(self, kind: type, topic: str) -> Any:
+        """What a subscriber hears that comes late."""
+        heard = self.peer.listen(kind, f'{self.namespace}{NODE}/{topic}', LATCHED_QOS)
+        self.peer.wait(lambda: heard, f'what {topic} has latched')
+        return heard[-1]
+
+    def estimates(self, motor: str = 'motor') -> dict[str, float]:
+        """The latched estimates."""
+        return {name: self.latched(Float64, f'{motor}/{name}').data for name in TRUTH}
+
+    def call(self, kind: type, service: str, **fields: Any) -> Any:
+        """Call a service of the observer."""
+        return self.peer.call(kind, f'{self.namespace}{NODE}/{service}', kind.Request(**fields))
+
+    def change(self, transition: int) -> bool:
+        """Ask for a transition of the life cycle."""
+        return self.call(ChangeState, 'change_state', transition=Transition(id=transition)).success
+
+    def lifecycle_state(self) -> int:
+        """The state of the life cycle."""
+        return self.call(GetState, 'get_state').current_state.id
+
+    def children(self) -> list[psutil.Process]:
+        """The processes that the observer has started."""
+        return psutil.Process(self.process.pid).children(recursive=True)
+
+
+@pytest.fixture
+def rig(peer) -> Rig:
+    return Rig(peer)
+
+
+def learnt_offline(recording, indices: Iterable[int]) -> dict[str, float]:
+    """What the core learns of the same samples, fed without ROS."""
+    core = Observer(Configuration.from_flat({'predictor': False}))
+    for k in indices:
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        core.voltage('motor', stamp_ns, float(recording.voltage_v[0, k]))
+        core.torque('motor', stamp_ns, float(recording.torque_nm[0, k]))
+    return dict(zip(TRUTH, core.estimates()['motor'].value[0].tolist(), strict=True))
+
+
+def rejected(rig: Rig) -> dict[str, int]:
+    text = rig.values()['rejected']
+    return {} if text == 'none' else {k: int(n) for k, n in (pair.split(': ') for pair in text.split(', '))}
+
+
+SMALL_NETWORK = {
+    'predictor': 'true',
+    'training__hidden': 2,
+    'training__context': 16,
+    'training__period': 32,
+    'training__steps': 1,
+    'training__minibatch': 2,
+}
+
+
+def test_every_topic_has_its_name_type_and_quality_of_service(rig):
+    rig.start()
+    rig.signals()
+    node = rig.peer.node
+    reliable, latched, volatile = (
+        ReliabilityPolicy.RELIABLE,
+        DurabilityPolicy.TRANSIENT_LOCAL,
+        DurabilityPolicy.VOLATILE,
+    )
+
+    def described(endpoints) -> list[tuple]:
+        own = [e for e in endpoints if e.node_name == 'gray_box_observer']
+        return [(e.topic_type, e.qos_profile.reliability, e.qos_profile.durability) for e in own]
+
+    published = {
+        f'{NODE}/motor/inductance': ('std_msgs/msg/Float64', reliable, latched),
+        f'{NODE}/motor/resistance': ('std_msgs/msg/Float64', reliable, latched),
+        f'{NODE}/motor/hysteresis': ('std_msgs/msg/Float64', reliable, latched),
+        f'{NODE}/motor/identified': ('std_msgs/msg/Bool', reliable, latched),
+        f'{NODE}/motor/covariance': ('std_msgs/msg/Float64MultiArray', reliable, latched),
+        f'{NODE}/predicted_torque': ('sensor_msgs/msg/JointState', reliable, volatile),
+        '/diagnostics': ('diagnostic_msgs/msg/DiagnosticArray', reliable, volatile),
+    }
+    for topic, expected in published.items():
+        rig.peer.wait(lambda topic=topic: described(node.get_publishers_info_by_topic(topic)), topic)
+        assert described(node.get_publishers_info_by_topic(topic)) == [expected], topic
+    for topic in ('/motor/voltage', '/motor/torque'):
+        expected = 'sensor_msgs/msg/JointState', reliable, volatile
+        assert described(node.get_subscriptions_info_by_topic(topic)) == [expected]
+    services = dict(node.get_service_names_and_types_by_node('gray_box_observer', '/'))
+    trigger, boolean = ['std_srvs/srv/Trigger'], ['std_srvs/srv/SetBool']
+    wanted = {'reset': trigger, 'save': trigger, 'load': trigger, 'freeze': boolean}
+    assert {name: services[f'{NODE}/{name}'] for name in wanted} == wanted
+
+
+def test_a_noise_free_motor_is_identified_and_whoever_comes_late_is_told(rig, record):
+    rig.start()
+    rig.send(record(EXCITATION, 8.0), range(800))
+    rig.wait_for(samples_used=800)
+    assert rig.latched(Bool, 'motor/identified').data is True
+    assert rig.estimates() == pytest.approx(TRUTH, rel=1e-3)
+    covariance = rig.latched(Float64MultiArray, 'motor/covariance')
+    assert [dim.label for dim in covariance.layout.dim] == ['inductance,resistance,hysteresis'] * 2
+    assert [(dim.size, dim.stride) for dim in covariance.layout.dim] == [(3, 9), (3, 3)]
+    matrix = np.array(covariance.data).reshape(3, 3)
+    assert np.array_equal(matrix, matrix.T)
+    assert np.all(np.linalg.eigvalsh(matrix) > 0.0)
+    rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
+    assert rig.values()['inductance verdict'] == 'identified'
+
+
+def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_between_costs_nothing(rig, record):
+    recording = record(EXCITATION, 6.0)
+    rig.start()
+    rig.send(recording, range(300))
+    voltage, torque = rig.signals()
+    newest_ns = START_NS + int(recording.stamp_ns[299])
+    for value in (math.nan, math.inf, -math.inf):
+        voltage.publish(state('motor', newest_ns + 1, value))
+        torque.publish(state('motor', newest_ns + 1, value))
+    torque.publish(state('motor', newest_ns, 0.07))
+    torque.publish(state('motor', newest_ns - 500_000_000, 0.07))
+    voltage.publish(state('motor', newest_ns - 500_000_000, 7.0))
+    torque.publish(state('motor', newest_ns + 2, 1e300))
+    torque.publish(state('motor', newest_ns + 3))  # a name without a value
+    torque.publish(state('stranger', newest_ns + 4, 0.07))
+    rig.send(recording, range(300, 600))
+    rig.wait_for(samples_used=600)
+    counts = {'non_finite': 6, 'duplicate': 1, 'out_of_order': 2, 'absurd': 1, 'malformed': 1}
+    assert rejected(rig) == counts
+    values = rig.values()
+    received = int(values['torque messages']), int(values['voltage messages'])
+    assert received == (600 + 3 + 1 + 1 + 1, 600 + 3 + 1), 'every message is used or counted under its reason'
+    assert rig.estimates() == learnt_offline(recording, range(600))
+
+
+def test_a_clock_that_is_set_back_begins_a_new_history_and_forgets_nothing(rig, record):
+    recording = record(EXCITATION, 8.0)
+    rig.start()
+    rig.send(recording, range(400, 800))
+    rig.wait_for(samples_used=400)
+    rig.send(recording, range(400))
+    rig.wait_for(samples_used=800)
+    assert int(rig.values()['signal restarts']) >= 1
+    assert rig.estimates() == pytest.approx(TRUTH, rel=1e-3)
+
+
+def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
+    recording = record('C[10]', 40.0)
+    rig.start()
+    voltage, torque = rig.signals()
+    rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/voltage and motor/torque')
+    voltage.publish(state('motor', START_NS - 1, 10.0))
+    rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/torque')
+    rig.send(recording, range(3000, 3900))  # long settled
+    rig.wait_for_level(DiagnosticStatus.WARN, 'not excited: vary the voltage')
+    rig.send(recording, range(3900, 3950))
+    for _ in range(50):
+        torque.publish(state('motor', START_NS + int(recording.stamp_ns[3949]), 0.1))
+    rig.wait_for_level(DiagnosticStatus.WARN, '50 messages refused in 1 s: see rejected')
+    stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics]
+    rig.peer.wait(lambda: len(rig.diagnostics) >= len(stamps) + 2, 'two more')
+    stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics]
+    assert np.median(np.diff(stamps)) == pytest.approx(1.0, abs=0.1)
+    assert {s.name for array in rig.diagnostics for s in array.status} == {'gray_box_observer: motor'}
+
+
+def test_torque_of_the_wrong_sign_is_called_implausible(rig, record):
+    rig.start(torque__scale=-1.0)
+    rig.send(record(EXCITATION, 8.0), range(800))
+    rig.wait_for_level(DiagnosticStatus.WARN, 'at a bound: check torque_constant, units and sign')
+    assert rig.latched(Bool, 'motor/identified').data is False
+
+
+def test_torque_is_predicted_before_it_is_measured(rig, record):
+    rig.start(**SMALL_NETWORK)
+    recording = record(EXCITATION, 30.0)
+    indices = iter(range(3000))
+    while not rig.predicted:  # the training process needs a few seconds to start
+        rig.send(recording, [next(indices)])
+        rig.peer.executor.spin_once(timeout_sec=0.01)
+    voltage, torque = rig.signals()
+    for k in (next(indices) for _ in range(30)):
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        voltage.publish(state('motor', stamp_ns, float(recording.voltage_v[0, k])))
+        expected = state('motor', stamp_ns).header.stamp
+        rig.peer.wait(lambda stamp=expected: rig.predicted[-1].header.stamp == stamp, 'the prediction')
+        torque.publish(state('motor', stamp_ns, float(recording.torque_nm[0, k])))
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in rig.predicted]
+    assert stamps == sorted(set(stamps)), 'each stamp is predicted once'
+    assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
+    rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
+    assert int(rig.values()['training jobs done']) >= 1
+
+
+def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
+    path = tmp_path / 'new' / 'motor.npz'
+    recording = record(EXCITATION, 12.0)
+    rig.start(checkpoint__path=path)
+    answer = rig.call(Trigger, 'save')
+    assert (answer.success, answer.message) == (False, 'nothing to save yet: no motor has been seen')
+    answer = rig.call(Trigger, 'load')
+    assert (answer.success, answer.message) == (False, f'cannot read {path}: No such file or directory')
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    learnt = rig.estimates()
+    answer = rig.call(Trigger, 'save')
+    assert (answer.success, answer.message) == (True, f'saved to {path}')
+    assert [entry.name for entry in path.parent.iterdir()] == ['motor.npz']
+
+    assert rig.call(Trigger, 'reset').success
+    assert rig.latched(Bool, 'motor/identified').data is False
+    rig.wait_for(samples_used=0)
+    rig.send(recording, range(60))
+    rig.wait_for(samples_used=60)
+    assert rig.estimates() == learnt_offline(recording, range(60))
+    assert rig.call(Trigger, 'load').message == f'loaded from {path}'
+    assert rig.estimates() == learnt
+    assert rig.latched(Bool, 'motor/identified').data is True
+    path.write_bytes(b'no checkpoint')
+    assert rig.call(Trigger, 'load').message == f'{path} is not a checkpoint of this package'
+    assert rig.estimates() == learnt
+
+
+def test_a_frozen_observer_learns_nothing_and_stays_frozen_when_it_is_reset(rig, record):
+    recording = record(EXCITATION, 8.0)
+    rig.start()
+    rig.send(recording, range(400))
+    rig.wait_for(samples_used=400)
+    before = rig.estimates()
+    assert rig.call(SetBool, 'freeze', data=True).message == 'frozen'
+    assert rig.call(GetParameters, 'get_parameters', names=['freeze']).values[0].bool_value
+    rig.send(recording, range(400, 600))
+    rig.wait_for(samples_used=600)
+    assert rig.estimates() == before
+    assert rig.values()['resistance verdict'] == 'frozen'
+    assert rig.call(Trigger, 'reset').success
+    rig.send(recording, range(600, 700))
+    rig.wait_for(samples_used=100)
+    assert rig.values()['resistance verdict'] == 'frozen'
+    thaw = Parameter(name='freeze', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False))
+    assert rig.call(SetParameters, 'set_parameters', parameters=[thaw]).results[0].successful
+    rig.send(recording, range(700, 800))
+    rig.wait_for(samples_used=200)
+    assert rig.values()['resistance verdict'] != 'frozen'
+
+
+def test_the_life_cycle_is_followed_and_only_cleaning_up_forgets(rig, record):
+    recording = record(EXCITATION, 8.0)
+    rig.start(autostart='false')
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    assert not rig.call(Trigger, 'reset').success
+    assert rig.change(Transition.TRANSITION_CONFIGURE)
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+    rig.wait_for_level(DiagnosticStatus.STALE, 'inactive: activate the node')
+    assert rig.peer.node.count_subscribers('/motor/voltage') == 0
+    assert rig.change(Transition.TRANSITION_ACTIVATE)
+    rig.send(recording, range(300))
+    rig.wait_for(samples_used=300)
+
+    assert rig.change(Transition.TRANSITION_DEACTIVATE)
+    rig.peer.wait(lambda: not rig.peer.node.count_subscribers('/motor/voltage'), 'the observer to stop listening')
+    assert rig.change(Transition.TRANSITION_ACTIVATE)
+    rig.send(recording, range(300, 600))
+    rig.wait_for(samples_used=600)
+    assert rig.estimates() == learnt_offline(recording, range(600)), 'a pause costs nothing'
+
+    for transition in (
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+    ):
+        assert rig.change(transition)
+    assert rig.latched(Bool, 'motor/identified').data is False
+    rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor')
+    rig.send(recording, range(100))
+    rig.wait_for(samples_used=100)
+    assert rig.estimates() == learnt_offline(recording, range(100))
+    assert rig.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_FINALIZED
+    assert rig.peer.end(rig.process)[0] == 0
+
+
+def test_several_motors_share_their_messages_in_a_namespace(peer, record):
+    rig = Rig(peer, '/plant')
+    recording = record('R[5,15]D[0.1,1]', 8.0, motors=('left', 'right'))
+    rig.start('--ros-args', '-r', '__ns:=/plant', motors='[right, left]')
+    rig.send(recording, range(800))
+    rig.wait_for('left', samples_used=800)
+    rig.wait_for('right', samples_used=800)
+    assert rig.estimates('left') == pytest.approx(TRUTH, rel=1e-3)
+    assert rig.estimates('right') == pytest.approx({**TRUTH, 'resistance': 1.5}, rel=1e-3)
+
+
+def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middleware(rig):
+    """The truth is the closed form of a motor without hysteresis, driven at the times of the wall clock."""
+    rig.start(
+        voltage__topic='drive/volts',
+        voltage__type='std_msgs/msg/Float64',
+        voltage__field='data',
+        torque__topic='sensor/wrench',
+        torque__type='geometry_msgs/msg/WrenchStamped',
+        torque__field='wrench.torque.z',
+        motor__context_nodes='[inductance, resistance]',
+        motor__back_emf_constant=0.0,
+    )
+    volts = rig.peer.publisher(Float64, 'drive/volts', SIGNAL_QOS, readers=1)
+    wrenches = rig.peer.publisher(WrenchStamped, 'sensor/wrench', SIGNAL_QOS, readers=1)
+    rng = np.random.default_rng(1)
+    current_a, voltage_v, before_ns = 0.0, 0.0, time.time_ns()
+    for k in range(200):
+        wrench, now_ns = WrenchStamped(), time.time_ns()
+        decay = math.exp(-(now_ns - before_ns) * 1e-9 * 2.0 / 0.5)  # 0.5 H, 2 ohm
+        current_a = voltage_v / 2.0 + (current_a - voltage_v / 2.0) * decay
+        wrench.header.stamp.sec, wrench.header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+        wrench.wrench.torque.z = 0.01 * current_a
+        if k:
+            wrenches.publish(wrench)
+        before_ns = now_ns
+        if k % 20 == 0:
+            voltage_v = rng.uniform(5.0, 15.0)
+        volts.publish(Float64(data=voltage_v))
+        rig.peer.executor.spin_once(timeout_sec=0.0)
+        time.sleep(0.01)
+    # the last torque waits for the voltage at its stamp, which came after it
+    rig.wait_for(torque_messages=199)
+    found = {name: rig.latched(Float64, f'motor/{name}').data for name in ('inductance', 'resistance')}
+    assert found == pytest.approx({'inductance': 0.5, 'resistance': 2.0}, rel=0.05)
+    _, _, said = rig.peer.end(rig.process)
+    assert said.count('std_msgs/msg/Float64 has no header: voltage is stamped by the middleware') == 1
+
+
+def test_a_message_without_the_configured_field_ends_the_node_with_one_line(rig):
+    rig.start(torque__type='geometry_msgs/msg/WrenchStamped', torque__field='wrench.torque.zz')
+    torque = rig.peer.publisher(WrenchStamped, 'motor/torque', SIGNAL_QOS, readers=1)
+    torque.publish(WrenchStamped())
+    code, _, said = rig.peer.end(rig.process, None)
+    errors = [line for line in said.splitlines() if 'error' in line]
+    assert code == 2
+    assert len(errors) == 1
+    assert errors[0].startswith("observer: error: torque.field 'wrench.torque.zz' on motor/torque: ")
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'words'),
+    [
+        ({'motor__torque_constant': -0.01}, 'motor.torque_constant'),
+        ({'motor__context_nodes': '[inductance, mass]'}, 'mass'),
+        ({'context_update': 'magic'}, 'context_update must be one of recursive, gradient'),
+        ({'voltage__type': 'std_msgs/msg/Voltage'}, "voltage.type 'std_msgs/msg/Voltage' is not a message"),
+        ({'voltage__type': 5}, 'voltage.type'),
+        ({'recursive__block': 'many'}, 'recursive.block'),
+        ({'motors': '[left-hand]'}, 'motors must be distinct names'),
+        ({'motor__initial__resistance': 'nan'}, 'motor.initial.resistance'),
+    ],
+)
+def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameters, words):
+    code, out, said = peer.end(peer.start(MODULE, **parameters), None)
+    assert (code, out) == (2, '')
+    assert said.startswith('observer: error: ')
+    assert words in said
+    assert said.count('\n') == 1
+
+
+def test_help_says_how_to_give_parameters(peer):
+    code, out, said = peer.end(peer.start(MODULE, '--help'), None)
+    assert (code, said) == (0, '')
+    assert '--params-file' in out
+
+
+@pytest.fixture
+def training(rig, record) -> Iterator[Callable[[], psutil.Process]]:
+    """Start an observer whose training process runs; return that process."""
+
+    def begin() -> psutil.Process:
+        rig.start(**SMALL_NETWORK)
+        rig.send(record(EXCITATION, 8.0), range(100))
+        rig.peer.wait(rig.children, 'the training process')
+        (child,) = rig.children()
+        return child
+
+    return begin
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_node_soon_and_its_training_process_too(rig, training, number):
+    child = training()
+    asked_s = time.monotonic()
+    code, _, said = rig.peer.end(rig.process, number)
+    assert code == 0
+    assert time.monotonic() - asked_s < END_S
+    assert 'error' not in said
+    assert not child.is_running()
+
+
+def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
+    child = training()
+    assert rig.peer.end(rig.process, signal.SIGKILL)[0] == -signal.SIGKILL
+    assert psutil.wait_procs([child], timeout=15)[1] == []
+
+
+def test_a_training_process_that_dies_is_reported_and_costs_no_sample(rig, training, record):
+    training().kill()
+    rig.send(record(EXCITATION, 8.0), range(100, 800))
+    rig.wait_for(samples_used=800)
+    assert any(
+        status.level == DiagnosticStatus.ERROR and 'training ended: exit status -9' in status.message
+        for array in rig.diagnostics
+        for status in array.status
+    )
+    assert rig.estimates() == learnt_offline(record(EXCITATION, 8.0), range(800))
