@@ -85,7 +85,9 @@ def make(run: Run, folder: Path) -> None:
 def write(recording: Recording, folder: Path) -> None:
     """Write a recording of one motor as a compressed rosbag2 folder."""
     schema = schema_text(TYPE_NAME, built_in_lookup)
-    with BagWriter(folder, BagOptions(compression='zstd', flush_period_s=1e9)) as bag:
+    # a name without version: the next release makes the same bytes
+    options = BagOptions(compression='zstd', flush_period_s=1e9, library='gray_box_observer')
+    with BagWriter(folder, options) as bag:
         for topic in ('/motor/voltage', '/motor/torque'):
             bag.add_topic(topic, TYPE_NAME, schema, [SIGNAL_QOS], JOINT_STATE_HASH)
         signals = zip(recording.stamp_ns, recording.voltage_v[0], recording.torque_nm[0], strict=True)

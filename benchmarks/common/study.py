@@ -15,7 +15,7 @@ from common.motion import FloatArray
 from common.trace import Trace, follow, grow, marks_of
 from common.tuning import estimators
 
-STEP_AT_S = 20.0
+STEP_AT_S = 20.0  # and up to 4 s later
 STEP_FACTOR = 1.3
 STEP_WATCHED_S = 10.0
 OUTLIERS = ('torque', 'voltage')
@@ -112,14 +112,18 @@ def _hit_with_outliers(outcome: Outcome, clean: Clean, rule: str) -> None:
 
 
 def _step_resistance(case: Case, seed: int, rule: str) -> float:
-    """Raise R by 30 % and wait for the estimate, at 1 % noise; inf if it does not come and stay."""
+    """Raise R by 30 % and wait for the estimate, at 1 % noise; inf if it does not come and stay.
+
+    The step comes at another instant for every seed, so that no method's own rhythm meets it in step.
+    """
     value = STEP_FACTOR * case.plant.resistance
-    schedule = [f'motor.resistance={value:g}@{STEP_AT_S:g}']
-    clean = simulate(case, [seed], STEP_AT_S + STEP_WATCHED_S, schedule)
+    step_s = STEP_AT_S + float(np.random.default_rng([seed, 30]).uniform(0.0, 4.0))
+    schedule = [f'motor.resistance={value:g}@{step_s:.4f}']
+    clean = simulate(case, [seed], step_s + STEP_WATCHED_S, schedule)
     record = clean.record(seed, 0.01)
-    marks = np.flatnonzero(record.time_s >= STEP_AT_S)
+    marks = np.flatnonzero(record.time_s >= step_s)
     found = case.plant.resistance * (1.0 + follow(estimators(case)[rule], record, marks).error[:, 1])
-    return settled_s(np.abs(found / value - 1.0), record.time_s[marks] - STEP_AT_S, 0.02)
+    return settled_s(np.abs(found / value - 1.0), record.time_s[marks] - step_s, 0.02)
 
 
 def settled_s(deviation: FloatArray, time_s: FloatArray, tolerance: float) -> float:

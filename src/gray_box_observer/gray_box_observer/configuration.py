@@ -241,6 +241,11 @@ class Configuration:
             raise ConfigurationError(
                 f'motors must be distinct names that can stand in a topic (letters, digits, _), got {names!r}'
             )
+        for small, large in FITS_TWICE:
+            if 2 * values[small] > values[large]:
+                raise ConfigurationError(
+                    f'parameter {large} must be at least twice {small}, got {values[large]} and {values[small]}'
+                )
         motors = {name: _motor(name, rest) for name in names}
         return cls(values, motors, tuple(sorted(rest)))
 
@@ -269,6 +274,14 @@ class Configuration:
             )
         return cls.from_flat(given)
 
+
+FITS_TWICE = (
+    ('recursive.block', 'recursive.replay_capacity'),
+    ('gradient.window', 'gradient.replay_capacity'),
+    ('gradient.batch_size', 'gradient.replay_capacity'),
+    ('training.context', 'training.replay_capacity'),
+)
+"""What has to fit twice into what: a memory must hold more than one piece of work on it."""
 
 FOREIGN_PARAMETERS = frozenset({'use_sim_time', 'start_type_description_service'})
 """Parameters that rclpy declares itself."""

@@ -6,7 +6,6 @@ import argparse
 import json
 import shlex
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -23,6 +22,7 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.samples import Rejection
 
 if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
     from gray_box_observer.report.collector import Collector
@@ -90,6 +90,9 @@ def _run(options: argparse.Namespace) -> None:
         outcome = offline.run(options.bags, configuration, training, collector, update)
     unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
     outcome.warnings += [f'no usable sample of motor {name}; it is not in the result' for name in unseen]
+    for name, counts in outcome.intake.rejected.items():
+        if counts:
+            outcome.warnings.append(f'{counts.total()} messages of {name} could not be read')
     for warning in outcome.warnings:
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)
@@ -148,14 +151,12 @@ def describe(outcome: offline.Outcome) -> dict[str, Any]:
     motors = {}
     for name, estimate in outcome.observer.estimates().items():
         pairing = outcome.observer.pairing[name]
-        rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
-        for counts in outcome.intake.rejected.values():
-            rejected.update({reason.value: n for reason, n in counts.items()})
+        rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
         skill = outcome.observer.skill(name)
         motors[name] = {
             'samples': pairing.used,
             'duration_s': round(outcome.duration_s[name], 6),
-            'rejected': dict(sorted(rejected.items())),
+            'rejected': rejected,
             'parameters': {
                 p.name: {
                     'value': float(estimate.value[0, j]),
@@ -176,7 +177,10 @@ def _write_report(
 ) -> None:
     from gray_box_observer.report import RunHistory, write_report
 
-    rejected = {name: motor['rejected'] for name, motor in result['motors'].items()}
+    rejected = {
+        name: {reason: count for reason, count in motor['rejected'].items() if count}
+        for name, motor in result['motors'].items()
+    }
     names = [path.name for path in options.bags]
     write_report(
         RunHistory(
@@ -239,7 +243,8 @@ def _print_table(result: dict[str, Any], stream: TextIO) -> None:
             value, std, unit = found['value'], found['std'], found['unit']
             print(f'  {parameter:<18} {value:.6g} +- {std:.2g} {unit:<14} {found["verdict"]}', file=stream)
         for reason, count in motor['rejected'].items():
-            print(f'  rejected: {reason} {count}', file=stream)
+            if count:
+                print(f'  rejected: {reason} {count}', file=stream)
 
 
 if __name__ == '__main__':

@@ -114,7 +114,6 @@ class Intake:
         self.rejected: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
         self.received: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
-        self._speed: dict[str, float] = {}
 
     def take(self, name: str, message: Any, arrival_ns: int) -> list[Result]:
         """Take one message of a signal; return what it has led to.
@@ -136,14 +135,10 @@ class Intake:
         if name == 'voltage':
             return [r for motor, value in pairs for r in self._observer.voltage(motor, stamp_ns, value)]
         if name == 'speed':
-            self._speed.update(pairs)
-            return []
+            return [r for motor, value in pairs for r in self._observer.speed(motor, stamp_ns, value)]
         speeds = self._speeds(message)
         results: list[Result] = []
         for motor, value in pairs:
-            if self._own_speed_topic and motor not in speeds:  # whether speed is measured is settled once
-                self.rejected[name][Rejection.NO_SPEED] += 1
-                continue
             results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
         return results
 
@@ -160,9 +155,9 @@ class Intake:
             return []
 
     def _speeds(self, message: Any) -> dict[str, float]:
-        """Speed by motor: from its own topic (the newest), else from the torque message's velocity."""
+        """Speed by motor from the torque message's velocity; none where speed has a topic of its own."""
         if self._own_speed_topic:
-            return self._speed
+            return {}
         velocity = getattr(message, 'velocity', None)
         names = names_of(message)
         if velocity is None or names is None or len(velocity) != len(names):

@@ -135,7 +135,8 @@ class Observer:
         self._training = training if configuration['predictor'] else None
         self._frozen = bool(configuration['freeze'])
         rules = PairingRules(configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s'])
-        self.pairing = {name: Pairing(rules) for name in configuration.motors}
+        own_speed = bool(configuration['speed.topic'])
+        self.pairing = {name: Pairing(rules, own_speed=own_speed) for name in configuration.motors}
         self.motors: dict[str, MotorObserver] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
@@ -145,6 +146,10 @@ class Observer:
     def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
         """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
         return self._learn(motor, self.pairing[motor].torque(stamp_ns, torque_nm, speed_rad_s))
+
+    def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
+        """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
+        return self._learn(motor, self.pairing[motor].speed(stamp_ns, speed_rad_s))
 
     def flush(self) -> list[Result]:
         """Learn what still waits for a voltage (end of a bag)."""
@@ -201,11 +206,11 @@ class Observer:
             for motor in made.values():
                 motor.close()
             raise
-        for name, motor in made.items():
+        for name, motor in made.items():  # all good: take over
+            self._learn(name, self.pairing[name].restart())  # what still waited belongs to the old signal history
             if name in self.motors:
                 self.motors[name].close()
             self.motors[name] = motor
-            self.pairing[name].restart()
 
     def close(self) -> None:
         """Stop whatever trains in the background."""
@@ -230,6 +235,7 @@ class Observer:
                 f'motor {motor.name}: speed_source is measured, but its first torque sample came without speed'
             )
         white_box = motor.white_box(speed_measured=measured and source != 'torque_constant')
+        self.pairing[motor.name].needs_speed = white_box.speed_measured
         values = self.configuration
         seed = [values['seed'], *motor.name.encode()]
         seed_number = int(np.random.SeedSequence(seed).generate_state(1)[0])

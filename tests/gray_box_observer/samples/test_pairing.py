@@ -252,3 +252,33 @@ def test_a_silent_torque_sensor_does_not_let_memory_grow() -> None:
     pairing.voltage(25_009 * MS, 0.0)
     made = pairing.torque(25_009 * MS, 0.1)
     assert made[0].voltage_v[0] == 24_999.0
+
+
+@pytest.mark.parametrize('order', [('speed', 'torque', 'voltage'), ('torque', 'voltage', 'speed')])
+def test_speed_of_its_own_topic_is_joined_by_stamp_whatever_comes_first(order: tuple[str, ...]) -> None:
+    pairing = Pairing(own_speed=True)
+    samples = []
+    for k in range(20):
+        stamp_ns = k * 10_000_000
+        for signal in order:
+            if signal == 'speed':
+                samples += pairing.speed(stamp_ns, 3.0 * k)
+            elif signal == 'torque':
+                samples += pairing.torque(stamp_ns + 5_000_000, 0.1)
+            else:
+                samples += pairing.voltage(stamp_ns, 1.0)
+    speeds = [sample.speed_rad_s[0] for sample in samples]
+    np.testing.assert_allclose(speeds, [3.0 * k + 1.5 for k in range(len(speeds))])
+    assert len(speeds) >= 18
+
+
+def test_torque_without_speed_is_refused_where_speed_is_needed_and_the_interval_goes_on() -> None:
+    pairing = Pairing()
+    pairing.needs_speed = True
+    samples = []
+    for k in range(5):
+        samples += pairing.voltage(k * 10_000_000, float(k))
+        samples += pairing.torque(k * 10_000_000, 0.1, math.nan if k == 2 else 1.0)
+    assert pairing.rejected == {Rejection.NO_SPEED: 1}
+    assert [round(sample.interval_s[0], 3) for sample in samples] == [0.0, 0.01, 0.02, 0.01]
+    assert samples[2].voltage_v[0] == pytest.approx(1.5)

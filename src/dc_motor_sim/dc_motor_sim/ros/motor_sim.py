@@ -36,6 +36,8 @@ LONGEST_TICK_S = 0.01
 TICKS_PER_SAMPLE = 4
 LAG_WARNING_S = 1.0
 LAST_SUBSCRIBER_GRACE_S = 2.0
+SETTLE_S = 0.25
+"""A subscriber that is matched here may not have matched us yet; torque would reach it before its voltage."""
 MIRROR_PERIOD_S = 1.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 WARNING_INTERVAL_S = 5.0
@@ -64,6 +66,7 @@ class MotorSim(Node):
         self._started_ns: int | None = None
         self._created_ns = time.monotonic_ns()
         self._torque_matched_ns: int | None = None
+        self._all_matched_ns: int | None = None
         self._with_speed = self._options.speed_measured or self._options.speed_mode == 'rotor'
 
         names = list(self._simulation.motors)
@@ -151,7 +154,13 @@ class MotorSim(Node):
                 self._torque_matched_ns = now_ns
             # Who wants both topics is matched on one of them first; who wants the torque only must not block.
             grace_over = now_ns - self._torque_matched_ns > to_nanoseconds(LAST_SUBSCRIBER_GRACE_S)
-            return grace_over or self._voltage_publisher.get_subscription_count() >= wanted
+            if wanted == 0 or grace_over:
+                return True
+            if self._voltage_publisher.get_subscription_count() < wanted:
+                return False
+            if self._all_matched_ns is None:
+                self._all_matched_ns = now_ns
+            return now_ns - self._all_matched_ns >= to_nanoseconds(SETTLE_S)
         if now_ns - self._created_ns > to_nanoseconds(self._options.wait_timeout_s):
             self.get_logger().warning(
                 f'fewer than {wanted} subscribers after {self._options.wait_timeout_s:g} s; starting anyway'

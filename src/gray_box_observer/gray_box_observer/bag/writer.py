@@ -41,6 +41,7 @@ class BagOptions:
         max_file_duration_s: And when one spans this time; 0 for never.
         ros_distro: What ``metadata.yaml`` names.
         custom_data: Free texts kept in ``metadata.yaml``.
+        library: Who writes it, for the header of each file; None for this package with its version.
     """
 
     compression: str = ''
@@ -50,6 +51,7 @@ class BagOptions:
     max_file_duration_s: float = 0.0
     ros_distro: str = 'jazzy'
     custom_data: Mapping[str, str] = field(default_factory=dict)
+    library: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot work.
@@ -235,7 +237,8 @@ class BagWriter:
 
     def _next_file(self) -> McapFile:
         path = self.folder / f'{self.folder.resolve().name}_{self._files_made}.mcap'
-        file = McapFile(path, library=_library(), compression=self.options.compression)
+        library = _library() if self.options.library is None else self.options.library
+        file = McapFile(path, library=library, compression=self.options.compression)
         self._files_made += 1
         self._flushed_s = self._clock()
         self._metadata_is_stale = True

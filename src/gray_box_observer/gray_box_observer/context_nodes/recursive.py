@@ -132,7 +132,9 @@ class RecursiveUpdate:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; samples are remembered all the same, and learning resumes where they stand."""
-        if self._frozen and not frozen and len(self.replay):
+        if frozen == self._frozen:
+            return
+        if not frozen and len(self.replay):
             self._state = self._white_box.state(self.replay.torque_nm(1)[:, -1])
             self._covariance[:, 0, :] = self._covariance[:, :, 0] = 0.0
             self._covariance[:, 0, 0] = self._frame.current_a**-2.0
@@ -283,6 +285,8 @@ class RecursiveUpdate:
         except np.linalg.LinAlgError:  # rounding has made the covariance indefinite: mend it
             self._covariance = semidefinite(self._covariance)
             spread = jacobian @ self._covariance @ np.swapaxes(jacobian, 1, 2) + np.eye(use.shape[1])
+            if not np.all(np.linalg.eigvalsh(np.nan_to_num(spread)) > 0.0):
+                return 0.0 * total, 0.0 * block.residual  # no test with this block
             root = np.linalg.cholesky(spread)
         stacked = np.concatenate([total, block.residual[..., None]], axis=2) * use[..., None]
         white = np.linalg.solve(root, stacked) / self._noise[:, None, None]

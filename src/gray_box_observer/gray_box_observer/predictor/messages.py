@@ -17,8 +17,11 @@ def encode(message: dict[str, Any]) -> bytes:
     """Turn a message into bytes: arrays as npz, everything else as JSON beside them."""
     plain = {name: value for name, value in message.items() if not isinstance(value, np.ndarray)}
     arrays = {name: value for name, value in message.items() if isinstance(value, np.ndarray)}
+    if any(array.dtype.hasobject for array in arrays.values()):
+        raise ValueError('Object arrays cannot be saved: they would have to be pickled')
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, **arrays, **{_PLAIN: np.array(json.dumps(plain))})
+    named: dict[str, Any] = {**arrays, _PLAIN: np.array(json.dumps(plain))}
+    np.savez(stream, **named)
     return stream.getvalue()
 
 

@@ -47,26 +47,21 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
             'inactive: activate the node (ros2 lifecycle set /gray_box_observer activate)',
         )
     pairing = observer.pairing[motor]
+    silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
+    if silent:
+        topics = ' and '.join(intake.signals[n].topic for n in silent)
+        return DiagnosticStatus.STALE, f'nothing received for this motor: is {topics} published with its name?'
+    refused = traffic.rejected[motor] > 0.05 * (traffic.used[motor] + traffic.rejected[motor])
+    complaint = f'{traffic.rejected[motor]} messages refused in {traffic.period_s:.0f} s: see rejected'
     if traffic.used[motor] == 0:
-        silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
-        if silent:
-            topics = ' and '.join(intake.signals[n].topic for n in silent)
-            return (
-                DiagnosticStatus.STALE,
-                f'nothing received for this motor: is {topics} published with its name?',
-            )
-        return (
-            DiagnosticStatus.STALE,
-            'no new sample: have voltage and torque stopped, or do their stamps differ?',
-        )
+        if refused:
+            return DiagnosticStatus.WARN, complaint
+        return DiagnosticStatus.STALE, 'no new sample: have voltage and torque stopped, or do their stamps differ?'
     training = observer.motors[motor].predictor
     if training is not None and training.failure is not None:
         return DiagnosticStatus.ERROR, training.failure
-    if traffic.rejected[motor] > 0.05 * (traffic.used[motor] + traffic.rejected[motor]):
-        return (
-            DiagnosticStatus.WARN,
-            f'{traffic.rejected[motor]} messages refused in {traffic.period_s:.0f} s: see rejected',
-        )
+    if refused:
+        return DiagnosticStatus.WARN, complaint
     estimate = observer.motors[motor].context_nodes.estimate()
     for verdict, advice in ADVICE.items():
         names = [p.name for p, v in zip(estimate.parameters, estimate.verdicts[0], strict=True) if v is verdict]

@@ -66,8 +66,7 @@ class ObserverNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> Transition:
         """Build the observer; nothing is received yet."""
-        self._observer = Observer(self._configuration, ProcessTraining)
-        self._intake = Intake(self._observer, self._configuration)
+        self._begin()
         if self._outputs is None:
             self._outputs = Outputs(self, self._configuration)
         return super().on_configure(state)
@@ -88,6 +87,7 @@ class ObserverNode(LifecycleNode):
                 self.create_subscription(self._types[name], topic, callback, topics.SIGNAL_QOS)
             )
         self._active = True
+        self._announce()
         names = ', '.join(self._configuration.motors)
         self.get_logger().info(f'active: listening for {names} on {self._topics_in_words()}')
         return result
@@ -171,14 +171,13 @@ class ObserverNode(LifecycleNode):
         return Traffic(DIAGNOSTICS_PERIOD_S, used, rejected)
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._observer is None:
+            response.success, response.message = False, 'the node is not configured: nothing to reset'
+            return response
         self._drop_observer()
-        self._observer = Observer(self._configuration, ProcessTraining)
-        self._intake = Intake(self._observer, self._configuration)
-        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
-        response.success, response.message = (
-            True,
-            'everything learnt is forgotten; starting from the initial values',
-        )
+        self._begin()
+        self._announce()
+        response.success, response.message = True, 'everything learnt is forgotten; starting from the initial values'
         return response
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -199,9 +198,7 @@ class ObserverNode(LifecycleNode):
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
             return response
-        if self._outputs is not None:
-            for motor, estimate in self._observer.estimates().items():
-                self._outputs.estimate(motor, estimate)
+        self._announce()
         response.success, response.message = True, f'{words} {path.absolute()}'
         return response
 
@@ -222,6 +219,24 @@ class ObserverNode(LifecycleNode):
             self.destroy_subscription(subscription)
         self._signal_subscriptions.clear()
         self._active = False
+
+    def _begin(self) -> None:
+        """Make an observer that knows nothing yet."""
+        self._observer = Observer(self._configuration, ProcessTraining)
+        self._observer.freeze(bool(self.get_parameter('freeze').value))  # it may have been set since the start
+        self._intake = Intake(self._observer, self._configuration)
+        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
+
+    def _announce(self) -> None:
+        """Publish what is known now: latched topics must not go on telling what was forgotten."""
+        if self._observer is None or self._outputs is None or not self._active:
+            return
+        estimates = self._observer.estimates()
+        for motor in self._configuration.motors:
+            if motor in estimates:
+                self._outputs.estimate(motor, estimates[motor])
+            else:
+                self._outputs.not_identified(motor)
 
     def _drop_observer(self) -> None:
         if self._observer is not None:

@@ -63,6 +63,10 @@ class Outputs:
         self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
         self._identified[motor](Bool(data=estimate.identified(0)))
 
+    def not_identified(self, motor: str) -> None:
+        """Publish that nothing is known of a motor (yet, or any more)."""
+        self._identified[motor](Bool(data=False))
+
 
 def covariance_message(parameters: tuple[Parameter, ...], values: list[float]) -> Float64MultiArray:
     """Build the covariance: square, row-major, both dimensions labelled with the parameter names in order."""

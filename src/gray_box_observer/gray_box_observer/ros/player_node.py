@@ -37,6 +37,8 @@ It is also the depth of the publishers then: Fast DDS asks its readers for ackno
 writer's history is full, and otherwise every three seconds.
 """
 _ACK_PATIENCE_S = 5.0
+_SETTLE_S = 0.25
+"""A reader that is matched here may not have matched us yet: a topic's first messages would reach it after another's."""
 _CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
 was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
@@ -174,6 +176,7 @@ class BagPlayer(Node):
         while not self._stop.requested:
             counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in watched}
             if all(count >= wanted for count in counts.values()):
+                time.sleep(_SETTLE_S if wanted else 0.0)
                 return True
             if time.monotonic() > until_s:
                 found = ', '.join(f'{count} of {name}' for name, count in counts.items())

@@ -55,9 +55,18 @@ class Pairing:
     """Turns stamped voltages and torques of one motor into samples, counting what cannot be used.
 
     Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``.
+
+    Args:
+        rules: how patient it is.
+        own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
+
+    Attributes:
+        needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
-    def __init__(self, rules: PairingRules | None = None) -> None:
+    def __init__(self, rules: PairingRules | None = None, *, own_speed: bool = False) -> None:
+        self._own_speed = own_speed
+        self.needs_speed = own_speed
         self._rules = rules or PairingRules()
         self._gap_ns = round(self._rules.gap_s * 1e9)
         self._hold_ns = round(self._rules.hold_s * 1e9)
@@ -72,7 +81,9 @@ class Pairing:
     def _restart(self) -> None:
         self._voltages: deque[tuple[int, float]] = deque()
         self._torques: deque[tuple[int, float, float]] = deque()
+        self._speeds: deque[tuple[int, float]] = deque()
         self._held_v = math.nan  # the voltage in force
+        self._newest_speed_ns: int | None = None
         self._newest_voltage_ns: int | None = None
         self._newest_torque_ns: int | None = None
         self._previous_ns: int | None = None
@@ -101,7 +112,20 @@ class Pairing:
         self._voltages.append((stamp_ns, voltage_v))
         if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
             self._held_v = self._voltages.popleft()[1]
-        return done + self._complete(stamp_ns)
+        return done + self._complete(self._known_ns())
+
+    def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
+        """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
+        if not self._usable(speed_rad_s):
+            return []
+        done = self._order(stamp_ns, self._newest_speed_ns)
+        if done is None:
+            return []
+        self._newest_speed_ns = stamp_ns
+        self._speeds.append((stamp_ns, speed_rad_s))
+        if len(self._speeds) > MAX_WAITING_VOLTAGES:
+            self._speeds.popleft()
+        return done + self._complete(self._known_ns())
 
     def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Sample]:
         """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes."""
@@ -113,8 +137,12 @@ class Pairing:
             return []
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
-        known_ns = max(stamp_ns - self._hold_ns, -1 if self._newest_voltage_ns is None else self._newest_voltage_ns)
-        return done + self._complete(known_ns)
+        return done + self._complete(max(stamp_ns - self._hold_ns, self._known_ns()))
+
+    def _known_ns(self) -> int:
+        """Up to where every signal that belongs to torque is known."""
+        known = [self._newest_voltage_ns] + ([self._newest_speed_ns] if self._own_speed else [])
+        return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
 
     def ahead(self, stamp_ns: int) -> tuple[float, float] | None:
         """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
@@ -161,7 +189,12 @@ class Pairing:
         return samples
 
     def _pair(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
-        """Join a torque sample with the voltage that was held since the one before it."""
+        """Join a torque sample with the voltage that was held since the one before it, and with the speed then."""
+        if self._own_speed:
+            speed_rad_s = self._speed_at(stamp_ns)
+        if self.needs_speed and math.isnan(speed_rad_s):
+            self.rejected[Rejection.NO_SPEED] += 1
+            return None
         start_ns = self._previous_ns
         anew = start_ns is None or stamp_ns - start_ns > self._gap_ns
         mean_v = math.nan if anew or start_ns is None else self._mean_voltage(start_ns, stamp_ns)
@@ -171,6 +204,18 @@ class Pairing:
             return self._begin(stamp_ns, torque_nm, speed_rad_s)
         self._previous_ns = stamp_ns
         return Sample.of_one_motor(stamp_ns, seconds(stamp_ns - start_ns), mean_v, torque_nm, speed_rad_s)
+
+    def _speed_at(self, stamp_ns: int) -> float:
+        """Speed at a stamp: linear between its samples, held after the last for a gap at most; else NaN."""
+        while len(self._speeds) > 1 and self._speeds[1][0] <= stamp_ns:
+            self._speeds.popleft()
+        if not self._speeds or self._speeds[0][0] > stamp_ns:
+            return math.nan
+        before_ns, before = self._speeds[0]
+        if len(self._speeds) == 1 or self._speeds[1][0] - before_ns > self._gap_ns:
+            return before if stamp_ns - before_ns <= self._gap_ns else math.nan
+        after_ns, after = self._speeds[1]
+        return before + (after - before) * (stamp_ns - before_ns) / (after_ns - before_ns)
 
     def _begin(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
         """Start the signal history at a torque sample; not before a voltage is known there."""
