@@ -38,13 +38,14 @@ writer's history is full, and otherwise every three seconds.
 """
 _ACK_PATIENCE_S = 5.0
 _SETTLE_S = 0.25
-"""A reader that is matched here may not have matched us yet: a topic's first messages would reach it after another's."""
+"""A reader matched here may not have matched us yet: one topic's first messages would come after another's."""
 _CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 _DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
 was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
 _PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
   bag                   rosbag2 folder or .mcap file, if BAG is not given
-  rate                  recorded seconds per second; 0: as fast as reliable readers acknowledge
+  rate                  recorded seconds per second; 0: as fast as reliable readers acknowledge, which
+                        is before they have worked it off: a busy one can lose messages (identify never does)
   loop                  begin again at the end
   start_offset_s        leave out the first seconds
   paused                begin paused
