@@ -114,15 +114,15 @@ def test_one_run_gives_the_same_estimates_live_replayed_and_offline(peer, tmp_pa
     assert identify(tmp_path / 'bag')['digest'] == offline['digest']
 
 
-@pytest.mark.parametrize(('name', 'tolerance'), [('training_set', 0.005), ('moderate', 0.005), ('drift', 0.005)])
-def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name, tolerance):
+@pytest.mark.parametrize('name', ['training_set', 'moderate', 'drift'])
+def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name):
     truth = yaml.safe_load((BAGS / name / 'truth.yaml').read_text())['motors']['motor']
     last = {key: value[-1][1] if isinstance(value, list) else value for key, value in truth.items()}
     result = identify(BAGS / name)
-    assert values_of(result) == pytest.approx(last, rel=tolerance)
+    assert values_of(result) == pytest.approx(last, rel=0.005)
     motor = result['motors']['motor']
     assert motor['samples'] == 12_000
-    assert motor['rejected'] == {}
+    assert not any(motor['rejected'].values())
     assert {found['verdict'] for found in motor['parameters'].values()} == {'identified'}
     for key, found in motor['parameters'].items():
         assert abs(found['value'] - last[key]) < 5.0 * found['std'], f'{key} is off by more than its std explains'
