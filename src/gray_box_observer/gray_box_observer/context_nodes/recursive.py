@@ -148,6 +148,7 @@ class RecursiveUpdate:
         by_relative = parameter_jacobian(self._frame.p) * self._frame.p[:, None, :]
         coordinates = self._covariance[:, 1:, 1:] * (self._noise**2)[:, None, None]
         covariance = by_relative @ coordinates @ np.swapaxes(by_relative, 1, 2)
+        covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self._verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)

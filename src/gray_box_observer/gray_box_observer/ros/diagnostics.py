@@ -89,6 +89,7 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
         'voltage messages': str(pairing.received_voltage),
         'torque messages': str(pairing.received_torque),
         'signal restarts': str(pairing.restarts),
+        'samples with voltage held': str(pairing.held),
         'sample rate [1/s]': f'{traffic.used[motor] / traffic.period_s:.1f}',
         'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
     }

@@ -61,6 +61,7 @@ class Pairing:
         own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
 
     Attributes:
+        held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
@@ -76,6 +77,7 @@ class Pairing:
         self.received_voltage = 0
         self.used = 0
         self.restarts = 0
+        self.held = 0
         self._restart()
 
     def _restart(self) -> None:
@@ -137,7 +139,10 @@ class Pairing:
             return []
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
-        return done + self._complete(max(stamp_ns - self._hold_ns, self._known_ns()))
+        done += self._complete(self._known_ns())
+        held = self._complete(stamp_ns - self._hold_ns)
+        self.held += len(held)
+        return done + held
 
     def _known_ns(self) -> int:
         """Up to where every signal that belongs to torque is known."""
