@@ -263,7 +263,7 @@ def main(args: Sequence[str] | None = None) -> int:
         prog='observer',
         description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
         'predicts their torque. Parameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
-        epilog='List every parameter with "ros2 param list /gray_box_observer" and "ros2 param describe".',
+        epilog='share/gray_box_observer/config/observer.yaml lists every parameter with its default and meaning.',
     )
     parse_arguments(parser, args)
     nodes: list[ObserverNode] = []

@@ -19,17 +19,24 @@ def declare(node: Node) -> Configuration:
     """Declare every parameter on the node, with description, range and read-only flag, and check them as a set.
 
     Raises:
-        ConfigurationError: values that do not fit together.
-        rclpy.exceptions.ParameterException: a value of the wrong type or out of its range.
+        ConfigurationError: a value of the wrong type or out of its range, or values that do not fit together.
     """
-    values: dict[str, Any] = {}
+    given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
+    configuration = Configuration.from_flat(given)
     for spec in OBSERVER_PARAMETERS:
-        values[spec.name] = node.declare_parameter(spec.name, spec.default, describe(spec)).value
-    for motor in values['motors']:
+        _declare(node, spec.name, configuration[spec.name], spec)
+    for name, motor in configuration.motors.items():
         for spec in MOTOR_PARAMETERS:
-            name = f'{motor}.{spec.name}'
-            values[name] = node.declare_parameter(name, spec.default, describe(spec)).value
-    return Configuration.from_flat(values)
+            _declare(node, f'{name}.{spec.name}', motor.values[spec.name], spec)
+    if configuration.unknown:
+        names = ', '.join(configuration.unknown)
+        node.get_logger().warning(f'not a parameter of the observer, ignored: {names}; a slip of the pen?')
+    return configuration
+
+
+def _declare(node: Node, name: str, value: Any, spec: ParameterSpec) -> None:
+    # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared as it was understood
+    node.declare_parameter(name, value, describe(spec), ignore_override=True)
 
 
 def describe(spec: ParameterSpec) -> ParameterDescriptor:
