@@ -28,5 +28,8 @@ class ContextUpdate(Protocol):
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave."""
 
+    def counters(self) -> dict[str, int]:
+        """What the rule has met so far, by a name for diagnostics."""
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""

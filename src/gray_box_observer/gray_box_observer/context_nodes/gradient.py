@@ -102,6 +102,10 @@ class GradientUpdate:
         theta: Array = np.exp(self._z)
         return theta
 
+    def counters(self) -> dict[str, int]:
+        """The gradient rule keeps no count."""
+        return {}
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; samples are remembered all the same."""
         self._frozen = frozen

@@ -130,6 +130,14 @@ class RecursiveUpdate:
         """Estimated standard deviation of the torque noise in N m, shape (motor,)."""
         return self._white_box.output(self._noise)
 
+    def counters(self) -> dict[str, int]:
+        """Samples left out, kicks of the state, and changes of the motor."""
+        return {
+            'torque outliers': int(self.outliers.sum()),
+            'state kicks': int(self.kicks.sum()),
+            'motor changes': self.alarms,
+        }
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; samples are remembered all the same, and learning resumes where they stand."""
         if frozen == self._frozen:

@@ -6,6 +6,7 @@ import queue
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from typing import Any, Protocol
 
 from gray_box_observer.errors import GrayBoxError
@@ -117,6 +118,8 @@ class ProcessTraining:
         while (result := messages.read(self._process.stdout)) is not None:  # type: ignore[arg-type]
             self._results.put(result)
         self._listener.join(timeout=1.0)
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=1.0)
         reason = self._complaints[-1] if self._complaints else f'exit status {self._process.poll()}'
         self.failure = TORCH_MISSING if 'torch' in reason and 'No module' in reason else f'training ended: {reason}'
 

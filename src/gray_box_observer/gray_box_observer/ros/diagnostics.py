@@ -51,15 +51,15 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
     if silent:
         topics = ' and '.join(intake.signals[n].topic for n in silent)
         return DiagnosticStatus.STALE, f'nothing received for this motor: is {topics} published with its name?'
+    seen = observer.motors.get(motor)
+    if seen is not None and seen.predictor is not None and seen.predictor.failure is not None:
+        return DiagnosticStatus.ERROR, seen.predictor.failure  # stays true whether samples come or not
     refused = traffic.rejected[motor] > 0.05 * (traffic.used[motor] + traffic.rejected[motor])
     complaint = f'{traffic.rejected[motor]} messages refused in {traffic.period_s:.0f} s: see rejected'
     if traffic.used[motor] == 0:
         if refused:
             return DiagnosticStatus.WARN, complaint
         return DiagnosticStatus.STALE, 'no new sample: have voltage and torque stopped, or do their stamps differ?'
-    training = observer.motors[motor].predictor
-    if training is not None and training.failure is not None:
-        return DiagnosticStatus.ERROR, training.failure
     if refused:
         return DiagnosticStatus.WARN, complaint
     estimate = observer.motors[motor].context_nodes.estimate()
@@ -101,6 +101,7 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
         value, std = estimate.value[0, j], estimate.std[0, j]
         values[f'{parameter.name} [{parameter.unit}]'] = f'{value:.6g} +- {std:.2g}'
         values[f'{parameter.name} verdict'] = estimate.verdicts[0][j].value
+    values.update({name: str(count) for name, count in seen.context_nodes.counters().items()})
     skill = observer.skill(motor)
     if skill is not None and seen.predictor is not None:
         values.update({name: _text(value) for name, value in skill.to_dict().items()})
