@@ -123,6 +123,13 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
+    ParameterSpec(
+        'recursive.long_hold_s',
+        60.0,
+        'In a longer hold of the voltage, in s, the level moves only what heats.',
+        0.0,
+        1e9,
+    ),
     ParameterSpec('gradient.batch_size', 25, 'New samples between two updates of the context nodes.', 1, 100000),
     ParameterSpec('gradient.window', 10, 'Samples between the two ends of a difference.', 1, 10000),
     ParameterSpec('gradient.learning_rate', 0.02, 'Adam, on the logarithm of the parameters.', 1e-6, 1.0),
