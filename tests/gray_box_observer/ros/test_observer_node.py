@@ -284,7 +284,8 @@ def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
 def test_torque_of_the_wrong_sign_is_called_implausible(rig, record):
     rig.start(torque__scale=-1.0)
     rig.send(record(EXCITATION, 8.0), range(800))
-    rig.wait_for_level(DiagnosticStatus.WARN, 'at a bound: check torque_constant, units and sign')
+    rig.wait_for_level(DiagnosticStatus.WARN, ': check torque_constant, units and sign')
+    rig.wait_for_level(DiagnosticStatus.WARN, ' bound of ')
     assert rig.latched(Bool, 'motor/identified').data is False
 
 

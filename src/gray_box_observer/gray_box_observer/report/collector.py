@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.context_nodes.sensitivity import sensitivity
+from gray_box_observer.observer import MotorObserver, Observer, Result
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
 
 
@@ -76,6 +77,7 @@ class Collector:
             rejected=dict(rejected),
             scores={key: float(v) for key, v in scores.items() if v is not None and key != 'samples'},
             notes=tuple(notes(name, observer)),
+            sensitivity=_sensitivity(observer.motors[name]),
         )
 
     def _parameters(self, name: str, course: _Course) -> tuple[ParameterHistory, ...]:
@@ -96,6 +98,11 @@ class Collector:
             )
             for j, p in enumerate(course.estimates[-1][1].parameters)
         )
+
+
+def _sensitivity(motor: MotorObserver) -> dict[str, dict[str, float]] | None:
+    """How an error of the known constants goes into the estimate, from what the rule remembers."""
+    return sensitivity(motor.white_box, motor.context_nodes.replay, motor.context_nodes.theta)
 
 
 def notes(name: str, observer: Observer) -> list[str]:
