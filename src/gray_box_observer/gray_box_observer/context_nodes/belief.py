@@ -80,13 +80,15 @@ class Belief:
     @property
     def finite(self) -> NDArray[np.bool_]:
         """Whether everything is a finite number, shape (motor,)."""
-        finite: NDArray[np.bool_] = np.all(
-            [np.isfinite(array.reshape(array.shape[0], -1)).all(axis=1) for array in self.arrays().values()], axis=0
-        )
+        motors = self.state.size
+        rows = np.concatenate([array.reshape(motors, -1) for array in self.arrays().values()], axis=1)
+        finite: NDArray[np.bool_] = np.isfinite(rows).all(axis=1)
         return finite
 
     def overwritten(self, other: Belief, which: NDArray[np.bool_]) -> Belief:
         """Return this belief with that of another for some of the motors."""
+        if np.all(which):
+            return other
         mixed = {
             name: np.where(which.reshape((-1,) + (1,) * (old.ndim - 1)), getattr(other, name), old)
             for name, old in self.arrays().items()
