@@ -129,7 +129,7 @@ def _feed(
         except SampleError:
             outcome.intake.malformed(signal)
             continue
-        results = outcome.intake.take(signal, message, raw.publish_time_ns)
+        results = outcome.intake.take(signal, message, raw.publish_time_ns).results
         if results:
             take(results)
         count += 1
