@@ -123,28 +123,30 @@ def _feed(
     )
     count = 0
     for raw, decoded in messages:
-        signal = signals[raw.topic]
+        carried = signals[raw.topic]
         try:
             message = decode(raw.data) if plain else decoded
         except SampleError:
-            outcome.intake.malformed(signal)
+            for signal in carried:
+                outcome.intake.malformed(signal)
             continue
-        results = outcome.intake.take(signal, message, raw.publish_time_ns).results
-        if results:
-            take(results)
+        for signal in carried:
+            results = outcome.intake.take(signal, message, raw.publish_time_ns).results
+            if results:
+                take(results)
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)
     progress(count % PROGRESS_STEP)
 
 
-def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcome: Outcome) -> dict[str, str]:
-    """Return the signal that every topic of interest carries.
+def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcome: Outcome) -> dict[str, list[str]]:
+    """Return the signals that every topic of interest carries; one message may hold several.
 
     Raises:
         BagError: a topic is missing, or there are several that it could be.
     """
-    signals = {}
+    signals: dict[str, list[str]] = {}
     for name in SIGNALS:
         wanted = configuration[f'{name}.topic']
         if not wanted:
@@ -154,7 +156,7 @@ def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcom
             have = ', '.join(sorted(bag.topics)) or 'none'
             problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
             raise BagError(f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter {name}.topic')
-        signals[found[0]] = name
+        signals.setdefault(found[0], []).append(name)
         outcome.warnings += _mismatch(f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration)
     return signals
 
