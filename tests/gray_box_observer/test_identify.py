@@ -224,6 +224,16 @@ def test_a_result_that_could_not_be_written_is_refused_before_the_work(
     assert f'cannot write {tmp_path / place}: ' in one_line(said)
 
 
+def test_a_report_that_could_not_be_drawn_is_refused_before_the_work(
+    identify: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('gray_box_observer.offline.run', lambda *_: pytest.fail('the work was begun'))
+    monkeypatch.setattr('gray_box_observer.report.page.find_spec', lambda name: None)
+    code, _, said = identify(bag, '--report', tmp_path / 'r.html')
+    assert code == 2
+    assert 'pip install plotly' in one_line(said)
+
+
 def test_json_makes_no_folders_and_a_report_does(identify: Run, bag: Path, tmp_path: Path) -> None:
     code, _, said = identify(bag, '--json', tmp_path / 'no' / 'r.json', '--skip-predictor')
     assert code == 2

@@ -129,9 +129,11 @@ def _refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
 
 def _collector(options: argparse.Namespace) -> Collector:
     """Make what the report is collected by, with the truth that was named or lies with the bag."""
+    from gray_box_observer.report import require_plotly
     from gray_box_observer.report.collector import Collector
     from gray_box_observer.report.truth import find_truth, read_truth
 
+    require_plotly()
     if options.truth:
         return Collector(read_truth(options.truth))
     found = find_truth(options.bags[0]) if len(options.bags) == 1 else None
