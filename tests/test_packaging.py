@@ -172,6 +172,16 @@ def test_observer_and_simulator_do_not_import_each_other():
     assert 'gray_box_observer' not in imported(sources('dc_motor_sim'))
 
 
+def test_a_section_of_the_method_that_the_code_cites_is_there():
+    headings = re.findall(r'^## (.+)$', (ROOT / 'docs' / 'METHOD.md').read_text(encoding='utf-8'), re.MULTILINE)
+    cited = {}
+    for path in [p for folder in ('src', 'benchmarks', 'tests') for p in (ROOT / folder).rglob('*.py')]:
+        for title in re.findall(r'docs/METHOD\.md, ([A-Z]\w[\w ]*|`[^`]+`)', path.read_text(encoding='utf-8')):
+            cited[title] = path
+    assert len(cited) >= 3
+    assert {title: path for title, path in cited.items() if title not in headings} == {}
+
+
 def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():
     text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
     explained = {name for line in text.splitlines() if line.startswith('|') for name in re.findall(r'`([^` ]+)`', line)}

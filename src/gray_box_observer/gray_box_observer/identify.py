@@ -191,7 +191,7 @@ def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
 
 
 def describe(outcome: offline.Outcome) -> dict[str, Any]:
-    """Return the result as plain values, in the form of DESIGN section 5."""
+    """Return the result as plain values: what ``--json`` writes."""
     motors = {}
     for name, estimate in outcome.observer.estimates().items():
         pairing = outcome.observer.pairing[name]

@@ -1,8 +1,8 @@
 """The motion of the state over one interval, with its derivatives, in the coordinates in which the rate is linear.
 
 The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) / theta_0``, for a
-motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (METHOD 1). Sensitivities follow the
-variational equation, integrated together with the state.
+motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (docs/METHOD.md, The form).
+Sensitivities follow the variational equation, integrated together with the state.
 """
 
 from __future__ import annotations
