@@ -26,10 +26,10 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'observer = gray_box_observer.ros.observer_node:main',
-            'recorder = gray_box_observer.ros.recorder_node:main',
-            'player = gray_box_observer.ros.player_node:main',
-            'identify = gray_box_observer.identify:main',
+            'observer = gray_box_observer.executables:observer',
+            'recorder = gray_box_observer.executables:recorder',
+            'player = gray_box_observer.executables:player',
+            'identify = gray_box_observer.executables:identify',
         ]
     },
 )

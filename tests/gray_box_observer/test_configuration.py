@@ -129,6 +129,12 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('motor__context_nodes', [['inductance']], r'motor\.context_nodes must be a list of str'),
         ('motor__initial__resistance', 1e9, r'motor\.initial\.resistance must be in'),
         ('motor__speed_source', 'guess', 'speed_source must be one of'),
+        ('voltage__type', 'JointState', r"voltage\.type must be a message type such as .*, got 'JointState'"),
+        ('speed__type', 'sensor_msgs.msg.JointState', r'speed\.type must be a message type'),
+        ('torque__field', 'wrench..z', r"torque\.field: 'wrench\.\.z' is no field path"),
+        ('torque__scale', float('nan'), r'torque\.scale must be a finite number other than 0, got nan'),
+        ('voltage__scale', 0, r'voltage\.scale must be a finite number other than 0'),
+        ('voltage__topic', '', r'voltage\.topic is empty'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:

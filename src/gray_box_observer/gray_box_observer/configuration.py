@@ -5,6 +5,7 @@ Names are those of ROS parameters. One YAML file serves the node and ``identify`
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
 
@@ -20,6 +22,11 @@ NODE_NAME = 'gray_box_observer'
 
 NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 """What ROS allows between two slashes of a topic: a motor's name stands there."""
+
+MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
+
+SIGNALS = ('voltage', 'torque', 'speed')
+"""What is measured; each has a group of parameters that say where it comes from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,6 +260,8 @@ class Configuration:
                 raise ConfigurationError(
                     f'parameter {large} must be at least twice {small}, got {values[large]} and {values[small]}'
                 )
+        for name in SIGNALS:
+            _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}
         return cls(values, motors, tuple(sorted(rest)))
 
@@ -303,6 +312,24 @@ def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
         else:
             flat[f'{prefix}{name}'] = value
     return flat
+
+
+def _check_signal(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse what no message could ever be read by, before any is waited for or read."""
+    if not values[f'{name}.topic'] and name != 'speed':
+        raise ConfigurationError(f'parameter {name}.topic is empty: voltage and torque each need a topic')
+    if not MESSAGE_TYPE.fullmatch(values[f'{name}.type']):
+        raise ConfigurationError(
+            f'parameter {name}.type must be a message type such as sensor_msgs/msg/JointState, '
+            f'got {values[f"{name}.type"]!r}'
+        )
+    scale = values[f'{name}.scale']
+    if not math.isfinite(scale) or scale == 0.0:
+        raise ConfigurationError(f'parameter {name}.scale must be a finite number other than 0, got {scale!r}')
+    try:
+        FieldPath(values[f'{name}.field'])
+    except ConfigurationError as error:
+        raise ConfigurationError(f'parameter {name}.field: {error}') from error
 
 
 def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:

@@ -2,7 +2,7 @@
 
 In the coordinates of :mod:`gray_box_observer.white_box.flow` the rate is linear in the unknowns, so a few steps from
 the linear start are enough. With white torque noise the gain comes out as zero, the prediction error is the output
-error, and the result stands at the Cramer-Rao bound (METHOD 4).
+error, and the result stands at the Cramer-Rao bound (docs/METHOD.md, The bound).
 """
 
 from __future__ import annotations

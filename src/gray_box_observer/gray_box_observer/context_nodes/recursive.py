@@ -1,6 +1,6 @@
 """The default rule: recursive maximum likelihood, statistically efficient, with an honest covariance.
 
-Route (METHOD 4): a linear start on the integrated equation; Gauss-Newton on the prediction error over everything
+Route (docs/METHOD.md): a linear start on the integrated equation; Gauss-Newton on the prediction error over everything
 remembered, repeated each time the data have doubled; in between, block by block, a Kalman update of (state,
 coordinates) with exact zero-order-hold sensitivities. Repeating the fit takes out what early linearisation had spoilt,
 so that the recursion stands where the batch estimate stands; with white torque noise that is the Cramer-Rao bound.

@@ -17,9 +17,9 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer import checkpoint
-from gray_box_observer.configuration import NODE_NAME
+from gray_box_observer.configuration import NODE_NAME, SIGNALS
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
-from gray_box_observer.intake import SIGNALS, Intake, stamp_of
+from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros import topics
@@ -129,23 +129,23 @@ class ObserverNode(LifecycleNode):
         return 'header' in self._types[name].get_fields_and_field_types()
 
     def _receive(self, name: str, message: Any) -> None:
-        self._take(name, message, stamp_of(message))
+        self._take(name, message, 0)
 
     def _receive_bare(self, name: str, message: Any, info: dict[str, Any]) -> None:
         self._take(name, message, info['source_timestamp'])
 
-    def _take(self, name: str, message: Any, stamp_ns: int) -> None:
+    def _take(self, name: str, message: Any, arrival_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None:
             return
         try:
-            results = self._intake.take(name, message, stamp_ns)
+            taken = self._intake.take(name, message, arrival_ns)
         except ConfigurationError as error:
             self._stop(error)
             return
-        self._outputs.results(results)
+        self._outputs.results(taken.results)
         if name == 'voltage':
-            for motor in self._intake.motors_in(name, message):
-                forecast = self._observer.forecast(motor, stamp_ns)
+            for motor, _ in taken.values:
+                forecast = self._observer.forecast(motor, taken.stamp_ns)
                 if forecast is not None:
                     self._outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
 
