@@ -75,13 +75,23 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
-    one, other = observer(InlineTraining), observer(InlineTraining)
+    one, other = (observer(InlineTraining, variant='main') for _ in range(2))
     feed(one, recording, 0, 500)
     save(one, tmp_path / 'c.npz')
     load(other, tmp_path / 'c.npz')
     said = [float(r.prediction.torque_nm[0]) for r in feed(other, recording, 500, 530) if r.prediction is not None]
     assert np.isnan(said[:8]).all()
     assert np.isfinite(said[12:]).all()
+
+
+def test_the_network_of_another_variant_is_refused(tmp_path: Path, recording: Recording) -> None:
+    for variant, wanted in (('main', 'expected variant physics'), ('physics', 'expected one of the thesis')):
+        one = observer(InlineTraining, variant=variant)
+        feed(one, recording, 0, 500)
+        save(one, tmp_path / f'{variant}.npz')
+        other = observer(InlineTraining, variant='physics' if variant == 'main' else 'main')
+        with pytest.raises(GrayBoxError, match=wanted):
+            load(other, tmp_path / f'{variant}.npz')
 
 
 def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recording: Recording) -> None:

@@ -99,6 +99,9 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
     assert configuration['gap_s'] == 2.0
     assert isinstance(configuration['gap_s'], float)
     assert isinstance(configuration.motors['motor'].values['torque_constant'], float)
+    limits = Configuration.from_flat({'motor.voltage_limits': [-12, 12]}).motors['motor'].values['voltage_limits']
+    assert limits == [-12.0, 12.0]
+    assert all(isinstance(limit, float) for limit in limits)
     refuse(r'seed must be of type int, got 1\.0 \(float\)', seed=1.0)
 
 
@@ -113,7 +116,7 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('gap_s', float('nan'), 'gap_s must be in .* got nan'),
         ('gap_s', float('inf'), 'gap_s must be in .* got inf'),
         ('seed', -1, r'seed must be in \[0, inf\], got -1'),
-        ('variant', 'best', "variant must be one of main, .* got 'best'"),
+        ('variant', 'best', "variant must be one of physics, main, .* got 'best'"),
         ('context_update', 'magic', 'context_update must be one of .*gradient'),
         ('motors', 'motor', "motors must be of type list, got 'motor'"),
         ('motors', [], 'motors must be distinct names'),
@@ -135,6 +138,12 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('torque__scale', float('nan'), r'torque\.scale must be a finite number other than 0, got nan'),
         ('voltage__scale', 0, r'voltage\.scale must be a finite number other than 0'),
         ('voltage__topic', '', r'voltage\.topic is empty'),
+        ('motor__voltage_limits', [12.0, -12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got'),
+        ('motor__voltage_limits', [12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got \[12'),
+        ('motor__voltage_limits', [0.0, 'high'], r'motor\.voltage_limits must be a list of float'),
+        ('motor__voltage_limits', [True, 1.0], r'motor\.voltage_limits must be a list of float'),
+        ('training__core_share', 0.0, r'training\.core_share must be in'),
+        ('training__start', 'warm', r'training\.start must be one of shipped, fresh'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:

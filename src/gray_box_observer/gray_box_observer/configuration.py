@@ -61,6 +61,8 @@ class ParameterSpec:
             value = float(value)
         if isinstance(self.default, list) and isinstance(value, tuple):
             value = list(value)
+        if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
+            value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
         if type(value) is not type(self.default):
             wanted, got = type(self.default).__name__, type(value).__name__
             raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
@@ -113,10 +115,11 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
     ParameterSpec(
         'variant',
-        'main',
-        'What the LSTM is trained on (thesis 5.1).',
-        choices=('main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+        'physics',
+        'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
+        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
+    ParameterSpec('horizon_s', 0.0, 'Longest forecast of variant physics, in s; 0: the next sample.', 0.0, 1e6),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
@@ -147,6 +150,13 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
+    ParameterSpec('training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0),
+    ParameterSpec(
+        'training.start',
+        'shipped',
+        'What variant physics begins with: the network that comes with the package, or a fresh one.',
+        choices=('shipped', 'fresh'),
+    ),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
@@ -178,6 +188,13 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'auto',
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque brings speed.',
         choices=('auto', 'measured', 'torque_constant'),
+    ),
+    ParameterSpec(
+        'voltage_limits',
+        [0.0, 0.0],
+        'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from what is seen.',
+        -1e6,
+        1e6,
     ),
     *(
         ParameterSpec(
@@ -338,6 +355,9 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
         spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _default(spec)), f'{name}.') for spec in MOTOR_PARAMETERS
     }
     motor = MotorConfiguration(name, values)
+    limits_v = values['voltage_limits']
+    if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
+        raise ConfigurationError(f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {limits_v}')
     try:
         motor.white_box(speed_measured=values['speed_source'] != 'torque_constant')
     except ConfigurationError as error:
