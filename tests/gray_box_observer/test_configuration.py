@@ -129,10 +129,21 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('motor__context_nodes', [['inductance']], r'motor\.context_nodes must be a list of str'),
         ('motor__initial__resistance', 1e9, r'motor\.initial\.resistance must be in'),
         ('motor__speed_source', 'guess', 'speed_source must be one of'),
+        ('motor__delay', 'guess', r"motor\.delay must be a number or estimate, got 'guess'"),
+        ('motor__delay', True, r'motor\.delay must be a number or estimate, got True'),
+        ('motor__delay', [0.1], r'motor\.delay must be a number or estimate, got \[0\.1\]'),
+        ('motor__delay', 1.5, r'motor\.delay must be in \[-1, 1\], got 1\.5'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
     refuse(message, **{name: value})
+
+
+def test_a_delay_is_a_number_or_the_word_estimate() -> None:
+    for given, delay_s, asked in ((0, 0.0, False), (-0.02, -0.02, False), ('estimate', 0.0, True)):
+        motor = Configuration.from_flat({'motor.delay': given}).motors['motor']
+        assert (motor.delay_s, motor.estimates_delay) == (delay_s, asked)
+    assert Configuration.from_flat({}).motors['motor'].delay_s == 0.0
 
 
 def test_back_emf_cannot_be_identified_where_speed_is_taken_from_torque() -> None:
