@@ -14,11 +14,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gray_box_observer import offline
 from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.delay import DelayVerdict
+from gray_box_observer.observer import Observer
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
@@ -28,6 +31,10 @@ ROBOT_RESISTANCE_OHM = (3.9, 4.5)
 DEAD_CURRENT_SENSOR = ('18', 'right')
 WHEEL_RADIUS_M, GEAR = 0.03, 9.68
 ROBOT_TORQUE_CONSTANT = 0.007
+STEP_TORQUE_CONSTANT = 0.045
+STEP_LOGS = ('100PWM152HZ.csv', '100PWM38HZ.csv', 'LAB_2_step6VPSU-1.csv')
+"""Logs of fra233 with one step of the voltage. Its ramp cannot tell a delay from a dead zone of the driver."""
+DELAY_TOLERANCE_S = 2e-3
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,46 @@ def cases(data: Path) -> Iterator[Case]:
         yield _robot(log)
 
 
+def step_cases(data: Path) -> Iterator[Case]:
+    """Yield the logs whose command leads the current, for the delay to be estimated."""
+    for name in STEP_LOGS:
+        yield Case(
+            f'step {name.removesuffix(".csv")}',
+            data / 'fra233' / name,
+            (
+                'time=t_s',
+                'voltage=u_cmd_V',
+                'current=current_A',
+                'speed=omega_rad_s',
+                f'torque_constant={STEP_TORQUE_CONSTANT}',
+            ),
+            {
+                'motor.torque_constant': STEP_TORQUE_CONSTANT,
+                'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant'],
+                'motor.initial.inductance': 0.01,
+                'motor.initial.resistance': 10.0,
+                'motor.initial.back_emf_constant': 0.1,
+                'motor.delay': 'estimate',
+            },
+        )
+
+
+def onset_s(log: Path) -> tuple[float, float]:
+    """Time from the step of the voltage to the onset of the current and to its steepest rise, by eye so to speak.
+
+    The onset is where the line through the first two samples that stand out by ten standard deviations meets the
+    current before; the steepest rise is the lag at which the slopes of voltage and current correlate best.
+    """
+    time_s, volt, current, _ = np.loadtxt(log, delimiter=',', skiprows=1).T
+    step = int(np.argmax(np.abs(np.diff(volt)))) + 1
+    level, noise = float(np.mean(current[:step])), float(np.std(current[:step]))
+    first = step + int(np.argmax(np.abs(current[step:] - level) > 10.0 * noise))
+    slope = (current[first + 1] - current[first]) / (time_s[first + 1] - time_s[first])
+    onset = float(time_s[first] - (current[first] - level) / slope - time_s[step])
+    product = np.correlate(np.diff(current), np.diff(volt), mode='full')[volt.size - 2 :]
+    return onset, float(np.argmax(product) * np.median(np.diff(time_s)))
+
+
 def _robot(log: Path) -> Case:
     columns, parameters = ['time=$1'], {'motors': ['left', 'right']}
     for side, (volt, ampere, metre_per_second) in {'left': (5, 7, 9), 'right': (6, 8, 10)}.items():
@@ -86,13 +133,13 @@ def _robot(log: Path) -> Case:
     return Case(f'robot {log.stem.rpartition("_")[2]}', log, tuple(columns), parameters)
 
 
-def identify(case: Case) -> dict[str, Estimate]:
-    """Convert one log and run the observer over it; return the last estimates by motor."""
+def identify(case: Case) -> Observer:
+    """Convert one log and run the observer over it; return the observer at its end."""
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / 'bag'
         csv_to_bag(case.path, bag, CsvMapping.from_options(case.columns))
         outcome = offline.run([bag], Configuration.from_flat(case.parameters), None)
-    return outcome.observer.estimates()
+    return outcome.observer
 
 
 def main() -> int:
@@ -109,7 +156,7 @@ def main() -> int:
     dead_believed, time_constant_s = None, float('nan')
     print(f'{"motor":<18}{"parameter":<20}{"found":>12}{"std":>10}  {"verdict":<13}known')
     for case in cases(data):
-        for motor, estimate in identify(case).items():
+        for motor, estimate in identify(case).estimates().items():
             name = case.name if motor == 'motor' else f'{case.name} {motor}'
             is_servo = case.name == 'SG90 servo'
             for j, parameter in enumerate(estimate.parameters):
@@ -124,7 +171,7 @@ def main() -> int:
             else:
                 healthy.append(float(estimate.value[0, 1]))
     low, high = ROBOT_RESISTANCE_OHM
-    figures = [
+    figures: list[dict[str, object]] = [
         {
             'name': 'SG90 L/R in us',
             'value': time_constant_s * 1e6,
@@ -146,8 +193,24 @@ def main() -> int:
         {'name': 'healthy robot motors', 'value': len(healthy), 'goal': None, 'met': None},
         {'name': 'dead current sensor believed', 'value': dead_believed, 'goal': False, 'met': dead_believed is False},
     ]
+    figures += delays(data)
     print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': figures}))
     return 0
+
+
+def delays(data: Path) -> list[dict[str, object]]:
+    """Print the delays that are found in the logs of steps beside those that are seen by eye; return the figures."""
+    print(f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  verdict')
+    figures: list[dict[str, object]] = []
+    for case in step_cases(data):
+        found = identify(case).delays()['motor']
+        onset, steepest = onset_s(case.path)
+        numbers = [1e3 * number for number in (found.value_s, found.std_s, found.applied_s, onset, steepest)]
+        print('{:<28}{:>10.2f}{:>8.2f}{:>9.2f}{:>9.2f}{:>10.2f}'.format(case.name, *numbers), f' {found.verdict.value}')
+        met = found.verdict is DelayVerdict.ESTIMATED and abs(found.applied_s - onset) <= DELAY_TOLERANCE_S
+        goal = [1e3 * (onset - DELAY_TOLERANCE_S), 1e3 * (onset + DELAY_TOLERANCE_S)]
+        figures.append({'name': f'{case.name}: delay in ms', 'value': numbers[2], 'goal': goal, 'met': met})
+    return figures
 
 
 KNOWN = {

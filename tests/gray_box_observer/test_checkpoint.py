@@ -209,3 +209,47 @@ def test_the_checkpoint_of_another_rule_is_refused(tmp_path: Path, recording: Re
     feed(one, recording, 0, 500)
     save(one, tmp_path / 'c.npz')
     refuse(tmp_path / 'c.npz', 'is a checkpoint of the rule gradient, expected recursive', context_update='recursive')
+
+
+def feed_early(one: Observer, recording: Recording, start: int, end: int, delay_ns: int) -> list[Result]:
+    results: list[Result] = []
+    for k in range(start, end):
+        stamp = int(recording.stamp_ns[k]) + 1_000_000_000
+        results += one.voltage('motor', stamp - delay_ns, float(recording.voltage_v[0, k]))
+        results += one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    return results
+
+
+def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recording: Recording) -> None:
+    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 'estimate'})
+    feed_early(one, recording, 0, 1500, 53_000_000)
+    applied_s = one.delays()['motor'].applied_s
+    assert applied_s == pytest.approx(0.053, abs=1e-3)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    assert other.delays()['motor'] == one.delays()['motor']
+    assert other.pairing['motor'].delay_ns == round(applied_s * 1e9)
+    on = feed_early(other, recording, 1500, 2000, 53_000_000)
+    assert other.delays()['motor'].applied_s == pytest.approx(applied_s, abs=1e-3)
+    np.testing.assert_allclose(
+        on[-1].sample.voltage_v, feed_early(one, recording, 1500, 2000, 53_000_000)[-1].sample.voltage_v
+    )
+    np.testing.assert_allclose(other.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02)
+
+
+def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, recording: Recording) -> None:
+    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 0.02})
+    feed_early(one, recording, 0, 1500, 53_000_000)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    assert other.delays()['motor'].applied_s == 0.02
+    assert other.pairing['motor'].delay_ns == 20_000_000
+
+
+def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
+    content = messages.decode(saved.read_bytes())
+    del content['motors']['motor']['delay']
+    saved.write_bytes(messages.encode(content))
+    one = observer(**{'motor.delay': 'estimate'})
+    load(one, saved)
+    assert one.delays()['motor'].applied_s == 0.0

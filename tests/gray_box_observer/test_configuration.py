@@ -144,10 +144,21 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('motor__voltage_limits', [True, 1.0], r'motor\.voltage_limits must be a list of float'),
         ('training__core_share', 0.0, r'training\.core_share must be in'),
         ('training__start', 'warm', r'training\.start must be one of shipped, fresh'),
+        ('motor__delay', 'guess', r"motor\.delay must be a number or estimate, got 'guess'"),
+        ('motor__delay', True, r'motor\.delay must be a number or estimate, got True'),
+        ('motor__delay', [0.1], r'motor\.delay must be a number or estimate, got \[0\.1\]'),
+        ('motor__delay', 1.5, r'motor\.delay must be in \[-1, 1\], got 1\.5'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
     refuse(message, **{name: value})
+
+
+def test_a_delay_is_a_number_or_the_word_estimate() -> None:
+    for given, delay_s, asked in ((0, 0.0, False), (-0.02, -0.02, False), ('estimate', 0.0, True)):
+        motor = Configuration.from_flat({'motor.delay': given}).motors['motor']
+        assert (motor.delay_s, motor.estimates_delay) == (delay_s, asked)
+    assert Configuration.from_flat({}).motors['motor'].delay_s == 0.0
 
 
 def test_back_emf_cannot_be_identified_where_speed_is_taken_from_torque() -> None:

@@ -39,6 +39,7 @@ class ParameterSpec:
         description: what it does, with its unit.
         minimum, maximum: inclusive range of a number.
         choices: allowed values of a string.
+        words: words that may stand in place of a number.
         live: whether it may be changed while the node runs.
     """
 
@@ -48,6 +49,7 @@ class ParameterSpec:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
     live: bool = False
 
     def check(self, value: Any, where: str = '') -> Any:
@@ -63,6 +65,10 @@ class ParameterSpec:
             value = list(value)
         if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
             value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
+        if value in self.words:
+            return value
+        if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ConfigurationError(f'parameter {name} must be a number or {" or ".join(self.words)}, got {value!r}')
         if type(value) is not type(self.default):
             wanted, got = type(self.default).__name__, type(value).__name__
             raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
@@ -196,6 +202,14 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         -1e6,
         1e6,
     ),
+    ParameterSpec(
+        'delay',
+        0.0,
+        'By how much voltage acts on torque later than it is stamped, in s; or the word estimate.',
+        -1.0,
+        1.0,
+        words=('estimate',),
+    ),
     *(
         ParameterSpec(
             f'initial.{term.parameter.name}',
@@ -226,6 +240,16 @@ class MotorConfiguration:
             if name not in nodes and self.values[name] > 0.0
         }
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
+
+    @property
+    def estimates_delay(self) -> bool:
+        """Whether the delay between voltage and torque is estimated instead of declared."""
+        return isinstance(self.values['delay'], str)
+
+    @property
+    def delay_s(self) -> float:
+        """The declared delay in s; 0 to begin with where it is estimated."""
+        return 0.0 if self.estimates_delay else float(self.values['delay'])
 
     def initial(self) -> list[float]:
         """Where identification starts, in the order of the context nodes."""

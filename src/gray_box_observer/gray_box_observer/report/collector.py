@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -118,6 +119,21 @@ def notes(name: str, observer: Observer) -> list[str]:
         said.append(
             f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its error goes into R.'
         )
+    delay = motor.delay.estimate
+    complaint = delay.complaint(name)
+    if complaint is not None:
+        said.append(f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.')
+    elif delay.asked:
+        found = (
+            'the data do not tell it'
+            if math.isnan(delay.value_s)
+            else (f'{1e3 * delay.value_s:.4g} ms ± {1e3 * delay.std_s:.2g} ms in the newest data')
+        )
+        said.append(
+            f'The delay from voltage to torque is estimated: {found}; {1e3 * delay.applied_s:.4g} ms are taken off.'
+        )
+    elif delay.applied_s:
+        said.append(f'Voltage is taken to act on torque {1e3 * delay.applied_s:.4g} ms later than it is stamped.')
     pairing = observer.pairing[name]
     if pairing.restarts:
         said.append(
