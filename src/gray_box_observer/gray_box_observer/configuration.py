@@ -163,6 +163,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'What variant physics begins with: the network that comes with the package, or a fresh one.',
         choices=('shipped', 'fresh'),
     ),
+    ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0

@@ -14,6 +14,7 @@ from gray_box_observer.predictor.drawing import Sequences, draw_around, draw_fam
 from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, free_run_error, lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.residual_trainer import ResidualTrainer
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.predictor.trainer import Message
@@ -54,6 +55,7 @@ class PhysicsTrainer:
         self._running = first_network(self._rules, self._seed)
         self._pupil: Pupil | None = None
         self._refused = 0
+        self._residual = ResidualTrainer(self._seed)
         self._family = _HeldOut(draw_family(np.random.default_rng([self._seed, 2]), HELD_OUT, LENGTH))
 
     def train(self, job: Message) -> Message:
@@ -62,6 +64,13 @@ class PhysicsTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
+        told = self._teach(job)
+        if job.get('residual'):
+            told |= self._residual.learn(self._running, recent_sequences(self._white_box, job))
+        return told
+
+    def _teach(self, job: Message) -> Message:
+        """Teach the physics; say what came of it."""
         if 'start_input' in job:
             self._running = Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
             self._pupil = None

@@ -18,6 +18,7 @@ from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.relaxation import Course, course, flow
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
+from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
@@ -26,6 +27,9 @@ from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
+
+RESIDUAL_PERIOD = 1000
+"""New samples, at least, between two rounds of learning the residual."""
 
 MOVED = 0.05
 """Change of a parameter, as a fraction, after which a settled network is looked at again."""
@@ -41,12 +45,16 @@ class Prediction:
         white_box_torque_nm: shape (motor,): the white box's rollout from voltages alone.
         memory: the network's memory after this step; None where it made none.
         way: where voltage and speed lead; None at the first sample of a history.
+        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
+        residual_memory: memory of what has learnt it.
     """
 
     torque_nm: Array
     white_box_torque_nm: Array
     memory: Memory | None
     way: Course | None
+    physics_nm: Array | None = None
+    residual_memory: Memory | None = None
 
 
 class Predictor:
@@ -78,6 +86,8 @@ class Predictor:
         else:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
+        self.residual = ResidualForecaster(white_box, motors)
+        self._residual_asked = 0
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
@@ -111,7 +121,10 @@ class Predictor:
         end = flow(ops, self._white_box, question.way, start, length_s)
         rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
         torque_nm, memory = self._forecaster.forecast(question)
-        return Prediction(torque_nm, rollout_nm, memory, question.way)
+        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        if correction_nm is None:
+            return Prediction(torque_nm, rollout_nm, memory, question.way)
+        return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
     def forecast(self, horizon_s: float, voltage_v: Array, theta: Array) -> Array:
         """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
@@ -150,7 +163,9 @@ class Predictor:
             'white_box': prediction.white_box_torque_nm,
         }
         self.scores.add(sample.torque_nm, rivals)
-        self._forecaster.remember(prediction.torque_nm, sample.torque_nm, anew, prediction.memory)
+        physics_nm = prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
+        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
+        self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
         self._rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
@@ -168,7 +183,8 @@ class Predictor:
     def state(self) -> dict[str, Array]:
         """The network and where the motors have run, as arrays."""
         seen = {f'seen_{name}': np.array(bounds) for name, bounds in self._seen.to_dict().items()}
-        return {**self._forecaster.state(), **seen}
+        learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
+        return {**self._forecaster.state(), **seen, **learnt}
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave; training goes on from there.
@@ -177,6 +193,7 @@ class Predictor:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
+        self.residual.adopt(arrays)
         seen = {name[5:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('seen_')}
         self._seen = OperatingRange.from_dict(seen)
         self._start_from = self._forecaster.start()
@@ -224,9 +241,11 @@ class Predictor:
                 self.jobs_late += 1
                 return
             self._adopt(result, theta)
-        if self._training.resting or self._nothing_to_gain(theta) or len(self.replay) < self._rules.length:
+        residual = self._residual_due()
+        idle = self._nothing_to_gain(theta) and not residual
+        if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
-        count = self._rules.job_samples
+        count = None if residual else self._rules.job_samples
         self._training.submit(
             {
                 'voltage_v': self.replay.voltage_v(count),
@@ -236,10 +255,20 @@ class Predictor:
                 'theta': theta,
                 'covariance': covariance,
                 'seen': self._seen.to_dict(),
+                'residual': residual,
                 **self._start_from,
             }
         )
         self._start_from = {}
+
+    def _residual_due(self) -> bool:
+        """Whether there is so much more to learn a residual from that it is worth a round."""
+        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
+            return False
+        due = self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
+        if due:
+            self._residual_asked = self.replay.total
+        return due
 
     def _nothing_to_gain(self, theta: Array) -> bool:
         if self._settled is None:
@@ -251,5 +280,6 @@ class Predictor:
         self.jobs_done += 1
         self._settled = (theta, self._seen) if result.get('settled') else None
         self.loss = result.get('loss', self.loss)
+        self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
