@@ -11,17 +11,21 @@ import json
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from common.figures import Figure, last_line
 
 from gray_box_observer import offline
 from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.errors import GrayBoxError
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
+SERVO = 'SG90 servo'
 SERVO_PERIOD_S = 49.75e-6
 SERVO_TIME_CONSTANT_S = (140e-6, 171e-6)
 ROBOT_RESISTANCE_OHM = (3.9, 4.5)
@@ -41,10 +45,10 @@ class Case:
 
 
 def cases(data: Path) -> Iterator[Case]:
-    """Yield every log."""
+    """Yield every log; the servo's whether it is there or not."""
     servo = data / 'openservocore' / 'rl-probe-bench.csv'
     yield Case(
-        'SG90 servo',
+        SERVO,
         servo,
         (
             f'sample_period_s={SERVO_PERIOD_S}',
@@ -95,58 +99,85 @@ def identify(case: Case) -> dict[str, Estimate]:
     return outcome.observer.estimates()
 
 
+@dataclass
+class Found:
+    """What the logs have told so far.
+
+    Attributes:
+        servo_time_constant_s: L/R of the servo; None where its log is not there.
+        healthy_ohm: R of every motor of the robots whose sensors work.
+        dead_believed: whether the motor with the dead current sensor was called identified; None where it is not there.
+    """
+
+    servo_time_constant_s: float | None = None
+    healthy_ohm: list[float] = field(default_factory=list)
+    dead_believed: bool | None = None
+
+    def take(self, case: Case, motor: str, estimate: Estimate) -> None:
+        """Take the last estimate of one motor."""
+        if case.name == SERVO:
+            self.servo_time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
+        elif (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:
+            self.dead_believed = estimate.identified(0)
+        else:
+            self.healthy_ohm.append(float(estimate.value[0, 1]))
+
+    def figures(self) -> list[Figure]:
+        """Return what was asked, with its goal; what was not measured has no value."""
+        time_constant_us = None if self.servo_time_constant_s is None else self.servo_time_constant_s * 1e6
+        low_us, high_us = (t * 1e6 for t in SERVO_TIME_CONSTANT_S)
+        return [
+            Figure('SG90 L/R in us', time_constant_us, (low_us, high_us)),
+            Figure('healthy robot motors, lowest R in ohm', min(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
+            Figure('healthy robot motors, highest R in ohm', max(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
+            Figure('healthy robot motors', float(len(self.healthy_ohm)), None),
+            Figure(
+                'dead current sensors believed', None if self.dead_believed is None else float(self.dead_believed), 0.0
+            ),
+        ]
+
+
+def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
+    """Lay out the last estimate of one motor."""
+    name = case.name if motor == 'motor' else f'{case.name} {motor}'
+    for j, parameter in enumerate(estimate.parameters):
+        known = KNOWN['servo' if case.name == SERVO else 'robot'][parameter.name]
+        value, std, verdict = estimate.value[0, j], estimate.std[0, j], estimate.verdicts[0][j].value
+        yield f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}'
+    if case.name == SERVO:
+        time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
+        yield f'{name:<18}{"L/R":<20}{time_constant_s:>12.5g}{"":>10}  {"":<13}154 us [140, 171]'
+
+
 def main() -> int:
     """Print a table and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--data', type=Path, default=DEFAULT_DATA, help='folder with openservocore and regbot_rev2b')
+    parser.add_argument('--data', type=Path, help='folder with openservocore and regbot_rev2b')
     parser.add_argument('--quick', action='store_true', help='no difference: the whole takes seconds')
-    data = parser.parse_args().data
-    if not data.is_dir():
-        print(f'real_motors: skipped: no measurements in {data}', file=sys.stderr)
+    options = parser.parse_args()
+    data = options.data or DEFAULT_DATA
+    present = [case for case in cases(data) if case.path.is_file()]
+    if not present:
+        what = f'no measurements in {data}: expected openservocore/rl-probe-bench.csv or regbot_rev2b/vel_step_*.txt'
+        if options.data is not None:
+            print(f'real_motors: error: {what}', file=sys.stderr)
+            return 2
+        print(f'real_motors: skipped: {what}; name their folder with --data', file=sys.stderr)
         print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
         return 0
-    healthy: list[float] = []
-    dead_believed, time_constant_s = None, float('nan')
+    found = Found()
     print(f'{"motor":<18}{"parameter":<20}{"found":>12}{"std":>10}  {"verdict":<13}known')
-    for case in cases(data):
-        for motor, estimate in identify(case).items():
-            name = case.name if motor == 'motor' else f'{case.name} {motor}'
-            is_servo = case.name == 'SG90 servo'
-            for j, parameter in enumerate(estimate.parameters):
-                known = KNOWN['servo' if is_servo else 'robot'][parameter.name]
-                value, std, verdict = estimate.value[0, j], estimate.std[0, j], estimate.verdicts[0][j].value
-                print(f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}')
-            if is_servo:
-                time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
-                print(f'{name:<18}{"L/R":<20}{time_constant_s:>12.5g}{"":>10}  {"":<13}154 us [140, 171]')
-            elif (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:
-                dead_believed = estimate.identified(0)
-            else:
-                healthy.append(float(estimate.value[0, 1]))
-    low, high = ROBOT_RESISTANCE_OHM
-    figures = [
-        {
-            'name': 'SG90 L/R in us',
-            'value': time_constant_s * 1e6,
-            'goal': [t * 1e6 for t in SERVO_TIME_CONSTANT_S],
-            'met': SERVO_TIME_CONSTANT_S[0] <= time_constant_s <= SERVO_TIME_CONSTANT_S[1],
-        },
-        {
-            'name': 'healthy robot motors, lowest R in ohm',
-            'value': min(healthy),
-            'goal': low,
-            'met': min(healthy) >= low,
-        },
-        {
-            'name': 'healthy robot motors, highest R in ohm',
-            'value': max(healthy),
-            'goal': high,
-            'met': max(healthy) <= high,
-        },
-        {'name': 'healthy robot motors', 'value': len(healthy), 'goal': None, 'met': None},
-        {'name': 'dead current sensor believed', 'value': dead_believed, 'goal': False, 'met': dead_believed is False},
-    ]
-    print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': figures}))
+    for case in present:
+        try:
+            estimates = identify(case)
+        except GrayBoxError as error:
+            print(f'real_motors: error: {" ".join(str(error).split())}', file=sys.stderr)
+            return 2
+        for motor, estimate in estimates.items():
+            found.take(case, motor, estimate)
+            for row in rows(case, motor, estimate):
+                print(row)
+    print(last_line('real_motors', 0, found.figures()))
     return 0
 
 
