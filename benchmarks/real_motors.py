@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 from common.figures import Figure, last_line
 
 from gray_box_observer import offline
@@ -21,7 +23,9 @@ from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.delay import DelayVerdict
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.observer import Observer
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
@@ -32,6 +36,10 @@ ROBOT_RESISTANCE_OHM = (3.9, 4.5)
 DEAD_CURRENT_SENSOR = ('18', 'right')
 WHEEL_RADIUS_M, GEAR = 0.03, 9.68
 ROBOT_TORQUE_CONSTANT = 0.007
+STEP_TORQUE_CONSTANT = 0.045
+STEP_LOGS = ('100PWM152HZ.csv', '100PWM38HZ.csv', 'LAB_2_step6VPSU-1.csv')
+"""Logs of fra233 with one step of the voltage. Its ramp cannot tell a delay from a dead zone of the driver."""
+DELAY_TOLERANCE_S = 2e-3
 
 
 @dataclass(frozen=True)
@@ -71,6 +79,46 @@ def cases(data: Path) -> Iterator[Case]:
         yield _robot(log)
 
 
+def step_cases(data: Path) -> Iterator[Case]:
+    """Yield the logs whose command leads the current, for the delay to be estimated."""
+    for name in STEP_LOGS:
+        yield Case(
+            f'step {name.removesuffix(".csv")}',
+            data / 'fra233' / name,
+            (
+                'time=t_s',
+                'voltage=u_cmd_V',
+                'current=current_A',
+                'speed=omega_rad_s',
+                f'torque_constant={STEP_TORQUE_CONSTANT}',
+            ),
+            {
+                'motor.torque_constant': STEP_TORQUE_CONSTANT,
+                'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant'],
+                'motor.initial.inductance': 0.01,
+                'motor.initial.resistance': 10.0,
+                'motor.initial.back_emf_constant': 0.1,
+                'motor.delay': 'estimate',
+            },
+        )
+
+
+def onset_s(log: Path) -> tuple[float, float]:
+    """Time from the step of the voltage to the onset of the current and to its steepest rise, by eye so to speak.
+
+    The onset is where the line through the first two samples that stand out by ten standard deviations meets the
+    current before; the steepest rise is the lag at which the slopes of voltage and current correlate best.
+    """
+    time_s, volt, current, _ = np.loadtxt(log, delimiter=',', skiprows=1).T
+    step = int(np.argmax(np.abs(np.diff(volt)))) + 1
+    level, noise = float(np.mean(current[:step])), float(np.std(current[:step]))
+    first = step + int(np.argmax(np.abs(current[step:] - level) > 10.0 * noise))
+    slope = (current[first + 1] - current[first]) / (time_s[first + 1] - time_s[first])
+    onset = float(time_s[first] - (current[first] - level) / slope - time_s[step])
+    product = np.correlate(np.diff(current), np.diff(volt), mode='full')[volt.size - 2 :]
+    return onset, float(np.argmax(product) * np.median(np.diff(time_s)))
+
+
 def _robot(log: Path) -> Case:
     columns, parameters = ['time=$1'], {'motors': ['left', 'right']}
     for side, (volt, ampere, metre_per_second) in {'left': (5, 7, 9), 'right': (6, 8, 10)}.items():
@@ -90,13 +138,13 @@ def _robot(log: Path) -> Case:
     return Case(f'robot {log.stem.rpartition("_")[2]}', log, tuple(columns), parameters)
 
 
-def identify(case: Case) -> dict[str, Estimate]:
-    """Convert one log and run the observer over it; return the last estimates by motor."""
+def identify(case: Case) -> Observer:
+    """Convert one log and run the observer over it; return the observer at its end."""
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / 'bag'
         csv_to_bag(case.path, bag, CsvMapping.from_options(case.columns))
         outcome = offline.run([bag], Configuration.from_flat(case.parameters), None)
-    return outcome.observer.estimates()
+    return outcome.observer
 
 
 @dataclass
@@ -150,35 +198,55 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
 
 
 def main() -> int:
-    """Print a table and one line of JSON."""
+    """Print two tables and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--data', type=Path, help='folder with openservocore and regbot_rev2b')
+    parser.add_argument('--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233')
     parser.add_argument('--quick', action='store_true', help='no difference: the whole takes seconds')
     options = parser.parse_args()
     data = options.data or DEFAULT_DATA
-    present = [case for case in cases(data) if case.path.is_file()]
-    if not present:
-        what = f'no measurements in {data}: expected openservocore/rl-probe-bench.csv or regbot_rev2b/vel_step_*.txt'
+    present, steps = ([case for case in found if case.path.is_file()] for found in (cases(data), step_cases(data)))
+    if not present and not steps:
+        what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
         if options.data is not None:
             print(f'real_motors: error: {what}', file=sys.stderr)
             return 2
         print(f'real_motors: skipped: {what}; name their folder with --data', file=sys.stderr)
         print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
         return 0
+    try:
+        figures = [*parameters(present), *delays(steps)]
+    except GrayBoxError as error:
+        print(f'real_motors: error: {" ".join(str(error).split())}', file=sys.stderr)
+        return 2
+    print(last_line('real_motors', 0, figures))
+    return 0
+
+
+def parameters(present: Sequence[Case]) -> list[Figure]:
+    """Print what is found of every motor; return the figures."""
     found = Found()
     print(f'{"motor":<18}{"parameter":<20}{"found":>12}{"std":>10}  {"verdict":<13}known')
     for case in present:
-        try:
-            estimates = identify(case)
-        except GrayBoxError as error:
-            print(f'real_motors: error: {" ".join(str(error).split())}', file=sys.stderr)
-            return 2
-        for motor, estimate in estimates.items():
+        for motor, estimate in identify(case).estimates().items():
             found.take(case, motor, estimate)
             for row in rows(case, motor, estimate):
                 print(row)
-    print(last_line('real_motors', 0, found.figures()))
-    return 0
+    return found.figures()
+
+
+def delays(present: Sequence[Case]) -> list[Figure]:
+    """Print the delays that are found in the logs of steps beside those that are seen by eye; return the figures."""
+    print(f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  verdict')
+    figures = []
+    for case in present:
+        found = identify(case).delays()['motor']
+        onset, steepest = onset_s(case.path)
+        numbers = [1e3 * number for number in (found.value_s, found.std_s, found.applied_s, onset, steepest)]
+        print('{:<28}{:>10.2f}{:>8.2f}{:>9.2f}{:>9.2f}{:>10.2f}'.format(case.name, *numbers), f' {found.verdict.value}')
+        applied = numbers[2] if found.verdict is DelayVerdict.ESTIMATED else math.nan  # which meets no goal
+        band = (1e3 * (onset - DELAY_TOLERANCE_S), 1e3 * (onset + DELAY_TOLERANCE_S))
+        figures.append(Figure(f'{case.name}: delay in ms', applied, band))
+    return figures
 
 
 KNOWN = {

@@ -16,7 +16,7 @@ setup(
         (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.yaml'))]),
         (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
     ],
-    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html']},
+    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html', 'predictor/*.safetensors']},
     install_requires=['setuptools', 'numpy', 'PyYAML'],
     extras_require={'test': ['pytest']},
     zip_safe=False,

@@ -77,13 +77,23 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
-    one, other = observer(InlineTraining), observer(InlineTraining)
+    one, other = (observer(InlineTraining, variant='main') for _ in range(2))
     feed(one, recording, 0, 500)
     save(one, tmp_path / 'c.npz')
     load(other, tmp_path / 'c.npz')
     said = [float(r.prediction.torque_nm[0]) for r in feed(other, recording, 500, 530) if r.prediction is not None]
     assert np.isnan(said[:8]).all()
     assert np.isfinite(said[12:]).all()
+
+
+def test_the_network_of_another_variant_is_refused(tmp_path: Path, recording: Recording) -> None:
+    for variant, wanted in (('main', 'expected variant physics'), ('physics', 'expected one of the thesis')):
+        one = observer(InlineTraining, variant=variant)
+        feed(one, recording, 0, 500)
+        save(one, tmp_path / f'{variant}.npz')
+        other = observer(InlineTraining, variant='physics' if variant == 'main' else 'main')
+        with pytest.raises(GrayBoxError, match=wanted):
+            load(other, tmp_path / f'{variant}.npz')
 
 
 def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recording: Recording) -> None:
@@ -227,3 +237,47 @@ def test_the_checkpoint_of_another_rule_is_refused(tmp_path: Path, recording: Re
     feed(one, recording, 0, 500)
     save(one, tmp_path / 'c.npz')
     refuse(tmp_path / 'c.npz', 'is a checkpoint of the rule gradient, expected recursive', context_update='recursive')
+
+
+def feed_early(one: Observer, recording: Recording, start: int, end: int, delay_ns: int) -> list[Result]:
+    results: list[Result] = []
+    for k in range(start, end):
+        stamp = int(recording.stamp_ns[k]) + 1_000_000_000
+        results += one.voltage('motor', stamp - delay_ns, float(recording.voltage_v[0, k]))
+        results += one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    return results
+
+
+def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recording: Recording) -> None:
+    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 'estimate'})
+    feed_early(one, recording, 0, 1500, 53_000_000)
+    applied_s = one.delays()['motor'].applied_s
+    assert applied_s == pytest.approx(0.053, abs=1e-3)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    assert other.delays()['motor'] == one.delays()['motor']
+    assert other.pairing['motor'].delay_ns == round(applied_s * 1e9)
+    on = feed_early(other, recording, 1500, 2000, 53_000_000)
+    assert other.delays()['motor'].applied_s == pytest.approx(applied_s, abs=1e-3)
+    np.testing.assert_allclose(
+        on[-1].sample.voltage_v, feed_early(one, recording, 1500, 2000, 53_000_000)[-1].sample.voltage_v
+    )
+    np.testing.assert_allclose(other.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02)
+
+
+def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, recording: Recording) -> None:
+    one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 0.02})
+    feed_early(one, recording, 0, 1500, 53_000_000)
+    save(one, tmp_path / 'c.npz')
+    load(other, tmp_path / 'c.npz')
+    assert other.delays()['motor'].applied_s == 0.02
+    assert other.pairing['motor'].delay_ns == 20_000_000
+
+
+def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
+    content = messages.decode(saved.read_bytes())
+    del content['motors']['motor']['delay']
+    saved.write_bytes(messages.encode(content))
+    one = observer(**{'motor.delay': 'estimate'})
+    load(one, saved)
+    assert one.delays()['motor'].applied_s == 0.0

@@ -107,6 +107,9 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
     assert configuration['gap_s'] == 2.0
     assert isinstance(configuration['gap_s'], float)
     assert isinstance(configuration.motors['motor'].values['torque_constant'], float)
+    limits = Configuration.from_flat({'motor.voltage_limits': [-12, 12]}).motors['motor'].values['voltage_limits']
+    assert limits == [-12.0, 12.0]
+    assert all(isinstance(limit, float) for limit in limits)
     refuse(r'seed must be of type int, got 1\.0 \(float\)', seed=1.0)
 
 
@@ -121,7 +124,7 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('gap_s', float('nan'), 'gap_s must be in .* got nan'),
         ('gap_s', float('inf'), 'gap_s must be in .* got inf'),
         ('seed', -1, r'seed must be in \[0, inf\], got -1'),
-        ('variant', 'best', "variant must be one of main, .* got 'best'"),
+        ('variant', 'best', "variant must be one of physics, main, .* got 'best'"),
         ('context_update', 'magic', 'context_update must be one of .*gradient'),
         ('motors', 'motor', "motors must be of type list, got 'motor'"),
         ('motors', [], 'motors must be distinct names'),
@@ -145,6 +148,16 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('voltage__topic', '', r'voltage\.topic is empty'),
         ('motor__known__resistance', -1.0, r'motor\.known\.resistance must be in'),
         ('motor__known__hysteresis', 1.0, r'motor motor: hysteresis is among context_nodes and has known\.hysteresis'),
+        ('motor__voltage_limits', [12.0, -12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got'),
+        ('motor__voltage_limits', [12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got \[12'),
+        ('motor__voltage_limits', [0.0, 'high'], r'motor\.voltage_limits must be a list of float'),
+        ('motor__voltage_limits', [True, 1.0], r'motor\.voltage_limits must be a list of float'),
+        ('training__core_share', 0.0, r'training\.core_share must be in'),
+        ('training__start', 'warm', r'training\.start must be one of shipped, fresh'),
+        ('motor__delay', 'guess', r"motor\.delay must be a number or estimate, got 'guess'"),
+        ('motor__delay', True, r'motor\.delay must be a number or estimate, got True'),
+        ('motor__delay', [0.1], r'motor\.delay must be a number or estimate, got \[0\.1\]'),
+        ('motor__delay', 1.5, r'motor\.delay must be in \[-1, 1\], got 1\.5'),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
@@ -159,6 +172,13 @@ def test_every_term_that_is_not_identified_can_be_known() -> None:
     )
     known = configuration.motors['motor'].white_box(speed_measured=False).known
     assert known == {term: given[parameter] for term, parameter in KNOWN_PARAMETERS.items()}
+
+
+def test_a_delay_is_a_number_or_the_word_estimate() -> None:
+    for given, delay_s, asked in ((0, 0.0, False), (-0.02, -0.02, False), ('estimate', 0.0, True)):
+        motor = Configuration.from_flat({'motor.delay': given}).motors['motor']
+        assert (motor.delay_s, motor.estimates_delay) == (delay_s, asked)
+    assert Configuration.from_flat({}).motors['motor'].delay_s == 0.0
 
 
 def test_back_emf_cannot_be_identified_where_speed_is_taken_from_torque() -> None:

@@ -86,6 +86,53 @@ def test_the_predictor_is_scored_unless_it_is_skipped(identify: Run, bag: Path, 
     assert all(np.isfinite(value) for value in predictor.values())
 
 
+@pytest.fixture
+def early(
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+) -> Path:
+    """A bag whose voltage is stamped 50 ms too early."""
+    recording = record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
+    on_time, too_early = messages_of(recording), messages_of(recording, start_ns=950_000_000)
+    mixed = [m for m in too_early if 'voltage' in m[0]] + [m for m in on_time if 'torque' in m[0]]
+    return write_bag(tmp_path / 'early', sorted(mixed, key=lambda m: m[1]))
+
+
+def test_a_delay_that_was_not_declared_is_a_warning_with_its_remedy(identify: Run, early: Path, tmp_path: Path) -> None:
+    code, out, said = identify(early, '--json', '-', '--skip-predictor', '--report', tmp_path / 'r.html')
+    assert code == 0
+    (warning,) = said.splitlines()
+    assert warning.startswith('identify: warning: voltage seems to lead torque by ')
+    assert 'set motor.delay to 0.0' in warning
+    delay = json.loads(out)['motors']['motor']['delay_s']
+    assert delay['value'] == pytest.approx(0.05, abs=4.0 * delay['std'])
+    assert delay['applied'] == 0.0
+    assert 'Until then L is not to be trusted' in (tmp_path / 'r.html').read_text(encoding='utf-8')
+
+
+def test_an_asked_for_delay_is_found_applied_and_reported(identify: Run, early: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    motor: {delay: estimate}\n')
+    report = tmp_path / 'r.html'
+    runs = [identify(early, '--json', '-', '--skip-predictor', '--params', params, '--report', report) for _ in 'ab']
+    assert runs[0] == runs[1]
+    code, out, said = runs[0]
+    assert (code, said) == (0, '')
+    motor = json.loads(out)['motors']['motor']
+    assert motor['delay_s']['applied'] == pytest.approx(0.05, abs=1e-3)
+    assert motor['parameters']['inductance']['value'] == pytest.approx(0.5, rel=0.01)
+    assert 'The delay from voltage to torque is estimated: ' in report.read_text(encoding='utf-8')
+    assert 'applied 0.0' in identify(early, '--skip-predictor', '--params', params)[1]
+
+
+def test_a_delay_is_not_mentioned_where_nobody_asked_and_there_is_none(identify: Run, bag: Path) -> None:
+    _, out, said = identify(bag, '--json', '-', '--skip-predictor')
+    assert 'delay_s' not in json.loads(out)['motors']['motor']
+    assert said == ''
+
+
 def test_json_goes_into_a_file_and_a_table_to_the_reader(identify: Run, bag: Path, tmp_path: Path) -> None:
     code, out, _ = identify(bag, '--json', tmp_path / 'r.json', '--skip-predictor')
     assert code == 0

@@ -39,6 +39,7 @@ class ParameterSpec:
         description: what it does, with its unit.
         minimum, maximum: inclusive range of a number.
         choices: allowed values of a string.
+        words: words that may stand in place of a number.
         live: whether it may be changed while the node runs.
     """
 
@@ -48,6 +49,7 @@ class ParameterSpec:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
     live: bool = False
 
     def check(self, value: Any, where: str = '') -> Any:
@@ -61,6 +63,12 @@ class ParameterSpec:
             value = float(value)
         if isinstance(self.default, list) and isinstance(value, tuple):
             value = list(value)
+        if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
+            value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
+        if value in self.words:
+            return value
+        if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ConfigurationError(f'parameter {name} must be a number or {" or ".join(self.words)}, got {value!r}')
         if type(value) is not type(self.default):
             wanted, got = type(self.default).__name__, type(value).__name__
             raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
@@ -113,10 +121,11 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
     ParameterSpec(
         'variant',
-        'main',
-        'What the LSTM is trained on (thesis 5.1).',
-        choices=('main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+        'physics',
+        'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
+        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
+    ParameterSpec('horizon_s', 0.0, 'Longest forecast of variant physics, in s; 0: the next sample.', 0.0, 1e6),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
@@ -147,6 +156,13 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
+    ParameterSpec('training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0),
+    ParameterSpec(
+        'training.start',
+        'shipped',
+        'What variant physics begins with: the network that comes with the package, or a fresh one.',
+        choices=('shipped', 'fresh'),
+    ),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
@@ -191,6 +207,21 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque brings speed.',
         choices=('auto', 'measured', 'torque_constant'),
     ),
+    ParameterSpec(
+        'voltage_limits',
+        [0.0, 0.0],
+        'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from what is seen.',
+        -1e6,
+        1e6,
+    ),
+    ParameterSpec(
+        'delay',
+        0.0,
+        'By how much voltage acts on torque later than it is stamped, in s; or the word estimate.',
+        -1.0,
+        1.0,
+        words=('estimate',),
+    ),
     *(
         ParameterSpec(
             f'initial.{term.parameter.name}',
@@ -221,6 +252,16 @@ class MotorConfiguration:
             if name not in nodes and self.values[parameter] > 0.0
         }
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
+
+    @property
+    def estimates_delay(self) -> bool:
+        """Whether the delay between voltage and torque is estimated instead of declared."""
+        return isinstance(self.values['delay'], str)
+
+    @property
+    def delay_s(self) -> float:
+        """The declared delay in s; 0 to begin with where it is estimated."""
+        return 0.0 if self.estimates_delay else float(self.values['delay'])
 
     def initial(self) -> list[float]:
         """Where identification starts, in the order of the context nodes."""
@@ -355,6 +396,9 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
             raise ConfigurationError(
                 f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of them out'
             )
+    limits_v = values['voltage_limits']
+    if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
+        raise ConfigurationError(f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {limits_v}')
     try:
         motor.white_box(speed_measured=values['speed_source'] != 'torque_constant')
     except ConfigurationError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import errno
 import json
+import math
 import os
 import shlex
 import sys
@@ -95,6 +96,8 @@ def _run(options: argparse.Namespace) -> None:
     for name, counts in outcome.intake.rejected.items():
         if counts:
             outcome.warnings.append(f'{counts.total()} messages of {name} could not be read')
+    complaints = [delay.complaint(name) for name, delay in outcome.observer.delays().items()]
+    outcome.warnings += [complaint for complaint in complaints if complaint is not None]
     for warning in outcome.warnings:
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)
@@ -192,7 +195,8 @@ def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
 
 def describe(outcome: offline.Outcome) -> dict[str, Any]:
     """Return the result as plain values: what ``--json`` writes."""
-    motors = {}
+    motors: dict[str, dict[str, Any]] = {}
+    delays = outcome.observer.delays()
     for name, estimate in outcome.observer.estimates().items():
         pairing = outcome.observer.pairing[name]
         rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
@@ -213,6 +217,10 @@ def describe(outcome: offline.Outcome) -> dict[str, Any]:
             'covariance': estimate.covariance[0].tolist(),
             'predictor': None if skill is None else skill.to_dict(),
         }
+        delay = delays[name]
+        if delay.asked or delay.complaint(name) is not None:
+            found = [None if math.isnan(number) else number for number in (delay.value_s, delay.std_s)]
+            motors[name]['delay_s'] = {'value': found[0], 'std': found[1], 'applied': delay.applied_s}
     return {'motors': motors, 'digest': outcome.digest}
 
 
@@ -261,6 +269,12 @@ def _print_table(result: dict[str, Any], stream: TextIO) -> None:
         for parameter, found in motor['parameters'].items():
             value, std, unit = found['value'], found['std'], found['unit']
             print(f'  {parameter:<18} {value:.6g} +- {std:.2g} {unit:<14} {found["verdict"]}', file=stream)
+        if 'delay_s' in motor:
+            delay = motor['delay_s']
+            found = (
+                'not told by the data' if delay['value'] is None else f'{delay["value"]:.6g} +- {delay["std"]:.2g} s'
+            )
+            print(f'  {"delay":<18} {found}, applied {delay["applied"]:.6g} s', file=stream)
         for reason, count in motor['rejected'].items():
             if count:
                 print(f'  rejected: {reason} {count}', file=stream)

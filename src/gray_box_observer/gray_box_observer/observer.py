@@ -6,8 +6,9 @@ One core, three doors: live topics, a replayed bag and the offline command all f
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ from gray_box_observer.context_nodes import (
     RecursiveUpdate,
     VerdictRules,
 )
+from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import Prediction, Predictor, Skill, Training, TrainingRules, Variant
-from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
 from gray_box_observer.samples.pairing import PairingRules
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
@@ -65,13 +67,18 @@ class MotorObserver:
         white_box: the physics.
         context_nodes: the rule that learns the parameters.
         predictor: forecasts torque; None where there is none.
+        delay: asks whether voltage and torque are shifted against each other.
     """
 
-    def __init__(self, white_box: MotorWhiteBox, context_nodes: ContextUpdate, predictor: Predictor | None) -> None:
+    def __init__(
+        self, white_box: MotorWhiteBox, context_nodes: ContextUpdate, predictor: Predictor | None, delay: DelayWatch
+    ) -> None:
         self.white_box = white_box
         self.context_nodes = context_nodes
         self.predictor = predictor
+        self.delay = delay
         self._foreseen: tuple[bytes, Prediction] | None = None
+        self._covariance = context_nodes.estimate().covariance
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -87,16 +94,43 @@ class MotorObserver:
         """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
         prediction = self.predict(sample.interval_s, sample.voltage_v)
         if self.predictor is not None and prediction is not None:
-            self.predictor.learn(sample, prediction, self.context_nodes.theta)
+            self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
         changed = self.context_nodes.learn(sample)
         self._foreseen = None
-        return prediction, self.context_nodes.estimate() if changed else None
+        if not changed:
+            return prediction, None
+        estimate = self.context_nodes.estimate()
+        self._covariance = estimate.covariance
+        return prediction, estimate
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning, of the context nodes and of the predictor; predictions go on."""
+        self.context_nodes.freeze(frozen)
+        if self.predictor is not None:
+            self.predictor.freeze(frozen)
+
+    def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
+        """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
+
+        The nodes are given all but the last sample as what they remember and learn the last: the recursive rule then
+        fits everything at once, which takes a fraction of the time of learning one sample after another.
+        """
+        if not samples:
+            return
+        content = ReplayBuffer.of(samples).content()
+        plain, arrays = context_nodes.state()
+        context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
+        context_nodes.learn(samples[-1])
+        self.context_nodes = context_nodes
+        if self.predictor is not None:
+            self.predictor.replay.refill(content)
+        self._foreseen = None
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = self.context_nodes.state()
         network = {} if self.predictor is None else self.predictor.state()
-        content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain}
+        content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain, 'delay': self.delay.state()}
         named = {f'nodes/{k}': v for k, v in arrays.items()} | {f'network/{k}': v for k, v in network.items()}
         return content, named
 
@@ -109,9 +143,12 @@ class MotorObserver:
         """Take back what :meth:`state` gave."""
         nodes = {k.removeprefix('nodes/'): v for k, v in arrays.items() if k.startswith('nodes/')}
         self.context_nodes.restore(plain['context_nodes'], nodes)
+        self._covariance = self.context_nodes.estimate().covariance
         if self.predictor is not None:
             network = {k.removeprefix('network/'): v for k, v in arrays.items() if k.startswith('network/')}
             self.predictor.restore(network)
+        if 'delay' in plain:
+            self.delay.restore(plain['delay'])
 
 
 def _context_update(values: Configuration, white_box: MotorWhiteBox, initial: Array, seed: int) -> ContextUpdate:
@@ -136,7 +173,10 @@ class Observer:
         self._frozen = bool(configuration['freeze'])
         rules = PairingRules(configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s'])
         own_speed = bool(configuration['speed.topic'])
-        self.pairing = {name: Pairing(rules, own_speed=own_speed) for name in configuration.motors}
+        self.pairing = {
+            name: Pairing(rules, own_speed=own_speed, delay_s=motor.delay_s)
+            for name, motor in configuration.motors.items()
+        }
         self.motors: dict[str, MotorObserver] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
@@ -170,6 +210,10 @@ class Observer:
         """Return the present estimate of every motor that has been seen."""
         return {name: observer.context_nodes.estimate() for name, observer in self.motors.items()}
 
+    def delays(self) -> dict[str, DelayEstimate]:
+        """Return what is known of the delay between voltage and torque of every motor that has been seen."""
+        return {name: observer.delay.estimate for name, observer in self.motors.items()}
+
     def skill(self, motor: str) -> Skill | None:
         """Return the predictor's scores; None where there is no predictor."""
         observer = self.motors.get(motor)
@@ -184,7 +228,7 @@ class Observer:
         """Stop or resume learning of every motor; predictions go on."""
         self._frozen = frozen
         for observer in self.motors.values():
-            observer.context_nodes.freeze(frozen)
+            observer.freeze(frozen)
 
     def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
@@ -207,7 +251,8 @@ class Observer:
                 motor.close()
             raise
         for name, motor in made.items():  # all good: take over
-            self._learn(name, self.pairing[name].restart())  # what still waited belongs to the old signal history
+            self._learn(name, self.pairing[name].flush())  # what still waited belongs to the old signal history
+            self.pairing[name].restart(motor.delay.estimate.applied_s)
             if name in self.motors:
                 self.motors[name].close()
             self.motors[name] = motor
@@ -218,14 +263,37 @@ class Observer:
             observer.close()
 
     def _learn(self, motor: str, samples: list[Sample]) -> list[Result]:
-        results = []
-        for sample in samples:
+        results: list[Result] = []
+        waiting, pairing = deque(samples), self.pairing[motor]
+        while waiting:
+            sample = waiting.popleft()
             if motor not in self.motors:
                 measured = bool(np.isfinite(sample.speed_rad_s[0]))
                 self.motors[motor] = self._make(self.configuration.motors[motor], measured)
-            prediction, estimate = self.motors[motor].step(sample)
+            observer = self.motors[motor]
+            if pairing.repeats(sample):  # it was predicted, scored and reported before
+                observer.context_nodes.learn(sample)
+                continue
+            prediction, estimate = observer.step(sample)
             results.append(Result(motor, sample, prediction, estimate))
+            delay_s = None if self._frozen else observer.delay.take(pairing.history, sample.stamp_ns)
+            if delay_s is not None:
+                known, rest = pairing.redelay(delay_s, sample.stamp_ns)
+                observer.relearn(self._nodes(self.configuration.motors[motor], observer.white_box), known)
+                results[-1] = replace(results[-1], estimate=observer.context_nodes.estimate())
+                waiting = deque(rest)
         return results
+
+    def _nodes(self, motor: MotorConfiguration, white_box: MotorWhiteBox) -> ContextUpdate:
+        """Build context nodes that know nothing yet."""
+        initial = np.array([motor.initial()])
+        nodes = _context_update(self.configuration, white_box, initial, self._seed(motor.name))
+        nodes.freeze(self._frozen)
+        return nodes
+
+    def _seed(self, motor: str) -> int:
+        seed = [self.configuration['seed'], *motor.encode()]
+        return int(np.random.SeedSequence(seed).generate_state(1)[0])
 
     def _make(self, motor: MotorConfiguration, measured: bool) -> MotorObserver:
         """Build a motor's observer at its first sample, when it is known whether speed is measured."""
@@ -237,19 +305,23 @@ class Observer:
         white_box = motor.white_box(speed_measured=measured and source != 'torque_constant')
         self.pairing[motor.name].needs_speed = white_box.speed_measured
         values = self.configuration
-        seed = [values['seed'], *motor.name.encode()]
-        seed_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
         initial = np.array([motor.initial()])
-        nodes = _context_update(values, white_box, initial, seed_number)
-        nodes.freeze(self._frozen)
+        nodes = self._nodes(motor, white_box)
+        watch = DelayWatch(white_box, initial, motor.delay_s, asked=motor.estimates_delay, gap_s=values['gap_s'])
         predictor = None
         if self._training is not None:
-            training_rules = TrainingRules(variant=Variant(values['variant']), **values.group('training'))
+            low_v, high_v = motor.values['voltage_limits']
+            training_rules = TrainingRules(
+                variant=Variant(values['variant']),
+                horizon_s=values['horizon_s'],
+                voltage_limits_v=(low_v, high_v),
+                **values.group('training'),
+            )
             job = {
                 'white_box': white_box.to_dict(),
                 'rules': training_rules.to_dict(),
                 'theta_reference': initial[0].tolist(),
-                'seed': seed_number,
+                'seed': self._seed(motor.name),
             }
             predictor = Predictor(
                 white_box,
@@ -258,5 +330,8 @@ class Observer:
                 training_rules,
                 self._training(job),
                 speed_measured=white_box.speed_measured,
+                seed=self._seed(motor.name),
             )
-        return MotorObserver(white_box, nodes, predictor)
+        observer = MotorObserver(white_box, nodes, predictor, watch)
+        observer.freeze(self._frozen)
+        return observer

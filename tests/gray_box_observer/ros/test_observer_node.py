@@ -7,6 +7,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -281,6 +282,26 @@ def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
     assert {s.name for array in rig.diagnostics for s in array.status} == {'gray_box_observer: motor'}
 
 
+def test_a_delay_that_was_not_declared_is_a_warning_and_an_asked_for_one_is_applied(rig, record):
+    recording = record('R[5,15]D[0.2,2]', 10.0, torque_noise_relative=0.01)
+    early = replace(recording, voltage_v=np.roll(recording.voltage_v, -5, axis=1))  # voltage leads by 50 ms
+    rig.start()
+    rig.send(early, range(900))
+    rig.wait_for_level(DiagnosticStatus.WARN, 'voltage seems to lead torque by ')
+    assert 'motor.delay to 0.0' in rig.status().message
+    assert float(rig.values()['delay [s]']) == pytest.approx(0.05, abs=1e-3)
+    assert 0.0 < float(rig.values()['delay std [s]']) < 1e-3
+    assert rig.values()['delay verdict'] == 'undeclared'
+    rig.peer.end(rig.process)
+    rig.start(motor__delay='estimate')
+    rig.wait_for(samples_used=0)
+    rig.send(early, range(900))
+    rig.wait_for(delay_verdict='estimated')
+    assert float(rig.values()['delay applied [s]']) == pytest.approx(0.05, abs=1e-3)
+    said = rig.call(GetParameters, 'get_parameters', names=['motor.delay']).values[0]
+    assert said.string_value == 'estimate'
+
+
 def test_torque_of_the_wrong_sign_is_called_implausible(rig, record):
     rig.start(torque__scale=-1.0)
     rig.send(record(EXCITATION, 8.0), range(800))
@@ -468,6 +489,7 @@ def test_a_message_without_the_configured_field_ends_the_node_with_one_line(rig)
         ({'recursive__block': 'many'}, 'recursive.block'),
         ({'motors': '[left-hand]'}, 'motors must be distinct names'),
         ({'motor__initial__resistance': 'nan'}, 'motor.initial.resistance'),
+        ({'motor__delay': 'guess'}, "motor.delay must be a number or estimate, got 'guess'"),
     ],
 )
 def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameters, words):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -122,6 +123,21 @@ def notes(name: str, observer: Observer) -> list[str]:
     for term in others:
         what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
         said.append(f'{what} is taken as known: its error goes into the estimates.')
+    delay = motor.delay.estimate
+    complaint = delay.complaint(name)
+    if complaint is not None:
+        said.append(f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.')
+    elif delay.asked:
+        found = (
+            'the data do not tell it'
+            if math.isnan(delay.value_s)
+            else (f'{1e3 * delay.value_s:.4g} ms ± {1e3 * delay.std_s:.2g} ms in the newest data')
+        )
+        said.append(
+            f'The delay from voltage to torque is estimated: {found}; {1e3 * delay.applied_s:.4g} ms are taken off.'
+        )
+    elif delay.applied_s:
+        said.append(f'Voltage is taken to act on torque {1e3 * delay.applied_s:.4g} ms later than it is stamped.')
     pairing = observer.pairing[name]
     if pairing.restarts:
         said.append(

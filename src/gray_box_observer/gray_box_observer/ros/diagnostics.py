@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -62,6 +63,9 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
         return DiagnosticStatus.STALE, 'no new sample: have voltage and torque stopped, or do their stamps differ?'
     if refused:
         return DiagnosticStatus.WARN, complaint
+    undeclared = observer.motors[motor].delay.estimate.complaint(motor)
+    if undeclared is not None:  # before the verdicts: it may be what spoils them
+        return DiagnosticStatus.WARN, undeclared
     estimate = observer.motors[motor].context_nodes.estimate()
     for verdict, advice in ADVICE.items():
         at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
@@ -102,6 +106,11 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
         value, std = estimate.value[0, j], estimate.std[0, j]
         values[f'{parameter.name} [{parameter.unit}]'] = f'{value:.6g} +- {std:.2g}'
         values[f'{parameter.name} verdict'] = f'{estimate.verdicts[0][j].value} {estimate.bound_met(0, j)}'.rstrip()
+    delay = seen.delay.estimate
+    values['delay [s]'] = _text(delay.value_s)
+    values['delay std [s]'] = _text(delay.std_s)
+    values['delay applied [s]'] = f'{delay.applied_s:.6g}'
+    values['delay verdict'] = delay.verdict.value
     values.update({name: str(count) for name, count in seen.context_nodes.counters().items()})
     skill = observer.skill(motor)
     if skill is not None and seen.predictor is not None:
@@ -112,4 +121,4 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
 
 
 def _text(value: float | int | None) -> str:
-    return 'unknown' if value is None else f'{value:.4g}'
+    return 'unknown' if value is None or math.isnan(value) else f'{value:.4g}'

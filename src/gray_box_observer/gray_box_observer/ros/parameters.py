@@ -44,6 +44,11 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.description, read_only=not spec.live)
     if spec.choices:
         descriptor.additional_constraints = f'one of: {", ".join(spec.choices)}'
+    if spec.words:  # a number or a word: the type is settled by configuration.py, and a range would refuse the word
+        descriptor.dynamic_typing = True
+        words = ' or '.join(spec.words)
+        descriptor.additional_constraints = f'a number from {spec.minimum:g} to {spec.maximum:g}, or {words}'
+        return descriptor
     if isinstance(spec.default, bool) or spec.minimum is None:
         return descriptor
     maximum = spec.minimum if spec.maximum is None else spec.maximum

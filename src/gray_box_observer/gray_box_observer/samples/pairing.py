@@ -4,16 +4,21 @@ A voltage sample holds from its stamp to the stamp of the next one; a torque sam
 sample is therefore complete as soon as the voltage is known up to its stamp, that is when a voltage stamped at or after
 it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
 the wall clock, so that live topics and a replayed bag make the same samples.
+
+Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
+all that follows sees signals that belong together.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from gray_box_observer.samples.sample import Sample, seconds
+from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, Sample, nanoseconds, seconds
 
 
 class Rejection(str, Enum):
@@ -26,10 +31,6 @@ class Rejection(str, Enum):
     NO_SPEED = 'no_speed'
     ABSURD = 'absurd'
     MALFORMED = 'malformed'
-
-
-ABSURD_MAGNITUDE = 1e9
-"""No armature voltage, torque or speed in SI units comes near; beyond it squares would soon overflow."""
 
 
 MAX_WAITING_VOLTAGES = 10_000
@@ -59,18 +60,19 @@ class Pairing:
     Args:
         rules: how patient it is.
         own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
+        delay_s: voltage acts that much later than its stamp says; negative where its stamp comes late.
 
     Attributes:
+        history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
-    def __init__(self, rules: PairingRules | None = None, *, own_speed: bool = False) -> None:
+    def __init__(self, rules: PairingRules | None = None, *, own_speed: bool = False, delay_s: float = 0.0) -> None:
         self._own_speed = own_speed
         self.needs_speed = own_speed
         self._rules = rules or PairingRules()
         self._gap_ns = round(self._rules.gap_s * 1e9)
-        self._hold_ns = round(self._rules.hold_s * 1e9)
         self._jump_ns = round(self._rules.jump_back_s * 1e9)
         self.rejected: Counter[Rejection] = Counter()
         self.received_torque = 0
@@ -78,9 +80,22 @@ class Pairing:
         self.used = 0
         self.restarts = 0
         self.held = 0
+        self.history = RawHistory()
+        self._take: dict[str, Callable[..., list[Sample]]] = {
+            'voltage': self.voltage,
+            'torque': self.torque,
+            'speed': self.speed,
+        }
+        self._set_delay(delay_s)
         self._restart()
 
+    def _set_delay(self, delay_s: float) -> None:
+        self._delay_ns = nanoseconds(delay_s)
+        # a voltage that is stamped late comes late, and torque has to wait for it that much longer
+        self._hold_ns = round(self._rules.hold_s * 1e9) + max(0, -self._delay_ns)
+
     def _restart(self) -> None:
+        self._repeated_until_ns: int | None = None
         self._voltages: deque[tuple[int, float]] = deque()
         self._torques: deque[tuple[int, float, float]] = deque()
         self._speeds: deque[tuple[int, float]] = deque()
@@ -91,25 +106,73 @@ class Pairing:
         self._previous_ns: int | None = None
 
     @property
+    def delay_ns(self) -> int:
+        """By how much voltage is taken to act later than it is stamped."""
+        return self._delay_ns
+
+    @property
     def waiting(self) -> int:
         """Number of torque samples that wait for their voltage."""
         return len(self._torques)
 
-    def restart(self) -> list[Sample]:
-        """Begin the signal history anew (clock set back); what still waited is completed first and returned."""
+    def restart(self, delay_s: float | None = None) -> list[Sample]:
+        """Begin the signal history anew (clock set back); what still waited is completed first and returned.
+
+        Args:
+            delay_s: by how much voltage acts later from now on; None: as before.
+        """
         left = self.flush()
+        if delay_s is not None:
+            self._set_delay(delay_s)
         self._restart()
+        self.history.restart()
         self.restarts += 1
         return left
+
+    def redelay(self, delay_s: float, until_ns: int) -> tuple[list[Sample], list[Sample]]:
+        """Pair everything remembered anew under another delay.
+
+        It has been counted, so counts stay as they are; a torque that waited and is now complete is used.
+
+        Args:
+            delay_s: the delay from now on.
+            until_ns: stamp of the last sample that was learnt.
+
+        Returns:
+            The samples that are complete by now whatever came first, voltage or torque, and those beyond. Among the
+            latter, and among what the next messages complete, some are repeated; see :meth:`repeats`.
+        """
+        certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
+        events = list(self.history.events(nanoseconds(delay_s)))
+        counts = self.received_torque, self.received_voltage, self.used, self.restarts, self.held
+        rejected, waited = self.rejected.copy(), self.waiting
+        self._set_delay(delay_s)
+        self._restart()
+        self.history.clear()
+        samples: list[Sample] = []
+        for signal, stamp_ns, values in events:
+            samples += self._take[signal](stamp_ns, *values)
+        self.received_torque, self.received_voltage, self.used, self.restarts, self.held = counts
+        self.rejected = rejected
+        self.used += waited - self.waiting
+        self._repeated_until_ns = until_ns
+        certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
+        return certain, samples[len(certain) :]
+
+    def repeats(self, sample: Sample) -> bool:
+        """Whether a sample was given out before, paired under another delay."""
+        return self._repeated_until_ns is not None and sample.stamp_ns <= self._repeated_until_ns
 
     def voltage(self, stamp_ns: int, voltage_v: float) -> list[Sample]:
         """Take one voltage sample in V; return the samples it completes, oldest first."""
         self.received_voltage += 1
         if not self._usable(voltage_v):
             return []
+        raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
         done = self._order(stamp_ns, self._newest_voltage_ns)
         if done is None:
             return []
+        self.history.voltage(raw_ns, voltage_v)
         self._newest_voltage_ns = stamp_ns
         self._voltages.append((stamp_ns, voltage_v))
         if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
@@ -123,6 +186,7 @@ class Pairing:
         done = self._order(stamp_ns, self._newest_speed_ns)
         if done is None:
             return []
+        self.history.speed(stamp_ns, speed_rad_s)
         self._newest_speed_ns = stamp_ns
         self._speeds.append((stamp_ns, speed_rad_s))
         if len(self._speeds) > MAX_WAITING_VOLTAGES:
@@ -137,6 +201,7 @@ class Pairing:
         done = self._order(stamp_ns, self._newest_torque_ns)
         if done is None:
             return []
+        self.history.torque(stamp_ns, torque_nm, speed_rad_s)
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         done += self._complete(self._known_ns())
@@ -152,8 +217,8 @@ class Pairing:
     def ahead(self, stamp_ns: int) -> tuple[float, float] | None:
         """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
 
-        None where torque before that stamp still waits, where the voltage is not known up to it, or where no signal
-        history leads there.
+        None where torque before that stamp still waits, where the voltage is not known up to it (with a negative delay
+        it comes too late), or where no signal history leads there.
         """
         start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
         if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:

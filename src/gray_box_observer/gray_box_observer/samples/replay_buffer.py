@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
@@ -55,6 +57,16 @@ class ReplayBuffer:
     def content(self) -> Array:
         """Everything remembered, shape (signal, motor, n), for a checkpoint."""
         return self._data[:, :, self._end - len(self) : self._end].copy()
+
+    @classmethod
+    def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
+        """Return a buffer that remembers just these samples; a speed that did not come is that of the sample before."""
+        made = cls(samples[0].torque_nm.size, len(samples))
+        speed = samples[0].speed_rad_s
+        for sample in samples:
+            speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, speed)
+            made.append(sample, speed)
+        return made
 
     def refill(self, content: Array) -> None:
         """Take back what :meth:`content` gave, as much as fits; the signal history ends there."""

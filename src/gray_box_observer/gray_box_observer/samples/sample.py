@@ -10,10 +10,18 @@ from gray_box_observer.white_box.base import Array
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
+ABSURD_MAGNITUDE = 1e9
+"""No armature voltage, torque or speed in SI units comes near; beyond it squares would soon overflow."""
+
 
 def seconds(duration_ns: int) -> float:
     """Turn integer nanoseconds into float seconds: the one place where time changes its type."""
     return duration_ns / NANOSECONDS_PER_SECOND
+
+
+def nanoseconds(duration_s: float) -> int:
+    """Turn float seconds of a setting into integer nanoseconds, to be added to stamps."""
+    return round(duration_s * NANOSECONDS_PER_SECOND)
 
 
 @dataclass(frozen=True, slots=True)

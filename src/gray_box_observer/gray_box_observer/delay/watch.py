@@ -1,0 +1,269 @@
+"""Whether voltage acts on torque later than its stamps say: asked again and again while a motor is observed.
+
+The work is spread over samples, one small piece each, and is decided by their number alone, never by a clock: live and
+replayed samples lead to the same delay at the same sample.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.delay.coarse import profile
+from gray_box_observer.delay.fine import FineSearch, evidence
+from gray_box_observer.samples.raw_history import TORQUES, RawHistory, RawSignals
+from gray_box_observer.samples.sample import nanoseconds, seconds
+from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.flow import to_coordinates
+
+FIRST = 128
+"""Samples before the question is first asked; then whenever a quarter has come on top, at last every LONGEST_WAIT."""
+
+LONGEST_WAIT = 1024
+
+LONGEST_DELAY_S = 0.5
+LONGEST_LEAD_S = 0.1
+"""Voltage is looked for so far after and before its stamp, and no further than a quarter and an eighth of the data."""
+
+EVIDENCE = 15.0
+"""Log-likelihood that a delay must bring; by chance one time in 2e7 (chi-square of 30 with one degree of freedom)."""
+
+COARSE_EVIDENCE = 7.5
+WORTH = 0.1
+"""Sample intervals that a delay must differ from the one in force: less harms nobody."""
+
+COARSE_WORTH = 0.05
+STDS = 3.0
+
+
+class DelayVerdict(str, Enum):
+    """What the data say of the delay."""
+
+    UNKNOWN = 'not told by the data yet'
+    CONFIRMED = 'confirmed by the data'
+    SUSPECTED = 'suspected'
+    UNDECLARED = 'undeclared'
+    ESTIMATED = 'estimated'
+
+
+@dataclass(frozen=True, slots=True)
+class DelayEstimate:
+    """What is known of the delay of one motor: voltage acts that much later than it is stamped.
+
+    Attributes:
+        applied_s: the delay in force.
+        asked: whether it is estimated; else it was declared.
+        value_s, std_s: what the data say; NaN while they do not.
+        verdict: how far the two agree.
+    """
+
+    applied_s: float
+    asked: bool
+    value_s: float = math.nan
+    std_s: float = math.nan
+    verdict: DelayVerdict = DelayVerdict.UNKNOWN
+
+    def complaint(self, motor: str) -> str | None:
+        """Say what is wrong and what to do about it, in one line; None where nothing is."""
+        if self.verdict is not DelayVerdict.UNDECLARED:
+            return None
+        who = 'voltage seems to lead torque' if self.value_s > 0.0 else 'torque seems to lead voltage'
+        instead = f', not by {1e3 * self.applied_s:.4g} ms' if self.applied_s else ''
+        return (
+            f'{who} by {1e3 * abs(self.value_s):.3g} ms{instead}: '
+            f'set {motor}.delay to {self.value_s:.3g} or to estimate'
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """Outcome of one search; a NaN where it did not come that far."""
+
+    delay_s: float
+    std_s: float
+    evidence: float
+    interval_s: float
+    inside: bool
+
+
+class DelayWatch:
+    """Asks for the delay of one motor.
+
+    Args:
+        white_box: the physics.
+        initial: shape (1, parameter): first guess of the parameters.
+        applied_s: the delay in force.
+        asked: whether a delay that is found shall be applied.
+        gap_s: a longer silence of torque starts the signal history anew.
+
+    Attributes:
+        estimate: what is known.
+    """
+
+    def __init__(self, white_box: WhiteBox, initial: Array, applied_s: float, *, asked: bool, gap_s: float) -> None:
+        self._white_box = white_box
+        self._applied_std_s = math.inf
+        self._initial = to_coordinates(np.asarray(initial, dtype=float))
+        self._gap_s = gap_s
+        self.estimate = DelayEstimate(applied_s, asked)
+        self._restart(0)
+
+    def _restart(self, restarts: int) -> None:
+        """Begin a new signal history; what was found stays."""
+        self._restarts = restarts
+        self._count = 0
+        self._next = FIRST
+        self._work: Generator[None, None, _Found | None] | None = None
+        self._before: _Found | None = None
+
+    def take(self, history: RawHistory, stamp_ns: int) -> float | None:
+        """Go on by one sample.
+
+        Args:
+            history: raw measurements that led to the samples so far.
+            stamp_ns: stamp of the sample.
+
+        Returns:
+            The delay in s that shall be applied from now on; None where all stays as it is.
+        """
+        if history.restarts != self._restarts:
+            self._restart(history.restarts)
+        self._count += 1
+        if self._work is None:
+            if self._count < self._next:
+                return None
+            self._next = self._count + min(self._count // 4, LONGEST_WAIT)
+            self._work = self._search(history, stamp_ns)
+        try:
+            with np.errstate(all='ignore'):  # absurd samples; results are checked
+                next(self._work)
+        except StopIteration as end:
+            self._work = None
+            return None if end.value is None else self._judge(end.value)
+        return None
+
+    def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
+        """Search once, a piece of work at a time; return what was found, None where the data do not speak of it."""
+        applied_s = self.estimate.applied_s
+        signals = history.signals(stamp_ns, round(applied_s * 1e9))
+        cut = None if signals is None else self._cut(signals, applied_s)
+        yield
+        if cut is None:
+            return None
+        signals, reach_s = cut
+        steps = np.diff(signals.time_s)
+        restart = steps > self._gap_s
+        if np.all(restart):
+            return None
+        interval_s = float(np.median(steps[~restart]))
+        coarse = profile(self._white_box, signals, restart, interval_s, reach_s)
+        yield
+        if coarse is None:
+            return None
+        start_s = coarse.best()
+        if coarse.evidence(start_s + interval_s) < COARSE_EVIDENCE:  # flat: the voltage did not move
+            return None
+        if not self._worth_refining(start_s, interval_s):
+            return _Found(applied_s, math.nan, 0.0, interval_s, True)
+        fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
+        best = yield from fine.fit(start_s, free=True)
+        held = yield from fine.fit(applied_s, free=False)
+        brought = evidence(best, held)
+        if not math.isfinite(best.std_s + brought):
+            return None
+        margin_s = 0.5 * interval_s
+        inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
+        return _Found(best.delay_s, best.std_s, brought, interval_s, inside)
+
+    def _worth_refining(self, delay_s: float, interval_s: float) -> bool:
+        """Whether a coarse search tells of something new; the fine one takes twenty times as long."""
+        known, growing = self.estimate, self._count <= 2 * TORQUES
+        if known.asked and growing:
+            return True
+        if known.verdict is DelayVerdict.UNDECLARED and not growing:
+            return abs(delay_s - known.value_s) > 0.5 * interval_s
+        return abs(delay_s - known.applied_s) > COARSE_WORTH * interval_s
+
+    def _cut(self, signals: RawSignals, applied_s: float) -> tuple[RawSignals, tuple[float, float]] | None:
+        """Keep the torques whose voltage is known whatever the delay, and say how far it may reach."""
+        span_s = float(signals.time_s[-1] - signals.time_s[0])
+        low = max(min(-LONGEST_LEAD_S, applied_s - LONGEST_LEAD_S), applied_s - span_s / 8.0)
+        high = min(max(LONGEST_DELAY_S, applied_s + LONGEST_LEAD_S), applied_s + span_s / 4.0)
+        keep = (signals.time_s >= signals.voltage_time_s[0] + high) & (signals.time_s <= low - applied_s)
+        if self._white_box.speed_measured:
+            keep &= np.isfinite(signals.speed_rad_s)
+        if np.count_nonzero(keep) < FIRST // 4:
+            return None
+        kept = replace(
+            signals,
+            time_s=signals.time_s[keep],
+            torque_nm=signals.torque_nm[keep],
+            speed_rad_s=signals.speed_rad_s[keep],
+        )
+        return kept, (low, high)
+
+    def _judge(self, found: _Found) -> float | None:
+        """Compare the outcome with the delay in force; two searches in a row must agree on another one."""
+        known, before, self._before = self.estimate, self._before, None
+        off_s = abs(found.delay_s - known.applied_s)
+        if math.isnan(found.std_s):
+            if known.verdict in (DelayVerdict.UNKNOWN, DelayVerdict.SUSPECTED):
+                self.estimate = replace(known, verdict=DelayVerdict.CONFIRMED)
+            return None
+        if off_s < max(STDS * found.std_s, WORTH * found.interval_s):
+            return self._agree(found) if found.inside and found.std_s < found.interval_s else None
+        if not found.inside or found.evidence < EVIDENCE:
+            return None
+        self._before = found
+        near_s = found.interval_s + STDS * math.hypot(found.std_s, 0.0 if before is None else before.std_s)
+        if before is None or abs(found.delay_s - before.delay_s) > near_s:
+            if known.verdict is not DelayVerdict.UNDECLARED:
+                self.estimate = replace(known, verdict=DelayVerdict.SUSPECTED)
+            return None
+        if not known.asked:
+            self.estimate = replace(known, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.UNDECLARED)
+            return None
+        self._before = None
+        return self._apply(found)
+
+    def _agree(self, found: _Found) -> float | None:
+        """Note that the data agree with the delay in force; sharpen an estimated one while nothing is forgotten."""
+        if not self.estimate.asked:
+            self.estimate = replace(
+                self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.CONFIRMED
+            )
+            return None
+        sharper = found.std_s < 0.5 * self._applied_std_s and abs(found.delay_s - self.estimate.applied_s) > found.std_s
+        if sharper and self.estimate.applied_s != 0.0 and self._count <= TORQUES:
+            return self._apply(found)
+        self.estimate = replace(self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.ESTIMATED)
+        return None
+
+    def _apply(self, found: _Found) -> float:
+        applied_s = seconds(nanoseconds(found.delay_s))
+        self.estimate = DelayEstimate(applied_s, True, found.delay_s, found.std_s, DelayVerdict.ESTIMATED)
+        self._applied_std_s = found.std_s
+        return applied_s
+
+    def state(self) -> dict[str, Any]:
+        """What was found, as plain values for a checkpoint; searches under way begin anew."""
+        known = self.estimate
+        return {
+            'applied_s': known.applied_s,
+            'value_s': None if math.isnan(known.value_s) else known.value_s,
+            'std_s': None if math.isnan(known.std_s) else known.std_s,
+            'verdict': known.verdict.name,
+        }
+
+    def restore(self, plain: dict[str, Any]) -> None:
+        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it is declared."""
+        if not self.estimate.asked and float(plain['applied_s']) != self.estimate.applied_s:
+            return
+        value_s, std_s = (math.nan if plain[key] is None else float(plain[key]) for key in ('value_s', 'std_s'))
+        verdict = DelayVerdict[plain['verdict']]
+        self.estimate = DelayEstimate(float(plain['applied_s']), self.estimate.asked, value_s, std_s, verdict)

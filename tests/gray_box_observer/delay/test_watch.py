@@ -1,0 +1,217 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.delay import DelayEstimate, DelayVerdict
+from gray_box_observer.observer import Observer, Result
+
+RATE_HZ = 100.0
+START_NS = 1_000_000_000
+
+
+def trace(results: list[Result]) -> list[bytes]:
+    return [
+        b'' if r.estimate is None else r.estimate.value.tobytes() + r.estimate.covariance.tobytes() for r in results
+    ]
+
+
+@pytest.mark.parametrize('intervals', [1, 2, 5, 30])
+@pytest.mark.parametrize(('excitation', 'noise'), [('R[5,15]D[0.2,2]', 0.02), ('R[1,2]D[3,3]', 0.0)])
+def test_a_delay_that_was_not_declared_is_flagged_with_its_remedy(
+    record: Callable[..., Recording], observer: Any, feed: Any, intervals: int, excitation: str, noise: float
+) -> None:
+    one = observer()
+    feed(one, record(excitation, 20.0, torque_noise_relative=noise), intervals / RATE_HZ)
+    found = one.delays()['motor']
+    assert found.verdict is DelayVerdict.UNDECLARED
+    assert found.applied_s == 0.0
+    assert found.value_s == pytest.approx(intervals / RATE_HZ, abs=max(4.0 * found.std_s, 1e-4))
+    complaint = found.complaint('left')
+    assert complaint is not None
+    assert complaint.startswith(f'voltage seems to lead torque by {found.value_s * 1e3:.3g} ms: set left.delay to ')
+    assert complaint.endswith(' or to estimate')
+
+
+@pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]', 'R[5,15]D[1,20]+v(t)'])
+@pytest.mark.parametrize('noise', [0.0, 0.02])
+def test_nothing_is_flagged_where_there_is_no_delay(
+    record: Callable[..., Recording], observer: Any, feed: Any, excitation: str, noise: float
+) -> None:
+    one = observer()
+    verdicts = set()
+    recording = record(excitation, 60.0, seed=4, torque_noise_relative=noise)
+    for k in range(0, 6000, 50):
+        feed(one, recording, first=k, until=k + 50)
+        verdicts.add(one.delays()['motor'].verdict)
+    assert verdicts <= {DelayVerdict.UNKNOWN, DelayVerdict.CONFIRMED}
+    assert DelayVerdict.CONFIRMED in verdicts
+    assert one.delays()['motor'].complaint('motor') is None
+
+
+@pytest.mark.parametrize(
+    'schedule', ['motor.resistance=1.3@20', 'motor.resistance=1.0..1.3@0..40', 'motor.inductance=0.4@20']
+)
+def test_a_motor_that_changes_is_not_taken_for_a_delay(
+    record: Callable[..., Recording], observer: Any, feed: Any, schedule: str
+) -> None:
+    one = observer()
+    recording = record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01, schedule=(schedule,))
+    for k in range(0, 4000, 50):
+        feed(one, recording, first=k, until=k + 50)
+        assert one.delays()['motor'].verdict is not DelayVerdict.UNDECLARED
+
+
+def test_an_asked_for_delay_is_applied_and_the_motor_identified_as_if_it_had_been_declared(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
+    recording, delay_s = record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01), 0.0537
+    asked, told, deceived = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': delay_s}), observer()
+    for one in (asked, told, deceived):
+        feed(one, recording, delay_s)
+    found = asked.delays()['motor']
+    assert found.verdict is DelayVerdict.ESTIMATED
+    assert found.applied_s == pytest.approx(delay_s, abs=4.0 * found.std_s)
+    assert found.std_s < 0.05 / RATE_HZ
+    assert asked.pairing['motor'].delay_ns == round(found.applied_s * 1e9)
+    truth = np.array([0.5, 1.0, 10.0])
+    wrong = np.abs(deceived.estimates()['motor'].value[0] / truth - 1.0)
+    right = [np.abs(one.estimates()['motor'].value[0] / truth - 1.0) for one in (asked, told)]
+    assert wrong[0] > 0.01
+    assert np.all(right[0] < right[1] + 0.002)
+
+
+def test_a_declared_delay_is_confirmed_and_a_wrong_one_is_flagged(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
+    recording = record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
+    right, wrong = observer(**{'motor.delay': 0.05}), observer(**{'motor.delay': 0.02})
+    for one in (right, wrong):
+        feed(one, recording, 0.05)
+    assert right.delays()['motor'].verdict is DelayVerdict.CONFIRMED
+    said = wrong.delays()['motor'].complaint('motor')
+    assert said is not None
+    assert ', not by 20 ms: set motor.delay to 0.05' in said
+
+
+def test_torque_that_leads_is_found_and_said_too(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+    one = observer()
+    feed(one, record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01), -0.03)
+    said = one.delays()['motor'].complaint('motor')
+    assert said is not None
+    assert said.startswith('torque seems to lead voltage by ')
+    assert 'set motor.delay to -0.0' in said
+    assert one.delays()['motor'].value_s == pytest.approx(-0.03, abs=1e-3)
+
+
+def test_constant_voltage_tells_nothing_for_ever(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+    one = observer(**{'motor.delay': 'estimate'})
+    recording = record('C[5]', 120.0, torque_noise_relative=0.02)
+    feed(one, recording, 0.05, until=600)
+    for k in range(600, 12_000, 100):
+        feed(one, recording, 0.05, first=k, until=k + 100)
+        assert one.delays()['motor'].verdict is DelayVerdict.UNKNOWN
+    assert one.delays()['motor'].applied_s == 0.0
+
+
+@pytest.mark.parametrize('delay', [0.053, -0.031])
+def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_comes_first(
+    record: Callable[..., Recording], observer: Any, feed: Any, delay: float
+) -> None:
+    recording = record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01)
+    traces = []
+    for torque_late in (0, 1, 2, -1, -2):
+        one = observer(**{'motor.delay': 'estimate'})
+        results = feed(one, recording, delay, torque_late=torque_late) + one.flush()
+        assert one.delays()['motor'].verdict is DelayVerdict.ESTIMATED
+        assert [r.sample.stamp_ns for r in results] == sorted({r.sample.stamp_ns for r in results})
+        traces.append((trace(results), one.delays()['motor'].applied_s, one.pairing['motor'].used))
+    assert all(t == traces[0] for t in traces[1:])
+
+
+def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_was_applied(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
+    for delay in (0.053, -0.031):
+        one = observer(**{'motor.delay': 'estimate'})
+        results = feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), delay)
+        pairing = one.pairing['motor']
+        assert one.delays()['motor'].applied_s != 0.0
+        assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
+        assert len(results) == pairing.used
+
+
+def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
+    one = observer(**{'motor.delay': 'estimate'})
+    recording = record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01)
+    feed(one, recording, 0.053)
+    before = one.delays()['motor'].applied_s
+    assert before == pytest.approx(0.053, abs=0.002)
+    results = feed(one, recording, 0.053)
+    assert len(results) == pytest.approx(1200, abs=15)
+    assert one.delays()['motor'].applied_s == pytest.approx(before, abs=0.001)
+    assert one.pairing['motor'].restarts == 1
+
+
+def test_gaps_duplicates_and_junk_do_not_hide_the_delay(record: Callable[..., Recording], observer: Any) -> None:
+    random, one = np.random.default_rng(5), observer()
+    recording = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.01)
+    for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
+        if 1000 <= k < 1100 or random.random() < 0.03:
+            continue
+        volt, torque = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        stamps = [stamp_ns, stamp_ns] if random.random() < 0.05 else [stamp_ns]
+        for stamp in stamps:
+            one.voltage('motor', START_NS + stamp - 40_000_000, volt)
+            one.torque('motor', START_NS + stamp, np.nan if random.random() < 0.01 else torque)
+    found = one.delays()['motor']
+    assert found.verdict is DelayVerdict.UNDECLARED
+    assert found.value_s == pytest.approx(0.04, abs=max(4.0 * found.std_s, 2e-3))
+
+
+def test_memory_is_bounded_whatever_comes_or_stays_away(observer: Callable[..., Observer]) -> None:
+    one = observer()
+    history = one.pairing['motor'].history
+    for k in range(30_000):
+        one.voltage('motor', k * 1_000_000, 1.0)
+    assert len(history) < 20_000
+    for k in range(30_000, 40_000):
+        one.torque('motor', k * 1_000_000, 0.1)
+    assert len(history) < 30_000
+
+
+def test_a_frozen_observer_applies_nothing(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+    one = observer(**{'motor.delay': 'estimate', 'freeze': True})
+    feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), 0.05)
+    assert one.delays()['motor'].applied_s == 0.0
+
+
+def test_the_gradient_rule_goes_on_with_what_was_paired_anew(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
+    one = observer(**{'motor.delay': 'estimate', 'context_update': 'gradient'})
+    feed(one, record('R[5,15]D[0.2,2]', 60.0), 0.05)
+    assert one.delays()['motor'].applied_s == pytest.approx(0.05, abs=1e-4)
+    np.testing.assert_allclose(one.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.05)
+
+
+@pytest.mark.parametrize(
+    ('known', 'said'),
+    [
+        (DelayEstimate(0.0, False), None),
+        (DelayEstimate(0.0, False, 0.05, 0.001, DelayVerdict.SUSPECTED), None),
+        (DelayEstimate(0.05, True, 0.05, 0.001, DelayVerdict.ESTIMATED), None),
+        (
+            DelayEstimate(0.0, False, 0.0531, 0.001, DelayVerdict.UNDECLARED),
+            'voltage seems to lead torque by 53.1 ms: set m.delay to 0.0531 or to estimate',
+        ),
+    ],
+)
+def test_only_a_delay_that_was_not_declared_is_complained_of(known: DelayEstimate, said: str | None) -> None:
+    assert known.complaint('m') == said

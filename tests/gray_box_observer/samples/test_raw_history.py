@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gray_box_observer.samples import RawHistory
+from gray_box_observer.samples.raw_history import SLACK, TORQUES, VOLTAGES, RawSignals
+
+MS = 1_000_000
+
+
+def history(count: int, period_ms: int = 10) -> RawHistory:
+    made = RawHistory()
+    for k in range(count):
+        made.voltage(k * period_ms * MS, float(k))
+        made.torque(k * period_ms * MS, 0.1 * k)
+    return made
+
+
+def test_only_what_is_certain_to_have_come_is_read_out() -> None:
+    signals = history(50).signals(200 * MS, 30 * MS)
+    assert signals is not None
+    np.testing.assert_allclose(signals.time_s, np.arange(-0.2, 0.001, 0.01), atol=1e-12)
+    assert signals.voltage_time_s[-1] == pytest.approx(-0.03)
+    np.testing.assert_allclose(signals.torque_nm[-1], 2.0)
+
+
+def test_too_little_is_no_signal() -> None:
+    assert history(1).signals(0, 0) is None
+    assert history(9).signals(-1, 0) is None
+    assert history(9).signals(80 * MS, 200 * MS) is None  # no voltage is known by then
+
+
+def test_where_the_signals_begin_does_not_depend_on_what_has_come_beyond_their_end() -> None:
+    early, late = history(TORQUES + 50), history(TORQUES + 50 + SLACK // 2)
+    until = (TORQUES + 40) * 10 * MS
+    first, second = early.signals(until, 0), late.signals(until, 0)
+    assert first is not None
+    assert second is not None
+    assert first.time_s.size == TORQUES
+    for name in RawSignals.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+def test_memory_is_bounded() -> None:
+    assert len(history(VOLTAGES + 5000, 1)) == VOLTAGES + TORQUES + 2 * SLACK
+
+
+def test_the_integral_of_the_voltage_is_that_of_its_steps() -> None:
+    times, volts = np.array([-1.0, -0.7, -0.2]), np.array([2.0, 5.0, -1.0])
+    blank = np.zeros(1)
+    signals = RawSignals(blank, blank, blank, times, volts)
+    at = np.array([-1.1, -1.0, -0.85, -0.7, -0.4, -0.2, 0.0])
+    fine = np.linspace(-1.5, 0.0, 150_001)
+    held = volts[np.maximum(np.searchsorted(times, fine, side='right') - 1, 0)]
+    total = np.concatenate([[0.0], np.cumsum(held[:-1] * np.diff(fine))])
+    expected = np.interp(at, fine, total)
+    found = signals.voltage_integral(at)
+    np.testing.assert_allclose(found - found[0], expected - expected[0], atol=1e-4)
+
+
+def test_events_come_in_the_order_of_their_stamps_as_the_delay_has_it() -> None:
+    made = history(5)
+    made.speed(15 * MS, 3.0)
+    order = [(signal, stamp // MS) for signal, stamp, _ in made.events(-25 * MS)]
+    assert order[:4] == [('voltage', 0), ('voltage', 10), ('voltage', 20), ('torque', 0)]
+    assert order.index(('speed', 15)) == order.index(('torque', 10)) + 2
+
+
+def test_speed_of_its_own_is_read_at_the_torques() -> None:
+    made = history(20)
+    for k in range(10):
+        made.speed((5 + 20 * k) * MS, float(k))
+    signals = made.signals(100 * MS, 0)
+    assert signals is not None
+    assert signals.speed_rad_s[-1] == pytest.approx(4.0)  # the speed at 105 ms is not known yet
+    assert signals.speed_rad_s[5] == pytest.approx(2.25)
