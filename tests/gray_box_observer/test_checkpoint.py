@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -122,6 +124,32 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Reco
     (tmp_path / 'file').write_text('')
     with pytest.raises(GrayBoxError, match='cannot write'):
         save(one, tmp_path / 'file' / 'c.npz')
+
+
+def no_space(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize('fails', ['os.fsync', 'pathlib.Path.replace'])
+def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
+    saved: Path, recording: Recording, fails: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, one = saved.read_bytes(), observer()
+    feed(one, recording, 0, 100)
+    monkeypatch.setattr(fails, no_space)
+    with pytest.raises(GrayBoxError, match=r'cannot write .*c\.npz: No space left on device'):
+        save(one, saved)
+    assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+    assert saved.read_bytes() == old
+
+
+def test_a_folder_is_not_replaced_by_a_checkpoint(tmp_path: Path, recording: Recording) -> None:
+    one = observer()
+    feed(one, recording, 0, 100)
+    (tmp_path / 'c.npz').mkdir()
+    with pytest.raises(GrayBoxError, match=r'cannot write .*: Is a directory'):
+        save(one, tmp_path / 'c.npz')
+    assert [p.name for p in tmp_path.iterdir()] == ['c.npz']
 
 
 def refuse(path: Path, message: str, **given: Any) -> None:

@@ -500,6 +500,28 @@ def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameter
     assert said.count('\n') == 1
 
 
+def test_messages_of_other_motors_only_are_told_once_with_what_to_do(rig):
+    rig.start(motors='[left, right]')
+    for topic in rig.signals():
+        topic.publish(state('left', START_NS, 0.1))
+        topic.publish(state('motor_1 motor_0', START_NS, 0.1, 0.2))
+    rig.wait_for('left', samples_used=1)
+    for _ in range(2):  # two more rounds of diagnostics
+        rig.diagnostics.clear()
+        rig.peer.wait(lambda: rig.diagnostics, 'diagnostics')
+    _, _, said = rig.peer.end(rig.process)
+    (warning,) = [line for line in said.splitlines() if 'speaks of' in line]
+    assert 'motor/voltage speaks of motor_0, motor_1 and not of right: give the parameter motors the names' in warning
+
+
+def test_a_robot_whose_other_joints_have_names_too_is_no_reason_to_warn(rig):
+    rig.start(motors='[left]')
+    for topic in rig.signals():
+        topic.publish(state('left elbow', START_NS, 0.1, 0.2))
+    rig.wait_for('left', samples_used=1)
+    assert 'speaks of' not in rig.peer.end(rig.process)[2]
+
+
 def test_help_says_how_to_give_parameters(peer):
     code, out, said = peer.end(peer.start(MODULE, '--help'), None)
     assert (code, said) == (0, '')
