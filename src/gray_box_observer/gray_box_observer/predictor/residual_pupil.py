@@ -12,16 +12,16 @@ from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.torch_network import TorchNetwork
 from gray_box_observer.white_box.base import Array
 
-LENGTH = 128
-"""Samples of a window."""
+LENGTH = 512
+"""Samples of a window. Long: the network streams without end and must not have learnt to count on a blank start."""
 
-WARM = 32
+WARM = 64
 """Samples at its beginning that only fill the memory."""
 
-WINDOWS = 16
+WINDOWS = 8
 """Windows of a step."""
 
-LEARNING_RATE = 0.004
+LEARNING_RATE = 0.01
 DECAY = 1e-3
 """Pull of the weights towards zero: what data do not ask for is not said."""
 

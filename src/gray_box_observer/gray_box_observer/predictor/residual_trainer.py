@@ -25,6 +25,9 @@ HIDDEN = 8
 LIMIT = 0.5
 """Largest correction, as a fraction of the size of the current."""
 
+OWN_LIMIT = 5.0
+"""And as a multiple of the residual's own spread: the network's answers are of order one."""
+
 FEWEST = 400
 """Samples below which nothing is learnt."""
 
@@ -98,10 +101,11 @@ class ResidualTrainer:
         """Teach on all blocks but the judging ones."""
         from gray_box_observer.predictor.residual_pupil import ResidualPupil
 
-        voltage, speed = run.sequences.voltage_v, run.sequences.speed_rad_s
+        voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
         if self._pupil is None or self._sizes is None:
             sizes = [np.quantile(np.abs(signal), 0.95) for signal in (voltage, run.predicted_a, speed)]
-            self._sizes = np.array([max(float(size), 1e-9) for size in sizes]), LIMIT * max(float(sizes[1]), 1e-9)
+            limit_a = min(LIMIT * float(sizes[1]), OWN_LIMIT * float(run.residual_a.std()))
+            self._sizes = np.array([max(float(size), 1e-9) for size in sizes]), max(limit_a, 1e-9)
             self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
         size, limit_a = self._sizes
         blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
@@ -159,7 +163,7 @@ def _against_physics(weights: Weights, sequences: Sequences, current_a: Array) -
 
 def _said(correction: Correction, run: _Run) -> Array:
     """What a correction says along a stretch, by the code that streams, shape (motor, time)."""
-    voltage, speed = run.sequences.voltage_v, run.sequences.speed_rad_s
+    voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
     inputs = correction.inputs(voltage, run.predicted_a, run.steady_a, speed)
     memory, said = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(voltage)
     for k in range(inputs.shape[1]):
