@@ -165,6 +165,7 @@ def rejected(rig: Rig) -> dict[str, int]:
 
 SMALL_NETWORK = {
     'predictor': 'true',
+    'variant': 'main',
     'training__hidden': 2,
     'training__context': 16,
     'training__period': 32,
@@ -329,6 +330,24 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
     assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
     rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
     assert int(rig.values()['training jobs done']) >= 1
+
+
+def test_the_default_predictor_speaks_from_the_second_sample_on(rig, record):
+    rig.start(predictor='true')
+    recording = record(EXCITATION, 8.0)
+    voltage, torque = rig.signals()
+    for k in range(20):
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        voltage.publish(state('motor', stamp_ns, float(recording.voltage_v[0, k])))
+        if k:
+            expected = state('motor', stamp_ns).header.stamp
+            rig.peer.wait(
+                lambda stamp=expected: rig.predicted and rig.predicted[-1].header.stamp == stamp, 'the prediction'
+            )
+        torque.publish(state('motor', stamp_ns, float(recording.torque_nm[0, k])))
+        rig.wait_for(samples_used=k + 1) if k == 0 else None
+    assert all(math.isfinite(m.effort[0]) for m in rig.predicted)
+    assert len(rig.predicted) == 19
 
 
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):

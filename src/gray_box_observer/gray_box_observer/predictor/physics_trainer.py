@@ -75,7 +75,7 @@ class PhysicsTrainer:
             self._running = Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
             self._pupil = None
         seen = OperatingRange.from_dict(job['seen'])
-        if seen.empty:
+        if not seen.tells(self._white_box.speed_measured):
             return {'windows': 0, 'settled': False}
         own = _HeldOut(self._draw(np.random.default_rng([self._seed, 3]), job, seen, HELD_OUT))
         now = own.error(self._running)

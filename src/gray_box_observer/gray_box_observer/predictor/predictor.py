@@ -61,7 +61,7 @@ class Predictor:
     """Streams the network over the samples of a group of motors.
 
     Args:
-        white_box: the physics.
+        white_box: the physics; that of a single motor has plain numbers for constants.
         motors: number of motors.
         theta_reference: shape (parameter,): see :class:`InputLayout`.
         rules: settings.
