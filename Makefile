@@ -2,7 +2,8 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 RUN := ros_ws/run.sh
-PYTHON_SOURCES := src tests benchmarks ros_ws/demo.py
+SCRIPTS := bags/*.py ros_ws/*.py
+PYTHON_SOURCES := src tests benchmarks $(SCRIPTS)
 CORES := src/dc_motor_sim/dc_motor_sim src/gray_box_observer/gray_box_observer
 
 # make demo
@@ -37,10 +38,10 @@ demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TOR
 test: setup  ## run every test (ARGS='-k pairing' WORKERS=2)
 	$(RUN) python -m pytest -n $(WORKERS) --dist loadgroup $(ARGS)
 
-lint: setup  ## ruff, its formatter and strict mypy over the cores
+lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 	$(RUN) python -m ruff check $(wildcard $(PYTHON_SOURCES))
 	$(RUN) python -m ruff format --check $(wildcard $(PYTHON_SOURCES))
-	$(RUN) python -m mypy $(CORES)
+	$(RUN) python -m mypy $(CORES) $(wildcard $(SCRIPTS))
 
 format: setup  ## let ruff format the code and mend what it can
 	$(RUN) python -m ruff check --fix $(wildcard $(PYTHON_SOURCES))

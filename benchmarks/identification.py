@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 WORKERS = 2
 BATCH = 'batch'
+RIVALS = ('rls integrated', 'ekf', 'ukf')
 PEER_PACKAGES = ('filterpy', 'padasip', 'do_mpc', 'scipy', 'matplotlib')
 
 
@@ -38,7 +39,7 @@ class Plan:
     Attributes:
         methods: which, besides the reference.
         seeds: of every method.
-        own_seeds: of the package's first rule at 1 % noise on the three core sets.
+        own_seeds: of the package's first rule and its rivals at 1 % noise on the three core sets.
         noises: fractions of the torque's standard deviation.
         part: fraction of each recording.
         slow_seeds: of the moving-horizon estimator.
@@ -54,6 +55,11 @@ class Plan:
     slow_seeds: int
     slow_part: float
     marks: int
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Peers that come near enough for a fifth of the seeds to leave open who is better."""
+        return tuple(name for name in self.methods if name in RIVALS)
 
     @property
     def counts(self) -> bool:
@@ -84,7 +90,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument('--own-seeds', type=int, metavar='N', help='seeds of our rule at 1 %% noise (100; quick: 2)')
     parser.add_argument('--methods', metavar='A,B', help='only these, separated by commas')
     parser.add_argument('--plot', type=Path, metavar='FILE', help='draw error against time (.svg or .png)')
-    parser.add_argument('--long', action='store_true', help='add an hour of each core set: false alarms')
+    parser.add_argument('--long', action='store_true', help='add hours: false alarms, constant voltage')
     parser.add_argument(
         '--tune', action='store_true', help='tune the peers on held-out seeds, then stop (half an hour)'
     )
@@ -144,7 +150,9 @@ def _work(plan: Plan) -> list[Work]:
         own = next(iter(OWN_RULES))
         if case.core and own in plan.methods:
             extra = range(plan.seeds, plan.own_seeds)
-            pieces += [Work(case, seed, (own,), (0.01,), (False,), plan.part, plan.marks) for seed in extra]
+            for either_way in (False, True):
+                starts, against = (either_way,), (own, *plan.rivals)
+                pieces += [Work(case, seed, against, (0.01,), starts, plan.part, plan.marks) for seed in extra]
     return pieces
 
 
@@ -153,17 +161,19 @@ def _run(pool: ProcessPoolExecutor, plan: Plan, options: argparse.Namespace) -> 
     from common.cases import CASES
     from common.figures import figure_table, last_line
     from common.plot import draw
-    from common.study import carry_out, false_alarms_in_an_hour, gather, timing
+    from common.study import carry_out, constant_hour, false_alarms_in_an_hour, gather, timing
 
     outcomes = _progress('recordings', [pool.submit(carry_out, work) for work in _work(plan)])
     # One at a time, so that nothing else of this run competes for the machine.
     times = pool.submit(timing, plan.methods, plan.part).result()
-    alarms = None
+    alarms, held = None, None
     own = report.own_rule(plan.methods)
     if options.long and own:
         hours = [pool.submit(false_alarms_in_an_hour, case, own, 0) for case in CASES if case.core]
         alarms = sum(_progress('hours', hours))
-    results = report.Results(outcomes, plan, times, alarms)
+        still = [pool.submit(constant_hour, case, own, seed) for case in CASES if case.core for seed in range(3)]
+        held = _progress('hours of constant voltage', still)
+    results = report.Results(outcomes, plan, times, alarms, held)
     print(report.tables(results))
     figures = report.figures(results) if own else []
     print(figure_table(figures))

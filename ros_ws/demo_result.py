@@ -74,7 +74,8 @@ def recorded_samples(bag: Path) -> int | None:
     try:
         information = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
         topics = information['rosbag2_bagfile_information']['topics_with_message_count']
-        return sum(t['message_count'] for t in topics if t['topic_metadata']['name'].endswith('motor/torque'))
+        count: int = sum(t['message_count'] for t in topics if t['topic_metadata']['name'].endswith('motor/torque'))
+        return count
     except (OSError, KeyError, TypeError, yaml.YAMLError):
         return None
 

@@ -85,6 +85,7 @@ def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
     """
     from gray_box_observer.bag.reader import BagReader
     from gray_box_observer.errors import BagError
+    from gray_box_observer.report.truth import find_truth
 
     try:
         reader = BagReader(bag)
@@ -104,10 +105,7 @@ def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
     }
     file = write_parameters(run / 'player.yaml', parameters)
     command = (executable('gray_box_observer', 'player'), '--ros-args', '--params-file', file)
-    folder = bag.resolve() if bag.is_dir() else bag.resolve().parent
-    beside = (folder / 'truth.yaml', folder.parent / 'truth.yaml')
-    truth = next((path for path in beside if path.is_file()), None)
-    return Source('player', command, duration_s, params, truth, record_all=True)
+    return Source('player', command, duration_s, params, find_truth(bag), record_all=True)
 
 
 def executable(package: str, name: str) -> Path:

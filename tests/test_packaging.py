@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ('dc_motor_sim', 'gray_box_observer')
 
 ROSDEP_KEYS = {'numpy': 'python3-numpy', 'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
-WITHOUT_ROSDEP_KEY = {name: name for name in ('torch', 'mcap', 'lz4', 'zstandard', 'plotly')} | {
+WITHOUT_ROSDEP_KEY = {name: name for name in ('torch', 'safetensors', 'mcap', 'lz4', 'zstandard', 'plotly')} | {
     'mcap_ros2': 'mcap-ros2-support'
 }
 
@@ -81,7 +81,7 @@ def entry_points(package: str) -> dict[str, tuple[str, str]]:
 def install_prefix(package: str) -> Path:
     try:
         return Path(get_package_prefix(package))
-    except PackageNotFoundError:
+    except (PackageNotFoundError, OSError):  # OSError: nothing at all is sourced
         pytest.skip('the workspace is not sourced: run make test')
 
 
@@ -170,6 +170,16 @@ def test_the_block_really_blocks_ros():
 def test_observer_and_simulator_do_not_import_each_other():
     assert 'dc_motor_sim' not in imported(sources('gray_box_observer'))
     assert 'gray_box_observer' not in imported(sources('dc_motor_sim'))
+
+
+def test_a_section_of_the_method_that_the_code_cites_is_there():
+    headings = re.findall(r'^## (.+)$', (ROOT / 'docs' / 'METHOD.md').read_text(encoding='utf-8'), re.MULTILINE)
+    cited = {}
+    for path in [p for folder in ('src', 'benchmarks', 'tests') for p in (ROOT / folder).rglob('*.py')]:
+        for title in re.findall(r'docs/METHOD\.md, ([A-Z]\w[\w ]*|`[^`]+`)', path.read_text(encoding='utf-8')):
+            cited[title] = path
+    assert len(cited) >= 3
+    assert {title: path for title, path in cited.items() if title not in headings} == {}
 
 
 def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():

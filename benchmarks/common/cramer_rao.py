@@ -1,4 +1,4 @@
-"""The Cramer-Rao bound: how well anyone could know the parameters from a recording (METHOD 4).
+"""The Cramer-Rao bound: how well anyone could know the parameters from a recording (docs/METHOD.md, The bound).
 
 For white torque noise of standard deviation s, no unbiased estimate has a covariance below ``s^2 (sum_k S_k S_k')^-1``,
 where ``S_k`` is the derivative of the noise-free output by the unknowns: the current before the first sample and the

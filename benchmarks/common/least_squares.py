@@ -12,7 +12,7 @@ from common.cases import Record
 from common.motion import FloatArray, solve
 
 START_WINDOW = 20
-"""Samples an equation of the batch's linear start spans (METHOD 4)."""
+"""Samples an equation of the batch's linear start spans (docs/METHOD.md, `context_update: recursive`, 1)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """The benchmarks' own solution of the motor equation, with sensitivities: a second opinion on the packages'.
 
-``L di/dt = V - R i - Kb w - K_HS |w| i`` (METHOD 1) over held voltages, in the physical parameters themselves. All
-intervals are stepped at once, each from a guess of its start; the guesses are mended by Newton's method on the whole
-sequence, a bidiagonal system, so that a minute of samples takes milliseconds.
+``L di/dt = V - R i - Kb w - K_HS |w| i`` (docs/METHOD.md, The form) over held voltages, in the physical parameters
+themselves. All intervals are stepped at once, each from a guess of its start; the guesses are mended by Newton's method
+on the whole sequence, a bidiagonal system, so that a minute of samples takes milliseconds.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from common import changes
 from common.cases import CASES, Case, Clean, Record, simulate
 from common.cramer_rao import bound_over_time
 from common.estimator import OWN_RULES, Online, OwnRule
@@ -15,9 +16,6 @@ from common.motion import FloatArray
 from common.trace import Trace, follow, grow, marks_of
 from common.tuning import estimators
 
-STEP_AT_S = 20.0  # and up to 4 s later
-STEP_FACTOR = 1.3
-STEP_WATCHED_S = 10.0
 OUTLIERS = ('torque', 'voltage')
 HORIZON_SLOW = 'mhe'
 ROBUSTNESS = (*OWN_RULES, 'ekf')
@@ -65,7 +63,8 @@ class Outcome:
         bounds: by noise, shape (mark, parameter): the Cramer-Rao bound as a fraction of the value.
         time_s: shape (mark,).
         moved: by rule and kind of outlier, shape (parameter,): how far outliers moved the estimate, a fraction.
-        step_s: by rule, seconds from the step of R until the estimate stays within 2 % of the new value.
+        steps: by rule and step, how it was followed.
+        climbs: by rule, how a slow climb of R was followed.
     """
 
     seed: int
@@ -74,7 +73,8 @@ class Outcome:
     bounds: dict[float, FloatArray] = field(default_factory=dict)
     time_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     moved: dict[tuple[str, str], FloatArray] = field(default_factory=dict)
-    step_s: dict[str, float] = field(default_factory=dict)
+    steps: dict[tuple[str, str], changes.Followed] = field(default_factory=dict)
+    climbs: dict[str, changes.Climbed] = field(default_factory=dict)
 
 
 def carry_out(work: Work) -> Outcome:
@@ -95,8 +95,9 @@ def carry_out(work: Work) -> Outcome:
     if work.robustness:
         for rule in [name for name in ROBUSTNESS if name in work.methods]:
             _hit_with_outliers(outcome, clean, rule)
-            if case.name == 'short holds':
-                outcome.step_s[rule] = _step_resistance(case, work.seed, rule)
+            outcome.climbs[rule] = changes.climb(case, work.seed, estimators(case)[rule])
+            for step in changes.STEPS if case.name == 'short holds' else ():
+                outcome.steps[rule, step.title] = changes.watch(step, case, work.seed, estimators(case)[rule])
     return outcome
 
 
@@ -109,35 +110,6 @@ def _hit_with_outliers(outcome: Outcome, clean: Clean, rule: str) -> None:
         record = clean.record(outcome.seed, noise, outliers=kind)
         after = follow(estimators(clean.case)[rule], record, marks).error[-1]
         outcome.moved[rule, kind] = after - before
-
-
-def _step_resistance(case: Case, seed: int, rule: str) -> float:
-    """Raise R by 30 % and wait for the estimate, at 1 % noise; inf if it does not come and stay.
-
-    The step comes at another instant for every seed, so that no method's own rhythm meets it in step.
-    """
-    value = STEP_FACTOR * case.plant.resistance
-    step_s = STEP_AT_S + float(np.random.default_rng([seed, 30]).uniform(0.0, 4.0))
-    schedule = [f'motor.resistance={value:g}@{step_s:.4f}']
-    clean = simulate(case, [seed], step_s + STEP_WATCHED_S, schedule)
-    record = clean.record(seed, 0.01)
-    marks = np.flatnonzero(record.time_s >= step_s)
-    found = case.plant.resistance * (1.0 + follow(estimators(case)[rule], record, marks).error[:, 1])
-    return settled_s(np.abs(found / value - 1.0), record.time_s[marks] - step_s, 0.02)
-
-
-def settled_s(deviation: FloatArray, time_s: FloatArray, tolerance: float) -> float:
-    """First instant from which the deviation stays within the tolerance to the end; inf if there is none.
-
-    Args:
-        deviation: shape (mark,), not negative; NaN counts as outside.
-        time_s: shape (mark,).
-        tolerance: largest deviation that counts as settled.
-    """
-    outside = np.flatnonzero(~(deviation <= tolerance))
-    if outside.size == 0:
-        return float(time_s[0])
-    return float(time_s[outside[-1] + 1]) if outside[-1] + 1 < len(time_s) else float('inf')
 
 
 def microseconds_per_sample(
@@ -163,6 +135,15 @@ def false_alarms_in_an_hour(case: Case, rule: str, seed: int) -> int:
     for k in range(record.stamp_ns.size):
         estimator.learn(k)
     return estimator.alarms
+
+
+def constant_hour(case: Case, rule: str, seed: int) -> FloatArray:
+    """Learn a recording, then an hour of its last voltage: by what the standard deviations were multiplied at least."""
+    record = simulate(case, [seed]).record(seed, 0.01)
+    estimator = OwnRule(rule, record)
+    for k in range(record.stamp_ns.size):
+        estimator.learn(k)
+    return changes.hold(estimator, record, 3600.0)
 
 
 def gather(

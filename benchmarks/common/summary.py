@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from common.motion import FloatArray
-from common.study import settled_s
+from common.settling import settled_s
 from common.trace import Trace
 
 DIVERGED = 0.1

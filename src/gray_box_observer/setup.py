@@ -16,7 +16,7 @@ setup(
         (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.yaml'))]),
         (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
     ],
-    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html']},
+    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html', 'predictor/*.safetensors']},
     install_requires=['setuptools', 'numpy', 'PyYAML'],
     extras_require={'test': ['pytest']},
     zip_safe=False,
@@ -26,10 +26,10 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
-            'observer = gray_box_observer.ros.observer_node:main',
-            'recorder = gray_box_observer.ros.recorder_node:main',
-            'player = gray_box_observer.ros.player_node:main',
-            'identify = gray_box_observer.identify:main',
+            'observer = gray_box_observer.executables:observer',
+            'recorder = gray_box_observer.executables:recorder',
+            'player = gray_box_observer.executables:player',
+            'identify = gray_box_observer.executables:identify',
         ]
     },
 )

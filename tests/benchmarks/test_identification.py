@@ -55,7 +55,7 @@ def test_a_picture_of_an_unknown_kind_is_refused() -> None:
 
 @pytest.mark.usefixtures('peers')
 def test_settling_is_the_first_instant_after_which_nothing_leaves_again() -> None:
-    from common.study import settled_s
+    from common.settling import settled_s
 
     time_s = np.arange(5.0)
     assert settled_s(np.array([9.0, 0.1, 9.0, 0.1, 0.1]), time_s, 1.0) == 3.0

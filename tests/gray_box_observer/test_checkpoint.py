@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -75,13 +77,23 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
-    one, other = observer(InlineTraining), observer(InlineTraining)
+    one, other = (observer(InlineTraining, variant='main') for _ in range(2))
     feed(one, recording, 0, 500)
     save(one, tmp_path / 'c.npz')
     load(other, tmp_path / 'c.npz')
     said = [float(r.prediction.torque_nm[0]) for r in feed(other, recording, 500, 530) if r.prediction is not None]
     assert np.isnan(said[:8]).all()
     assert np.isfinite(said[12:]).all()
+
+
+def test_the_network_of_another_variant_is_refused(tmp_path: Path, recording: Recording) -> None:
+    for variant, wanted in (('main', 'expected variant physics'), ('physics', 'expected one of the thesis')):
+        one = observer(InlineTraining, variant=variant)
+        feed(one, recording, 0, 500)
+        save(one, tmp_path / f'{variant}.npz')
+        other = observer(InlineTraining, variant='physics' if variant == 'main' else 'main')
+        with pytest.raises(GrayBoxError, match=wanted):
+            load(other, tmp_path / f'{variant}.npz')
 
 
 def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recording: Recording) -> None:
@@ -112,6 +124,32 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Reco
     (tmp_path / 'file').write_text('')
     with pytest.raises(GrayBoxError, match='cannot write'):
         save(one, tmp_path / 'file' / 'c.npz')
+
+
+def no_space(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize('fails', ['os.fsync', 'pathlib.Path.replace'])
+def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
+    saved: Path, recording: Recording, fails: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, one = saved.read_bytes(), observer()
+    feed(one, recording, 0, 100)
+    monkeypatch.setattr(fails, no_space)
+    with pytest.raises(GrayBoxError, match=r'cannot write .*c\.npz: No space left on device'):
+        save(one, saved)
+    assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+    assert saved.read_bytes() == old
+
+
+def test_a_folder_is_not_replaced_by_a_checkpoint(tmp_path: Path, recording: Recording) -> None:
+    one = observer()
+    feed(one, recording, 0, 100)
+    (tmp_path / 'c.npz').mkdir()
+    with pytest.raises(GrayBoxError, match=r'cannot write .*: Is a directory'):
+        save(one, tmp_path / 'c.npz')
+    assert [p.name for p in tmp_path.iterdir()] == ['c.npz']
 
 
 def refuse(path: Path, message: str, **given: Any) -> None:

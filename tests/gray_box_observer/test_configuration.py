@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
-from gray_box_observer.configuration import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, Configuration, flatten
+from gray_box_observer.configuration import (
+    KNOWN_PARAMETERS,
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    Configuration,
+    flatten,
+)
 from gray_box_observer.context_nodes import GradientRules, VerdictRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import TrainingRules, Variant
@@ -99,6 +107,9 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
     assert configuration['gap_s'] == 2.0
     assert isinstance(configuration['gap_s'], float)
     assert isinstance(configuration.motors['motor'].values['torque_constant'], float)
+    limits = Configuration.from_flat({'motor.voltage_limits': [-12, 12]}).motors['motor'].values['voltage_limits']
+    assert limits == [-12.0, 12.0]
+    assert all(isinstance(limit, float) for limit in limits)
     refuse(r'seed must be of type int, got 1\.0 \(float\)', seed=1.0)
 
 
@@ -113,7 +124,7 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('gap_s', float('nan'), 'gap_s must be in .* got nan'),
         ('gap_s', float('inf'), 'gap_s must be in .* got inf'),
         ('seed', -1, r'seed must be in \[0, inf\], got -1'),
-        ('variant', 'best', "variant must be one of main, .* got 'best'"),
+        ('variant', 'best', "variant must be one of physics, main, .* got 'best'"),
         ('context_update', 'magic', 'context_update must be one of .*gradient'),
         ('motors', 'motor', "motors must be of type list, got 'motor'"),
         ('motors', [], 'motors must be distinct names'),
@@ -129,6 +140,20 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('motor__context_nodes', [['inductance']], r'motor\.context_nodes must be a list of str'),
         ('motor__initial__resistance', 1e9, r'motor\.initial\.resistance must be in'),
         ('motor__speed_source', 'guess', 'speed_source must be one of'),
+        ('voltage__type', 'JointState', r"voltage\.type must be a message type such as .*, got 'JointState'"),
+        ('speed__type', 'sensor_msgs.msg.JointState', r'speed\.type must be a message type'),
+        ('torque__field', 'wrench..z', r"torque\.field: 'wrench\.\.z' is no field path"),
+        ('torque__scale', float('nan'), r'torque\.scale must be a finite number other than 0, got nan'),
+        ('voltage__scale', 0, r'voltage\.scale must be a finite number other than 0'),
+        ('voltage__topic', '', r'voltage\.topic is empty'),
+        ('motor__known__resistance', -1.0, r'motor\.known\.resistance must be in'),
+        ('motor__known__hysteresis', 1.0, r'motor motor: hysteresis is among context_nodes and has known\.hysteresis'),
+        ('motor__voltage_limits', [12.0, -12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got'),
+        ('motor__voltage_limits', [12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got \[12'),
+        ('motor__voltage_limits', [0.0, 'high'], r'motor\.voltage_limits must be a list of float'),
+        ('motor__voltage_limits', [True, 1.0], r'motor\.voltage_limits must be a list of float'),
+        ('training__core_share', 0.0, r'training\.core_share must be in'),
+        ('training__start', 'warm', r'training\.start must be one of shipped, fresh'),
         ('motor__delay', 'guess', r"motor\.delay must be a number or estimate, got 'guess'"),
         ('motor__delay', True, r'motor\.delay must be a number or estimate, got True'),
         ('motor__delay', [0.1], r'motor\.delay must be a number or estimate, got \[0\.1\]'),
@@ -137,6 +162,16 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
     refuse(message, **{name: value})
+
+
+def test_every_term_that_is_not_identified_can_be_known() -> None:
+    assert set(KNOWN_PARAMETERS) == set(TERMS) - {'inductance'}
+    given = {parameter: 0.5 + k for k, parameter in enumerate(KNOWN_PARAMETERS.values())}
+    configuration = Configuration.from_flat(
+        {'motor.context_nodes': ['inductance'], **{f'motor.{name}': value for name, value in given.items()}}
+    )
+    known = configuration.motors['motor'].white_box(speed_measured=False).known
+    assert known == {term: given[parameter] for term, parameter in KNOWN_PARAMETERS.items()}
 
 
 def test_a_delay_is_a_number_or_the_word_estimate() -> None:
@@ -221,6 +256,17 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     binary.write_bytes(b'\xff\xfe\x00\x80')
     with pytest.raises(ConfigurationError, match='is not YAML'):
         Configuration.from_yaml(binary)
+
+
+def test_the_example_file_holds_every_parameter_with_its_default_and_its_description() -> None:
+    path = Path(__file__).resolve().parents[2] / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
+    specs = {spec.name: spec for spec in OBSERVER_PARAMETERS}
+    specs |= {f'motor.{spec.name}': spec for spec in MOTOR_PARAMETERS}
+    given = flatten(yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters'])
+    assert list(given) == sorted(given, key=list(specs).index)
+    assert given == {name: spec.default for name, spec in specs.items()}
+    said = re.findall(r'^ +(\w+): .*?  # (.+)$', path.read_text(encoding='utf-8'), re.MULTILINE)
+    assert said == [(name.rpartition('.')[2], specs[name].description) for name in given]
 
 
 def test_groups_become_dotted_names() -> None:

@@ -158,6 +158,18 @@ def test_the_report_is_one_page_with_what_was_found(identify: Run, bag: Path, tm
     assert 'is taken as known' in page
 
 
+def test_the_report_says_what_was_taken_as_known(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor: {context_nodes: [inductance, hysteresis], known: {resistance: 1.0}}\n'
+    )
+    code, _, said = identify(bag, '--report', tmp_path / 'r.html', '--params', params, '--skip-predictor')
+    assert code == 0, said
+    page = (tmp_path / 'r.html').read_text(encoding='utf-8')
+    assert 'resistance = 1 ohm is taken as known' in page
+    assert 'its error goes into R' not in page
+
+
 def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
     params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n')
@@ -260,20 +272,81 @@ def test_a_truncated_bag_is_read_as_far_as_it_goes_with_a_warning(identify: Run,
 
 
 @pytest.mark.parametrize('option', ['--json', '--report'])
-def test_a_result_that_cannot_be_written_is_one_clear_line(
-    identify: Run, bag: Path, tmp_path: Path, option: str
+@pytest.mark.parametrize('place', ['a file/below it', '.'])
+def test_a_result_that_could_not_be_written_is_refused_before_the_work(
+    identify: Run, bag: Path, tmp_path: Path, option: str, place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    code, _, said = identify(bag, option, tmp_path / 'no' / 'such' / 'folder' / 'f', '--skip-predictor')
-    if option == '--report' and code == 0:  # it may make the folder
-        assert (tmp_path / 'no/such/folder/f').exists()
-        return
+    (tmp_path / 'a file').touch()
+    monkeypatch.setattr('gray_box_observer.offline.run', lambda *_: pytest.fail('the work was begun'))
+    code, _, said = identify(bag, option, tmp_path / place, '--skip-predictor')
     assert code == 2
-    assert 'cannot' in one_line(said)
+    assert f'cannot write {tmp_path / place}: ' in one_line(said)
+
+
+def test_a_report_that_could_not_be_drawn_is_refused_before_the_work(
+    identify: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr('gray_box_observer.offline.run', lambda *_: pytest.fail('the work was begun'))
+    monkeypatch.setattr('gray_box_observer.report.page.find_spec', lambda name: None)
+    code, _, said = identify(bag, '--report', tmp_path / 'r.html')
+    assert code == 2
+    assert 'pip install plotly' in one_line(said)
+
+
+def test_json_makes_no_folders_and_a_report_does(identify: Run, bag: Path, tmp_path: Path) -> None:
+    code, _, said = identify(bag, '--json', tmp_path / 'no' / 'r.json', '--skip-predictor')
+    assert code == 2
+    assert 'No such file or directory' in one_line(said)
+    assert identify(bag, '--report', tmp_path / 'new' / 'folder' / 'r.html', '--skip-predictor')[0] == 0
+    assert (tmp_path / 'new/folder/r.html').stat().st_size > 0
+
+
+def test_a_refused_run_leaves_the_old_result_and_no_new_file(identify: Run, tmp_path: Path) -> None:
+    (tmp_path / 'old.json').write_text('old')
+    code, *_ = identify(tmp_path / 'no.mcap', '--json', tmp_path / 'old.json', '--report', tmp_path / 'r.html')
+    assert code == 2
+    assert (tmp_path / 'old.json').read_text() == 'old'
+    assert [path.name for path in tmp_path.iterdir()] == ['old.json']
+
+
+TRUTH_LINE = '<dt>truth</dt>'
+
+
+@pytest.mark.parametrize('place', ['in the bag', 'beside the bag'])
+def test_the_truth_that_lies_with_a_bag_is_drawn_into_its_report(
+    identify: Run, bag: Path, tmp_path: Path, place: str
+) -> None:
+    report = tmp_path / 'r.html'
+    assert identify(bag, '--report', report, '--skip-predictor')[0] == 0
+    assert TRUTH_LINE not in report.read_text(encoding='utf-8')
+    truth = (bag if place == 'in the bag' else tmp_path) / 'truth.yaml'
+    truth.write_text('motors: {motor: {inductance: 0.5}}\n')
+    for given in (bag, next(bag.glob('*.mcap'))):
+        code, _, said = identify(given, '--report', report, '--skip-predictor')
+        assert code == 0
+        assert said == f'identify: the report takes {truth} for the truth\n'
+        assert TRUTH_LINE in report.read_text(encoding='utf-8')
+
+
+def test_what_lies_with_a_bag_and_is_no_truth_costs_a_warning_only(identify: Run, bag: Path, tmp_path: Path) -> None:
+    (bag / 'truth.yaml').write_text('motors: 3\n')
+    code, _, said = identify(bag, '--report', tmp_path / 'r.html', '--skip-predictor')
+    assert code == 0
+    assert 'truth.yaml is no truth file' in said
+    assert 'it is ignored' in said
 
 
 @pytest.mark.parametrize(
     'text',
-    ['motors: 3', '', 'motors: {motor: {inductance: heavy}}', 'motors: {motor: [1]}', '[', 'motors: {m: {R: [[1]]}}'],
+    [
+        'motors: 3',
+        '',
+        'motors: {motor: {inductance: heavy}}',
+        'motors: {motor: [1]}',
+        '[',
+        'motors: {m: {R: [[1]]}}',
+        'motors: {m: {R: [[2, 1], [1, 1]]}}',
+    ],
 )
 def test_a_truth_file_that_is_none_is_one_clear_line(identify: Run, bag: Path, tmp_path: Path, text: str) -> None:
     truth = tmp_path / 'truth.yaml'

@@ -68,7 +68,7 @@ def test_a_field_path_that_is_none_is_refused_at_once() -> None:
 def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
     taker, _ = intake(torque__field='data[2]')
     taker.take('torque', SimpleNamespace(data=[1.0, 2.0, 3.0]), 1)
-    assert taker.take('torque', SimpleNamespace(data=[1.0]), 2) == []
+    assert taker.take('torque', SimpleNamespace(data=[1.0]), 2) == (2, (), [])
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
 
 
@@ -83,10 +83,9 @@ def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
 )
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
     taker, observer = intake()
-    assert taker.take('torque', message, 0) == []
+    assert taker.take('torque', message, 0) == (0, (), [])
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.pairing['motor'].received_torque == 0
-    assert taker.motors_in('torque', message) == []
 
 
 def test_a_number_without_a_name_cannot_belong_to_several_motors() -> None:
@@ -113,10 +112,36 @@ def test_names_are_found_in_views_and_in_messages_alike() -> None:
     assert names_of(SimpleNamespace(data=1.0)) is None
 
 
+def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
+    taker, _ = intake(motors=['a', 'b'])
+    taker.take('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
+    taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
+    assert (taken.stamp_ns, taken.values) == (5, [('b', 2.0), ('a', 3.0)])
+    assert [(r.motor, r.sample.torque_nm[0]) for r in taken.results] == [('b', 0.1)]
+
+
+def test_a_message_is_read_once() -> None:
+    class Counting:
+        """A message that counts how often its values are asked for."""
+
+        name = ('motor',)
+        reads = 0
+
+        @property
+        def effort(self) -> tuple[float, ...]:
+            self.reads += 1
+            return (1.0,)
+
+    taker, _ = intake()
+    message = Counting()
+    assert taker.take('voltage', message, 3).values == [('motor', 1.0)]
+    assert message.reads == 1
+
+
 def test_speed_comes_with_torque_where_the_message_has_it() -> None:
     taker, _ = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    with_speed = taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0)
+    with_speed = taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0).results
     assert with_speed[0].sample.speed_rad_s[0] == 3.0
 
 
@@ -124,14 +149,14 @@ def test_speed_may_have_a_topic_of_its_own() -> None:
     taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
     taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0)
+    results = taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0).results
     assert results[0].sample.speed_rad_s[0] == 6.0
 
 
 def test_without_speed_the_sample_says_so() -> None:
     taker, observer = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,)), 0)
+    results = taker.take('torque', view(0, ('motor',), (0.1,)), 0).results
     assert math.isnan(results[0].sample.speed_rad_s[0])
     assert not observer.motors['motor'].white_box.speed_measured
 

@@ -51,11 +51,17 @@ def test_it_identifies_the_motor_of_the_thesis(record: Callable[..., Recording])
     assert estimate.identified(0)
 
 
-def test_the_same_samples_give_the_same_bytes(record: Callable[..., Recording]) -> None:
+@pytest.mark.parametrize('variant', ['physics', 'main'])
+def test_the_same_samples_give_the_same_bytes(record: Callable[..., Recording], variant: str) -> None:
     recording = record(duration_s=6.0)
-    first, second = (trace(feed(observer(InlineTraining), recording)) for _ in range(2))
+    first, second = (trace(feed(observer(InlineTraining, variant=variant), recording)) for _ in range(2))
     assert first == second
-    assert first != trace(feed(observer(InlineTraining, seed=1), recording))
+
+
+def test_another_seed_trains_another_network(record: Callable[..., Recording]) -> None:
+    recording = record(duration_s=6.0)
+    first, second = (trace(feed(observer(InlineTraining, variant='main', seed=k), recording)) for k in range(2))
+    assert first != second
 
 
 def test_forecasting_changes_nothing(record: Callable[..., Recording]) -> None:
@@ -117,6 +123,31 @@ def test_freezing_reaches_motors_seen_before_and_after(record: Callable[..., Rec
     np.testing.assert_array_equal(one.estimates()['a'].value, before)
     assert {v for e in one.estimates().values() for v in e.verdicts[0]} == {Verdict.FROZEN}
     assert observer(freeze=True).frozen
+
+
+def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
+    record: Callable[..., Recording],
+) -> None:
+    recording, one = record(duration_s=12.0), observer(InlineTraining, variant='main')
+    feed(one, recording, 400)
+    predictor = one.motors['motor'].predictor
+    assert predictor is not None
+    one.freeze(True)
+    jobs, network = predictor.jobs_done, predictor.state()
+    results = feed(one, recording, 800)
+    assert jobs > 0
+    assert predictor.jobs_done == jobs
+    for name, array in network.items():
+        if not name.startswith('seen_'):
+            np.testing.assert_array_equal(predictor.state()[name], array, err_msg=name)
+    assert all(r.prediction is not None and np.isfinite(r.prediction.torque_nm[0]) for r in results[-100:])
+    one.freeze(False)
+    feed(one, recording)
+    assert predictor.jobs_done > jobs
+    frozen = observer(InlineTraining, freeze=True)
+    feed(frozen, recording, 400)
+    assert frozen.motors['motor'].predictor is not None
+    assert frozen.motors['motor'].predictor.jobs_done == 0
 
 
 def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:

@@ -170,6 +170,47 @@ def test_a_field_that_the_messages_do_not_have_is_an_error_that_names_it(
         observe(bag, **{'torque.field': 'wrench.torque.z'})
 
 
+def test_a_type_that_the_node_would_not_hear_is_a_warning(
+    tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
+) -> None:
+    bag = write_bag(tmp_path / 'bag', messages)
+    (warning,) = observe(bag, **{'torque.type': 'geometry_msgs/msg/WrenchStamped'}).warnings
+    assert '/motor/torque is of type sensor_msgs/msg/JointState, but torque.type is geometry_msgs/msg/Wrench' in warning
+    assert observe(bag, **{'torque.type': 'sensor_msgs/JointState'}).warnings == []
+
+
+def test_one_topic_may_carry_voltage_and_torque(
+    tmp_path: Path, write_bag: Callable[..., Path], record: Callable[..., Recording], messages: Messages
+) -> None:
+    recording = record('R[5,15]D[0.2,2]', 10.0)
+    signals = zip(recording.stamp_ns + 10**9, recording.voltage_v[0], recording.torque_nm[0], strict=True)
+    both = [
+        ('/both', int(at), encode_joint_state(int(at), ('motor',), position=(voltage,), effort=(torque,)))
+        for at, voltage, torque in signals
+    ]
+    given = {'voltage.topic': 'both', 'voltage.field': 'position', 'torque.topic': 'both'}
+    together = observe(write_bag(tmp_path / 'together', both, ('/both',)), **given)
+    assert together.digest == observe(write_bag(tmp_path / 'apart', messages)).digest
+
+
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_a_motor_whose_resistance_is_known_gives_the_rest(
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+    rule: str,
+) -> None:
+    bag = write_bag(tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,2]', 60.0, torque_noise_relative=0.002)))
+    nodes = ['inductance', 'hysteresis']
+    given = {'context_update': rule, 'motor.context_nodes': nodes, 'motor.known.resistance': 1.0}
+    estimate = observe(bag, **given).observer.estimates()['motor']
+    assert [parameter.name for parameter in estimate.parameters] == nodes
+    np.testing.assert_allclose(estimate.value, [[0.5, 10.0]], rtol=0.01 if rule == 'recursive' else 0.05)
+    without = observe(bag, **{**given, 'motor.known.resistance': 0.0}).observer.estimates()['motor']
+    assert without.value[0, 1] > 12.0  # K_HS has to stand for the resistance too
+
+
 def test_progress_counts_every_message(tmp_path: Path, write_bag: Callable[..., Path], messages: Messages) -> None:
     bag, counted = write_bag(tmp_path / 'bag', messages), []
     run([bag], Configuration.from_flat({}), None, None, counted.append)

@@ -1,4 +1,4 @@
-"""The excitation language: which voltage drives a motor, written like in the thesis (5.1.1).
+"""The excitation language: which voltage drives a motor, written like in the thesis (4.1.2, 5.1.1).
 
     excitation := base { '+' addend }
     base       := R[a,b]D[c,d]                    levels drawn uniformly from [a,b] V, each held for [c,d] s

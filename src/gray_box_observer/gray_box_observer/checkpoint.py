@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +30,26 @@ def save(observer: Observer, path: Path) -> None:
         plain, arrays = motor.state()
         content['motors'][name] = plain
         content.update({f'{name}/{key}': array for key, array in arrays.items()})
+    _write_whole(path, messages.encode(content))
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """Write beside the file and put it in its place; where that fails, the old file stays and nothing else does."""
+    partial = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
-            file.write(messages.encode(content))
+            partial = Path(file.name)
+            file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        Path(file.name).replace(path)
+        partial.replace(path)
     except OSError as error:
         raise GrayBoxError(f'cannot write {path}: {error.strerror}') from error
+    finally:
+        if partial is not None:
+            with suppress(OSError):  # where it took its place there is none left; on a dead disk there is no help
+                partial.unlink(missing_ok=True)
 
 
 def load(observer: Observer, path: Path) -> None:

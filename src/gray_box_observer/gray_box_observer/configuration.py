@@ -5,6 +5,7 @@ Names are those of ROS parameters. One YAML file serves the node and ``identify`
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
 
@@ -20,6 +22,11 @@ NODE_NAME = 'gray_box_observer'
 
 NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 """What ROS allows between two slashes of a topic: a motor's name stands there."""
+
+MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
+
+SIGNALS = ('voltage', 'torque', 'speed')
+"""What is measured; each has a group of parameters that say where it comes from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +63,8 @@ class ParameterSpec:
             value = float(value)
         if isinstance(self.default, list) and isinstance(value, tuple):
             value = list(value)
+        if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
+            value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
         if value in self.words:
             return value
         if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
@@ -112,10 +121,11 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
     ParameterSpec(
         'variant',
-        'main',
-        'What the LSTM is trained on (thesis 5.1).',
-        choices=('main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+        'physics',
+        'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
+        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
+    ParameterSpec('horizon_s', 0.0, 'Longest forecast of variant physics, in s; 0: the next sample.', 0.0, 1e6),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
@@ -129,6 +139,13 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
+    ParameterSpec(
+        'recursive.long_hold_s',
+        60.0,
+        'In a longer hold of the voltage, in s, the level moves only what heats.',
+        0.0,
+        1e9,
+    ),
     ParameterSpec('gradient.batch_size', 25, 'New samples between two updates of the context nodes.', 1, 100000),
     ParameterSpec('gradient.window', 10, 'Samples between the two ends of a difference.', 1, 10000),
     ParameterSpec('gradient.learning_rate', 0.02, 'Adam, on the logarithm of the parameters.', 1e-6, 1.0),
@@ -139,6 +156,14 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
+    ParameterSpec('training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0),
+    ParameterSpec(
+        'training.start',
+        'shipped',
+        'What variant physics begins with: the network that comes with the package, or a fresh one.',
+        choices=('shipped', 'fresh'),
+    ),
+    ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
@@ -149,6 +174,14 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('checkpoint.path', 'gray_box_observer.npz', 'File that save writes and load reads.', live=True),
 )
 """Parameters of the node as a whole."""
+
+KNOWN_PARAMETERS = {
+    'back_emf_constant': 'back_emf_constant',
+    'brush_drop': 'brush_drop',
+    'resistance': 'known.resistance',
+    'hysteresis': 'known.hysteresis',
+}
+"""Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
@@ -165,11 +198,22 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first.',
     ),
+    ParameterSpec('known.resistance', 0.0, 'Resistance R in ohm where it is not among context_nodes.', 0.0, 1e4),
+    ParameterSpec(
+        'known.hysteresis', 0.0, 'Hysteresis K_HS in V s/(rad A) where it is not among context_nodes.', 0.0, 1e6
+    ),
     ParameterSpec(
         'speed_source',
         'auto',
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque brings speed.',
         choices=('auto', 'measured', 'torque_constant'),
+    ),
+    ParameterSpec(
+        'voltage_limits',
+        [0.0, 0.0],
+        'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from what is seen.',
+        -1e6,
+        1e6,
     ),
     ParameterSpec(
         'delay',
@@ -204,9 +248,9 @@ class MotorConfiguration:
         """Build the white box of this motor."""
         nodes = tuple(self.values['context_nodes'])
         known = {
-            name: self.values[name]
-            for name in ('back_emf_constant', 'brush_drop')
-            if name not in nodes and self.values[name] > 0.0
+            name: self.values[parameter]
+            for name, parameter in KNOWN_PARAMETERS.items()
+            if name not in nodes and self.values[parameter] > 0.0
         }
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
 
@@ -270,6 +314,8 @@ class Configuration:
                 raise ConfigurationError(
                     f'parameter {large} must be at least twice {small}, got {values[large]} and {values[small]}'
                 )
+        for name in SIGNALS:
+            _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}
         return cls(values, motors, tuple(sorted(rest)))
 
@@ -322,12 +368,38 @@ def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
     return flat
 
 
+def _check_signal(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse what no message could ever be read by, before any is waited for or read."""
+    if not values[f'{name}.topic'] and name != 'speed':
+        raise ConfigurationError(f'parameter {name}.topic is empty: voltage and torque each need a topic')
+    if not MESSAGE_TYPE.fullmatch(values[f'{name}.type']):
+        raise ConfigurationError(
+            f'parameter {name}.type must be a message type such as sensor_msgs/msg/JointState, '
+            f'got {values[f"{name}.type"]!r}'
+        )
+    scale = values[f'{name}.scale']
+    if not math.isfinite(scale) or scale == 0.0:
+        raise ConfigurationError(f'parameter {name}.scale must be a finite number other than 0, got {scale!r}')
+    try:
+        FieldPath(values[f'{name}.field'])
+    except ConfigurationError as error:
+        raise ConfigurationError(f'parameter {name}.field: {error}') from error
+
+
 def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
     """Take one motor's group out of the values that are left."""
     values = {
         spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _default(spec)), f'{name}.') for spec in MOTOR_PARAMETERS
     }
     motor = MotorConfiguration(name, values)
+    for node in values['context_nodes']:
+        if values.get(f'known.{node}', 0.0) > 0.0:
+            raise ConfigurationError(
+                f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of them out'
+            )
+    limits_v = values['voltage_limits']
+    if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
+        raise ConfigurationError(f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {limits_v}')
     try:
         motor.white_box(speed_measured=values['speed_source'] != 'torque_constant')
     except ConfigurationError as error:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import json
 import math
+import os
 import shlex
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
-
-import numpy as np
-import yaml
 
 from gray_box_observer import offline
 from gray_box_observer.bag.csv_log import csv_to_bag
@@ -27,7 +27,6 @@ from gray_box_observer.samples import Rejection
 
 if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
     from gray_box_observer.report.collector import Collector
-    from gray_box_observer.report.history import Truth
 
 EXIT_USER_ERROR = 2
 
@@ -67,26 +66,29 @@ def _parser() -> argparse.ArgumentParser:
         help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
         'torque_constant=0.05 speed=w; or one YAML file with the same keys',
     )
-    parser.add_argument('--truth', type=Path, metavar='FILE.yaml', help='true parameters, drawn into the report')
+    parser.add_argument(
+        '--truth',
+        type=Path,
+        metavar='FILE.yaml',
+        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
+    )
     return parser
 
 
 def _run(options: argparse.Namespace) -> None:
     if not options.bags:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
+    for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
+        if target is not None:
+            _refuse_unwritable(target, makes_folders=target is options.report)
+    configuration = Configuration.from_yaml(options.params) if options.params else None
     mapping = _convert(options) if options.from_csv else None
-    if options.params:
-        configuration = Configuration.from_yaml(options.params)
-    else:
+    if configuration is None:
         configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     training = None if options.skip_predictor else InlineTraining
-    collector = None
-    if options.report:
-        from gray_box_observer.report.collector import Collector
-
-        collector = Collector(read_truth(options.truth) if options.truth else None)
+    collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
         outcome = offline.run(options.bags, configuration, training, collector, update)
     unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
@@ -105,6 +107,48 @@ def _run(options: argparse.Namespace) -> None:
         _write_report(options, outcome, result, collector)
     if options.json != '-':
         _print_table(result, sys.stdout)
+
+
+def _refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
+    """Say before the work, not after it, that a result could not be written.
+
+    Raises:
+        GrayBoxError: The file, or the folder it would be made in, takes nothing.
+    """
+    try:
+        if target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if target.is_file():
+            target.open('ab').close()
+        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
+            folder = target.parent
+            while makes_folders and not folder.exists():
+                folder = folder.parent
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+    except OSError as error:
+        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
+
+
+def _collector(options: argparse.Namespace) -> Collector:
+    """Make what the report is collected by, with the truth that was named or lies with the bag."""
+    from gray_box_observer.report import require_plotly
+    from gray_box_observer.report.collector import Collector
+    from gray_box_observer.report.truth import find_truth, read_truth
+
+    require_plotly()
+    if options.truth:
+        return Collector(read_truth(options.truth))
+    found = find_truth(options.bags[0]) if len(options.bags) == 1 else None
+    if found is None:
+        return Collector()
+    try:
+        truth = read_truth(found)
+    except GrayBoxError as error:  # nobody asked for it
+        print(f'identify: warning: {error}; it is ignored', file=sys.stderr)
+        return Collector()
+    print(f'identify: the report takes {found} for the truth', file=sys.stderr)
+    return Collector(truth)
 
 
 def _convert(options: argparse.Namespace) -> CsvMapping:
@@ -150,7 +194,7 @@ def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
 
 
 def describe(outcome: offline.Outcome) -> dict[str, Any]:
-    """Return the result as plain values, in the form of DESIGN section 5."""
+    """Return the result as plain values: what ``--json`` writes."""
     motors: dict[str, dict[str, Any]] = {}
     delays = outcome.observer.delays()
     for name, estimate in outcome.observer.estimates().items():
@@ -206,31 +250,6 @@ def _write_report(
         ),
         options.report,
     )
-
-
-def read_truth(path: Path) -> dict[str, dict[str, Truth]]:
-    """Read true parameters: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``.
-
-    Raises:
-        GrayBoxError: no such file, or not of that form.
-    """
-    try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
-        return {
-            str(motor): {str(name): _truth(value) for name, value in parameters.items()}
-            for motor, parameters in document['motors'].items()
-        }
-    except OSError as error:
-        raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise GrayBoxError(f'{path} is no truth file: expected motors: {{NAME: {{PARAMETER: VALUE}}}}') from error
-
-
-def _truth(value: Any) -> Truth:
-    if isinstance(value, list):
-        times, values = zip(*value, strict=True)
-        return np.array(times, dtype=float), np.array(values, dtype=float)
-    return float(value)
 
 
 def _write_json(result: dict[str, Any], target: str) -> None:

@@ -8,15 +8,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from gray_box_observer.bag.fields import FieldPath
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import SIGNALS, Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
-
-SIGNALS = ('voltage', 'torque', 'speed')
 
 
 class Signal:
@@ -101,6 +99,20 @@ def names_of(message: Any) -> Sequence[str] | None:
     return None if names is None or isinstance(names, str) else names
 
 
+class Taken(NamedTuple):
+    """What one message held and what it has led to.
+
+    Attributes:
+        stamp_ns: its stamp.
+        values: motor and value in SI units for every configured motor it speaks of; none where it cannot be read.
+        results: of the samples that it completed.
+    """
+
+    stamp_ns: int
+    values: Sequence[tuple[str, float]]
+    results: list[Result]
+
+
 class Intake:
     """Takes messages of the configured topics and feeds the observer.
 
@@ -115,8 +127,8 @@ class Intake:
         self.received: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
 
-    def take(self, name: str, message: Any, arrival_ns: int) -> list[Result]:
-        """Take one message of a signal; return what it has led to.
+    def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
+        """Take one message of a signal; return what it held and what it has led to.
 
         Args:
             name: ``voltage``, ``torque`` or ``speed``.
@@ -129,30 +141,24 @@ class Intake:
         self.received[name] += 1
         stamp_ns = stamp_of(message, arrival_ns)
         try:
-            pairs = self.signals[name].read(message)
+            values = self.signals[name].read(message)
         except (SampleError, TypeError, ValueError):
-            return self.malformed(name)
-        if name == 'voltage':
-            return [r for motor, value in pairs for r in self._observer.voltage(motor, stamp_ns, value)]
-        if name == 'speed':
-            return [r for motor, value in pairs for r in self._observer.speed(motor, stamp_ns, value)]
-        speeds = self._speeds(message)
+            self.malformed(name)
+            return Taken(stamp_ns, (), [])
         results: list[Result] = []
-        for motor, value in pairs:
-            results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
-        return results
+        speeds = self._speeds(message) if name == 'torque' else {}
+        for motor, value in values:
+            if name == 'voltage':
+                results += self._observer.voltage(motor, stamp_ns, value)
+            elif name == 'speed':
+                results += self._observer.speed(motor, stamp_ns, value)
+            else:
+                results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
+        return Taken(stamp_ns, values, results)
 
-    def malformed(self, name: str) -> list[Result]:
+    def malformed(self, name: str) -> None:
         """Count a message that could not be read; it leads to nothing."""
         self.rejected[name][Rejection.MALFORMED] += 1
-        return []
-
-    def motors_in(self, name: str, message: Any) -> Sequence[str]:
-        """Return the configured motors that a message speaks of; none where it cannot be read."""
-        try:
-            return [motor for motor, _ in self.signals[name].read(message)]
-        except (SampleError, TypeError, ValueError):
-            return []
 
     def _speeds(self, message: Any) -> dict[str, float]:
         """Speed by motor from the torque message's velocity; none where speed has a topic of its own."""

@@ -78,6 +78,7 @@ class MotorObserver:
         self.predictor = predictor
         self.delay = delay
         self._foreseen: tuple[bytes, Prediction] | None = None
+        self._covariance = context_nodes.estimate().covariance
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -93,10 +94,20 @@ class MotorObserver:
         """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
         prediction = self.predict(sample.interval_s, sample.voltage_v)
         if self.predictor is not None and prediction is not None:
-            self.predictor.learn(sample, prediction, self.context_nodes.theta)
+            self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
         changed = self.context_nodes.learn(sample)
         self._foreseen = None
-        return prediction, self.context_nodes.estimate() if changed else None
+        if not changed:
+            return prediction, None
+        estimate = self.context_nodes.estimate()
+        self._covariance = estimate.covariance
+        return prediction, estimate
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning, of the context nodes and of the predictor; predictions go on."""
+        self.context_nodes.freeze(frozen)
+        if self.predictor is not None:
+            self.predictor.freeze(frozen)
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
@@ -132,6 +143,7 @@ class MotorObserver:
         """Take back what :meth:`state` gave."""
         nodes = {k.removeprefix('nodes/'): v for k, v in arrays.items() if k.startswith('nodes/')}
         self.context_nodes.restore(plain['context_nodes'], nodes)
+        self._covariance = self.context_nodes.estimate().covariance
         if self.predictor is not None:
             network = {k.removeprefix('network/'): v for k, v in arrays.items() if k.startswith('network/')}
             self.predictor.restore(network)
@@ -216,7 +228,7 @@ class Observer:
         """Stop or resume learning of every motor; predictions go on."""
         self._frozen = frozen
         for observer in self.motors.values():
-            observer.context_nodes.freeze(frozen)
+            observer.freeze(frozen)
 
     def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
@@ -298,7 +310,13 @@ class Observer:
         watch = DelayWatch(white_box, initial, motor.delay_s, asked=motor.estimates_delay, gap_s=values['gap_s'])
         predictor = None
         if self._training is not None:
-            training_rules = TrainingRules(variant=Variant(values['variant']), **values.group('training'))
+            low_v, high_v = motor.values['voltage_limits']
+            training_rules = TrainingRules(
+                variant=Variant(values['variant']),
+                horizon_s=values['horizon_s'],
+                voltage_limits_v=(low_v, high_v),
+                **values.group('training'),
+            )
             job = {
                 'white_box': white_box.to_dict(),
                 'rules': training_rules.to_dict(),
@@ -312,5 +330,8 @@ class Observer:
                 training_rules,
                 self._training(job),
                 speed_measured=white_box.speed_measured,
+                seed=self._seed(motor.name),
             )
-        return MotorObserver(white_box, nodes, predictor, watch)
+        observer = MotorObserver(white_box, nodes, predictor, watch)
+        observer.freeze(self._frozen)
+        return observer

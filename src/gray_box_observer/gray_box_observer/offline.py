@@ -14,9 +14,9 @@ from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.bag.mcap_content import RawMessage
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import SIGNALS, Configuration
 from gray_box_observer.errors import BagError, SampleError
-from gray_box_observer.intake import SIGNALS, Intake
+from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer, Result, TrainingFactory
 
 PROGRESS_STEP = 512
@@ -115,7 +115,7 @@ def _feed(
     take: Callable[[Iterable[Result]], None],
     progress: Progress,
 ) -> None:
-    signals = _signals_of(bag, path, configuration)
+    signals = _signals_of(bag, path, configuration, outcome)
     plain = all(bag.topics[topic].type_name == JOINT_STATE for topic in signals)
     decode = JointStateDecoder()
     messages: Iterable[tuple[RawMessage, Any]] = (
@@ -123,28 +123,30 @@ def _feed(
     )
     count = 0
     for raw, decoded in messages:
-        signal = signals[raw.topic]
+        carried = signals[raw.topic]
         try:
             message = decode(raw.data) if plain else decoded
         except SampleError:
-            outcome.intake.malformed(signal)
+            for signal in carried:
+                outcome.intake.malformed(signal)
             continue
-        results = outcome.intake.take(signal, message, raw.publish_time_ns)
-        if results:
-            take(results)
+        for signal in carried:
+            results = outcome.intake.take(signal, message, raw.publish_time_ns).results
+            if results:
+                take(results)
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)
     progress(count % PROGRESS_STEP)
 
 
-def _signals_of(bag: BagReader, path: Path, configuration: Configuration) -> dict[str, str]:
-    """Return the signal that every topic of interest carries.
+def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcome: Outcome) -> dict[str, list[str]]:
+    """Return the signals that every topic of interest carries; one message may hold several.
 
     Raises:
         BagError: a topic is missing, or there are several that it could be.
     """
-    signals = {}
+    signals: dict[str, list[str]] = {}
     for name in SIGNALS:
         wanted = configuration[f'{name}.topic']
         if not wanted:
@@ -154,8 +156,17 @@ def _signals_of(bag: BagReader, path: Path, configuration: Configuration) -> dic
             have = ', '.join(sorted(bag.topics)) or 'none'
             problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
             raise BagError(f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter {name}.topic')
-        signals[found[0]] = name
+        signals.setdefault(found[0], []).append(name)
+        outcome.warnings += _mismatch(f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration)
     return signals
+
+
+def _mismatch(where: str, type_name: str, name: str, configuration: Configuration) -> list[str]:
+    """Say where a topic is of another type than configured: here it can be read all the same, live it could not."""
+    wanted = configuration[f'{name}.type']
+    if type_name.replace('/msg/', '/') == wanted.replace('/msg/', '/'):
+        return []
+    return [f'{where} is of type {type_name}, but {name}.type is {wanted}: the node would hear nothing']
 
 
 def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:

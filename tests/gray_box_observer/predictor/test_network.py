@@ -6,7 +6,7 @@ import torch
 
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.normalisation import Normalisation, Range, moved
-from gray_box_observer.predictor.trainer import _Network
+from gray_box_observer.predictor.torch_network import TorchNetwork
 
 
 def stream(weights: Weights, inputs: np.ndarray) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_the_streamed_network_is_the_lstm_of_torch(inputs: int, hidden: int, see
 def test_the_trainer_trains_the_same_network_that_streams() -> None:
     weights = Weights.initial(4, 6, 3)
     series = np.random.default_rng(3).normal(size=(2, 30, 4))
-    network = _Network(4, 6)
+    network = TorchNetwork(4, 6)
     network.load(weights)
     with torch.no_grad():
         trained = network(torch.as_tensor(series, dtype=torch.float32)).numpy()

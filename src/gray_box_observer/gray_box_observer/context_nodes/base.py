@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 from gray_box_observer.context_nodes.estimate import Estimate
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array
 
 
 class ContextUpdate(Protocol):
     """Learns the context nodes of a group of motors, one sample at a time (thesis: parameter context nodes, 4.3)."""
+
+    replay: ReplayBuffer
+    """The samples it remembers."""
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample; tell whether the estimate has changed."""

@@ -2,18 +2,27 @@
 
 In the coordinates of :mod:`gray_box_observer.white_box.flow` the rate is linear in the unknowns, so a few steps from
 the linear start are enough. With white torque noise the gain comes out as zero, the prediction error is the output
-error, and the result stands at the Cramer-Rao bound (METHOD 4).
+error, and the result stands at the Cramer-Rao bound (docs/METHOD.md, The bound).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
-from gray_box_observer.context_nodes.trajectory import Linearised, Stretch, Trajectory, find_kicks, follow, linearise
+from gray_box_observer.context_nodes.trajectory import (
+    Linearised,
+    Stretch,
+    Trajectory,
+    find_kicks,
+    follow,
+    linearise,
+    recurrence,
+)
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
 
@@ -31,27 +40,8 @@ GAIN_EVIDENCE = 8.0
 """Log-likelihood that a gain must bring: what is not there must not cost efficiency."""
 
 
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """What is believed before the data: every coordinate log-normal.
-
-    Attributes:
-        p: shape (motor, coordinate): medians.
-        covariance: shape (motor, coordinate, coordinate): of the coordinates' logarithms.
-    """
-
-    p: Array
-    covariance: Array
-
-    @classmethod
-    def vague(cls, p: Array, relative_std: float) -> Prior:
-        """Return a prior of independent coordinates, all known as well."""
-        return cls(p, np.tile(relative_std**2 * np.eye(p.shape[1]), (p.shape[0], 1, 1)))
-
-    def loosened(self, directions: Array) -> Prior:
-        """Return the prior with further freedom along directions, shape (coordinate, k) or (coordinate,)."""
-        spread = directions.reshape(self.p.shape[1], -1)
-        return replace(self, covariance=self.covariance + spread @ spread.T)
+RAMP_EVIDENCE = 12.0
+"""Chi-square, of one degree of freedom, from which a coordinate is taken to have drifted during a stretch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,20 +49,12 @@ class Fit:
     """Result of a fit.
 
     Attributes:
-        frame: units, with the coordinates found.
-        state: shape (motor,): state at the last sample.
-        covariance: shape (motor, unknown, unknown): of (last state, coordinates) in the frame, for unit noise.
-        noise_std: shape (motor,): of the prediction error of the current, in A.
-        gain: shape (motor,): share of a prediction error that is taken for a disturbance.
-        sensitivity: shape (motor, coordinate): derivative of the last state by the coordinates, in the frame.
+        belief: at the last sample.
+        ramp: shape (motor,): chi-square of one degree of freedom, how much a steady drift of what heats would explain.
     """
 
-    frame: Frame
-    state: Array
-    covariance: Array
-    noise_std: Array
-    gain: Array
-    sensitivity: Array
+    belief: Belief
+    ramp: Array
 
 
 def batch_fit(white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> Fit:
@@ -200,5 +182,28 @@ class _Search:
         """Return where the search has ended."""
         transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
-        frame = Frame(self._size, self._p)
-        return Fit(frame, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:])
+        belief = Belief(
+            self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
+        )
+        return Fit(belief, self._ramp())
+
+    def _ramp(self) -> Array:
+        """Score test of one further unknown: a drift, linear in time, of the coordinates that heat."""
+        heats = np.array([parameter.heats for parameter in self._white_box.parameters])
+        if not np.any(heats):
+            return np.zeros(self._p.shape[0])
+        passed = np.cumsum(self._stretch.interval_s, axis=1)
+        share = passed / np.maximum(passed[:, -1:], 1e-300)
+        by_heat = np.einsum('jmk,mj->mk', self._maps.by_coordinate[heats], self._p[:, heats])
+        inputs = np.where(self._stretch.restart, 0.0, by_heat * share)
+        drift = recurrence(self._path.factor, inputs[None], np.zeros((1, self._p.shape[0])))[0]
+        jacobian = self._frame.jacobian(self._path)
+        information, right = weighted(jacobian, self._weights, drift)
+        n = information.shape[1]
+        ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] / n + 1e-300
+        inside = np.linalg.solve(information + ridge * np.eye(n), right[..., None])
+        left = (drift - (jacobian @ inside)[..., 0]) * self._weights
+        size = np.sum(left**2, axis=1)
+        statistic = np.sum(left * self._residual, axis=1) ** 2 / np.maximum(size * self._noise**2, 1e-300)
+        clear: Array = np.where(size > 1e-9 * np.sum(drift**2 * self._weights, axis=1), statistic, 0.0)
+        return np.nan_to_num(clear)

@@ -32,12 +32,6 @@ EVERYTHING_PENALTY = 30.0
 UNCHANGED = 1e-4
 """Relative freedom left to every coordinate in a fit that stands for an unchanged motor."""
 
-AGAIN_SAMPLES = 6000
-"""Two changes of one parameter within so many samples are a drift."""
-
-WALK_MEMORY_SAMPLES = 3000.0
-"""A drift's freedom fades over so many samples, unless it is confirmed again."""
-
 MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
 
 
@@ -119,53 +113,5 @@ def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Chan
 
 def evidence_for(stretch: Stretch, held: Fit, free: Fit) -> Array:
     """Log-likelihood that a fit brings over another on the same stretch, shape (motor,)."""
-    evidence: Array = stretch.state.shape[1] * np.log(held.noise_std / free.noise_std)
+    evidence: Array = stretch.state.shape[1] * np.log(held.belief.noise / free.belief.noise)
     return evidence
-
-
-class Walk:
-    """Freedom to drift: variance per sample of the coordinates' logarithms, zero for a motor that keeps still.
-
-    A parameter that has changed twice within AGAIN_SAMPLES is taken for one that walks (a winding that heats); its
-    freedom is what the last step says, and fades when no further step is needed.
-    """
-
-    def __init__(self, motors: int, coordinates: int) -> None:
-        self._rate = np.zeros((motors, coordinates, coordinates))
-        self._last_p = np.zeros((motors, coordinates))
-        self._samples_since = np.full(motors, np.inf)
-
-    @property
-    def walking(self) -> bool:
-        """Whether a parameter of any motor is taken to drift."""
-        return bool(np.any(self._rate))
-
-    def spread(self, samples: int) -> Array:
-        """Return the variance of a number of samples, shape (motor, coordinate, coordinate), and let the rate fade."""
-        self._samples_since = self._samples_since + samples
-        spread: Array = self._rate * samples
-        if self.walking:
-            self._rate = self._rate * np.exp(-samples / WALK_MEMORY_SAMPLES)
-            self._rate = np.where(self._samples_since[:, None, None] > AGAIN_SAMPLES, 0.0, self._rate)
-        return spread
-
-    def changed(self, p: Array, change: Change, which: NDArray[np.bool_]) -> None:
-        """Take note of a change; the second within the time makes it a walk."""
-        again = which & (self._samples_since < AGAIN_SAMPLES) & change.single
-        if np.any(again):
-            direction = change.directions / np.max(np.abs(change.directions))
-            step = np.log(p / np.where(self._last_p > 0.0, self._last_p, p)) @ direction / np.sum(direction**2)
-            rate = step**2 / np.maximum(self._samples_since, 1.0)
-            walk = rate[:, None, None] * np.multiply.outer(direction, direction)
-            self._rate = np.where(again[:, None, None], walk, self._rate)
-        self._last_p = np.where(which[:, None], p, self._last_p)
-        self._samples_since = np.where(which, 0.0, self._samples_since)
-
-    def state(self) -> dict[str, Array]:
-        """Everything, for a checkpoint."""
-        return {'rate': self._rate, 'last_p': self._last_p, 'samples_since': self._samples_since}
-
-    def restore(self, arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave."""
-        self._rate, self._last_p = arrays['rate'], arrays['last_p']
-        self._samples_since = arrays['samples_since']

@@ -44,6 +44,13 @@ class Estimate:
         result: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
         return result
 
+    def bound_met(self, motor: int, parameter: int) -> str:
+        """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
+        p, value = self.parameters[parameter], self.value[motor, parameter]
+        nearer, limit = min(('lower', p.lower), ('upper', p.upper), key=lambda bound: abs(np.log(value / bound[1])))
+        at = self.verdicts[motor][parameter] is Verdict.IMPLAUSIBLE
+        return f'at its {nearer} bound of {limit:g} {p.unit}' if at else ''
+
     def identified(self, motor: int) -> bool:
         """Tell whether every parameter of one motor is identified."""
         return all(verdict is Verdict.IDENTIFIED for verdict in self.verdicts[motor])

@@ -1,4 +1,7 @@
-"""Where the search starts: least squares on the integrated equation (METHOD 4, third row of the second table)."""
+"""Where the search starts: least squares on the integrated equation.
+
+Source: docs/METHOD.md, `context_update: recursive`, 1.
+"""
 
 from __future__ import annotations
 

@@ -54,6 +54,17 @@ class Stretch:
         """Return the stretch with further restarts, shape (motor, k)."""
         return replace(self, restart=self.restart | at)
 
+    def part(self, begin: int, end: int) -> Stretch:
+        """Return samples ``begin`` ... ``end`` as a stretch."""
+        between, samples = slice(begin, end), slice(begin, end + 1)
+        return Stretch(
+            self.state[:, samples],
+            self.voltage_v[:, between],
+            self.interval_s[:, between],
+            self.speed_rad_s[:, samples],
+            self.restart[:, between],
+        )
+
     @classmethod
     def newest(cls, white_box: WhiteBox, replay: ReplayBuffer, samples: int) -> Stretch:
         """Take the newest samples of a replay buffer, the first of them as where the stretch starts."""

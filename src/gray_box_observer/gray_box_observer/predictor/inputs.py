@@ -13,8 +13,13 @@ from gray_box_observer.white_box.base import Array
 
 
 class Variant(str, Enum):
-    """Stage 2 of the thesis: what the LSTM is trained on (thesis 5.1)."""
+    """Stage 2: what the LSTM is trained on. The four of the thesis (5.1), and what grew out of its main one.
 
+    ``physics`` takes the idea of ``main``, that measured torque is not needed, to its end: the network says how the
+    identified motor relaxes (:mod:`relaxation`), and is taught on drawn sequences of whole families of motors.
+    """
+
+    PHYSICS = 'physics'
     MAIN = 'main'
     SEES_DATA = 'sees_data'
     SUPERVISED_WITH_PARAMETERS = 'supervised_with_parameters'

@@ -5,11 +5,18 @@ Streaming inference needs no torch: one step is two small matrix products. Train
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.white_box.base import Array
+
+Mask = NDArray[np.bool_]
+"""Which motors, shape (motor,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +52,21 @@ class Weights:
             np.full(1, 0.5),
         )
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, Any], hidden: int | None = None, inputs: int | None = None) -> Weights:
+        """Take the network's arrays out of others.
+
+        Raises:
+            ConfigurationError: it is of another size than expected.
+        """
+        weights = cls(**{f.name: arrays[f.name] for f in fields(cls)})
+        if hidden is not None and weights.input.shape != (4 * hidden, inputs):
+            raise ConfigurationError(
+                f'the checkpoint holds a network of {weights.hidden} hidden units and {weights.input.shape[1]} inputs, '
+                f'expected {hidden} and {inputs}'
+            )
+        return weights
+
     @property
     def hidden(self) -> int:
         """Number of hidden units."""
@@ -66,6 +88,12 @@ class Memory:
     def blank(cls, motors: int, hidden: int) -> Memory:
         """Return the memory of a network that has seen nothing."""
         return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
+
+    def cleared(self, motors: Mask) -> Memory:
+        """Return this memory, blank for the motors that a mask of shape (motor,) marks."""
+        if not motors.any():
+            return self
+        return Memory(*(np.where(motors[:, None], 0.0, part) for part in (self.hidden, self.cell)))
 
 
 def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory]:

@@ -11,16 +11,28 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor.inputs import InputLayout
-from gray_box_observer.predictor.network import Memory, Weights, step
-from gray_box_observer.predictor.normalisation import Normalisation
+from gray_box_observer.predictor.elementwise import Axis
+from gray_box_observer.predictor.forecaster import Forecaster, Question
+from gray_box_observer.predictor.inputs import InputLayout, Variant
+from gray_box_observer.predictor.network import Memory
+from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.relaxation import Course, course, flow
+from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
+from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
+from gray_box_observer.predictor.start import first_network
 from gray_box_observer.predictor.training import Training
+from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.dynamics import advance, decay_rate
+
+RESIDUAL_PERIOD = 1000
+"""New samples, at least, between two rounds of learning the residual."""
+
+MOVED = 0.05
+"""Change of a parameter, as a fraction, after which a settled network is looked at again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,50 +40,66 @@ class Prediction:
     """What is expected of the next torque sample, with what has to be remembered if it comes.
 
     Attributes:
-        torque_nm: shape (motor,): the predictor's forecast; NaN before the first training and while it warms up.
+        torque_nm: shape (motor,): the predictor's forecast; NaN where it cannot tell: at the first sample of a history,
+            for the thesis's variants also before the first training and while the network warms up.
         white_box_torque_nm: shape (motor,): the white box's rollout from voltages alone.
-        memory: the network's memory after this step; None before the first training.
+        memory: the network's memory after this step; None where it made none.
+        way: where voltage and speed lead; None at the first sample of a history.
+        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
+        residual_memory: memory of what has learnt it.
     """
 
     torque_nm: Array
     white_box_torque_nm: Array
     memory: Memory | None
+    way: Course | None
+    physics_nm: Array | None = None
+    residual_memory: Memory | None = None
 
 
 class Predictor:
     """Streams the network over the samples of a group of motors.
 
     Args:
-        white_box: the physics, for the rollout that prediction is compared with.
+        white_box: the physics; that of a single motor has plain numbers for constants.
         motors: number of motors.
         theta_reference: shape (parameter,): see :class:`InputLayout`.
         rules: settings.
         training: where jobs run.
+        speed_measured: whether speed is a signal.
+        seed: of a fresh network.
     """
 
     def __init__(
         self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules, training: Training,
-        *, speed_measured: bool,
+        *, speed_measured: bool, seed: int = 0,
     ) -> None:  # fmt: skip
         self._white_box = white_box
         self._rules = rules
         self._training = training
-        self._layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
         self._motors = motors
-        self._weights: Weights | None = None
-        self._normalisation: Normalisation | None = None
-        self._memory: Memory | None = None
-        self._warm = np.zeros(motors, dtype=int)
-        self._rollout = np.full(motors, np.nan)
-        self._previous_torque = np.full(motors, np.nan)
-        self._previous_speed = np.full(motors, np.nan)
+        self._axis = Axis(motors)
+        self._speed_measured = speed_measured
+        self._forecaster: Forecaster
+        if rules.variant is Variant.PHYSICS:
+            self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed))
+        else:
+            layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
+            self._forecaster = WindowForecaster(motors, layout, rules)
+        self.residual = ResidualForecaster(white_box, motors)
+        self._residual_asked = 0
+        blank = np.full(motors, np.nan)
+        self._way: Course | None = None
+        self._rollout_nm = self._previous_torque = self._previous_speed = blank
         self.replay = ReplayBuffer(motors, rules.replay_capacity)
         self.scores = Scores(motors)
         self.jobs_done = 0
         self.jobs_late = 0
         self.loss: float | None = None
+        self._frozen = False
+        self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
-        self._fastest_decay: float | None = None
+        self._settled: tuple[Array, OperatingRange] | None = None
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -83,69 +111,93 @@ class Predictor:
             voltage_v: shape (motor,): mean voltage over it.
             theta: shape (motor, parameter): context nodes before the sample is learnt.
         """
-        blank, speed = np.full(self._motors, np.nan), self._previous_speed
-        continues = interval_s > 0.0
-        known = continues & np.isfinite(self._rollout)
-        rollout = blank
-        if np.any(known):
-            held = np.where(known, voltage_v, 0.0)
-            state = self._white_box.state(np.where(known, self._rollout, 0.0))
-            end = advance(self._white_box, theta, state, held, speed, speed, interval_s, self._fastest_decay)
-            rollout = np.where(known, self._white_box.output(end), np.nan)
-        if self._weights is None or self._normalisation is None or self._memory is None:
-            return Prediction(blank, rollout, None)
-        held = np.where(continues, voltage_v, 0.0)
-        columns = self._layout.columns(self._normalisation, held, speed, theta)
-        output, memory = step(self._weights, self._memory, np.stack(columns, axis=-1))
-        torque = self._normalisation.torque.denormalise(output)
-        usable = continues & (self._warm >= self._rules.context)
-        return Prediction(np.where(usable, torque, np.nan), rollout, memory)
+        question = self._question(interval_s, voltage_v, theta)
+        if question is None:
+            blank = np.full(self._motors, np.nan)
+            return Prediction(blank, blank, None, None)
+        axis, ops = self._axis, self._axis.ops
+        start = ops.where(question.usable, self._white_box.state(axis.take(self._rollout_nm)), 0.0)
+        length_s = ops.where(question.usable, axis.take(interval_s), 0.0)
+        end = flow(ops, self._white_box, question.way, start, length_s)
+        rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
+        torque_nm, memory = self._forecaster.forecast(question)
+        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        if correction_nm is None:
+            return Prediction(torque_nm, rollout_nm, memory, question.way)
+        return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
-    def learn(self, sample: Sample, prediction: Prediction, theta: Array) -> None:
-        """Score what was predicted, remember the sample, and start or finish a training job when one is due."""
+    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array) -> Array:
+        """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
+
+        Args:
+            horizon_s: how long, counted from the last sample.
+            voltage_v: shape (motor,): voltage that will be held.
+            theta: shape (motor, parameter): context nodes.
+
+        Returns:
+            Shape (motor,), in N m; NaN for a motor whose signal history has not begun.
+
+        Raises:
+            ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
+        """
+        if self._rules.variant is not Variant.PHYSICS:
+            raise ConfigurationError(
+                f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
+            )
+        question = self._question(np.full(self._motors, horizon_s), voltage_v, theta)
+        return np.full(self._motors, np.nan) if question is None else self._forecaster.forecast(question)[0]
+
+    def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
+        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+
+        Args:
+            sample: what came.
+            prediction: what had been expected of it.
+            theta: shape (motor, parameter): context nodes before the sample is learnt.
+            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
+        """
+        anew = sample.interval_s <= 0.0
         rivals = {
             'predictor': prediction.torque_nm,
-            'persistence': np.where(sample.interval_s > 0.0, self._previous_torque, np.nan),
+            'persistence': np.where(anew, np.nan, self._previous_torque),
             'white_box': prediction.white_box_torque_nm,
         }
         self.scores.add(sample.torque_nm, rivals)
-        anew = sample.interval_s <= 0.0
-        if prediction.memory is not None:
-            kept = [np.where(anew[:, None], 0.0, part) for part in (prediction.memory.hidden, prediction.memory.cell)]
-            self._memory = Memory(*kept)
-        self._warm = np.where(anew, 0, self._warm + 1)
+        physics_nm = prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
+        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
+        self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
-        self._rollout = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        self._rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        self._way = prediction.way
         self._previous_torque = sample.torque_nm
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
         self.replay.append(sample, self._previous_speed)
         if self.replay.total % self._rules.period == 0:
-            self._train(theta)
+            self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume training; predictions go on with the network that runs."""
+        self._frozen = frozen
 
     def state(self) -> dict[str, Array]:
-        """The network and its ranges as arrays; empty before the first training."""
-        if self._weights is None or self._normalisation is None:
-            return {}
-        ranges = {f'range_{name}': np.array(bounds) for name, bounds in self._normalisation.to_dict().items()}
-        return {**self._weights.arrays(), **ranges}
+        """The network and where the motors have run, as arrays."""
+        seen = {f'seen_{name}': np.array(bounds) for name, bounds in self._seen.to_dict().items()}
+        learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
+        return {**self._forecaster.state(), **seen, **learnt}
 
     def restore(self, arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave; training goes on from there."""
-        if not arrays:
-            return
-        weights = Weights(**{name: arrays[name] for name in Weights.__dataclass_fields__})
-        if weights.input.shape != (4 * self._rules.hidden, self._layout.width):
-            raise ConfigurationError(
-                f'the checkpoint holds a network of {weights.hidden} hidden units and {weights.input.shape[1]} inputs, '
-                f'expected {self._rules.hidden} and {self._layout.width}'
-            )
-        ranges = {name[6:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('range_')}
-        self._weights, self._normalisation = weights, Normalisation.from_dict(ranges)
-        self._memory = Memory.blank(self._motors, weights.hidden)
-        self._warm = np.zeros(self._motors, dtype=int)
-        self._start_from = {f'start_{name}': array for name, array in weights.arrays().items()}
-        self._start_from['start_ranges'] = ranges
+        """Take back what :meth:`state` gave; training goes on from there.
+
+        Raises:
+            ConfigurationError: the network is of another variant or size.
+        """
+        self._forecaster.restore(arrays)
+        self.residual.adopt(arrays)
+        seen = {name[5:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('seen_')}
+        self._seen = OperatingRange.from_dict(seen)
+        self._start_from = self._forecaster.start()
+        self._settled = None
 
     def close(self) -> None:
         """Stop training."""
@@ -154,41 +206,80 @@ class Predictor:
     @property
     def failure(self) -> str | None:
         """Why training has ended for good, if it has."""
-        return getattr(self._training, 'failure', None)
+        return self._training.failure
 
-    def _train(self, theta: Array) -> None:
+    def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
+        """Say where an interval leads; None where no motor goes on from a known start."""
+        axis, ops = self._axis, self._axis.ops
+        usable = (interval_s > 0.0) & np.isfinite(self._rollout_nm)
+        if self._speed_measured:
+            usable = usable & np.isfinite(self._previous_speed)
+        if not usable.any():
+            return None
+        held_v = np.where(usable, voltage_v, 0.0)
+        speed_rad_s = np.where(usable, self._previous_speed, 0.0) if self._speed_measured else np.zeros(self._motors)
+        columns, voltage, speed = axis.columns(theta), axis.take(held_v), axis.take(speed_rad_s)
+        way = self._way
+        if not (
+            way is not None
+            and axis.same(way.voltage_v, voltage)
+            and axis.same(way.speed_rad_s, speed)
+            and axis.same(way.theta, columns)
+        ):
+            way = course(ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a)
+        return Question(interval_s, held_v, speed_rad_s, theta, way, axis.take(usable))
+
+    def _train(self, theta: Array, covariance: Array) -> None:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
-        largest = self._white_box.state(np.max(np.abs(self.replay.torque_nm()), axis=1))
-        fastest = np.max(np.abs(self.replay.speed_rad_s()), axis=1)
-        decay = 1.5 * np.max(np.abs(decay_rate(self._white_box, theta, largest, fastest)))
-        self._fastest_decay = float(decay) if np.isfinite(decay) else None
+        newest = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
+        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in newest))
+        if self._frozen:
+            return
         if self._training.busy:
             result = self._training.collect()
             if result is None:
                 self.jobs_late += 1
                 return
-            self._adopt(result)
-        if len(self.replay) >= self._rules.length:
-            self._training.submit(
-                {
-                    'voltage_v': self.replay.voltage_v(),
-                    'interval_s': self.replay.interval_s(),
-                    'torque_nm': self.replay.torque_nm(),
-                    'speed_rad_s': self.replay.speed_rad_s(),
-                    'theta': theta,
-                    **self._start_from,
-                }
-            )
-            self._start_from = {}
-
-    def _adopt(self, result: dict[str, Any]) -> None:
-        self.jobs_done += 1
-        if result['windows'] == 0:
+            self._adopt(result, theta)
+        residual = self._residual_due()
+        idle = self._nothing_to_gain(theta) and not residual
+        if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
-        self.loss = result['loss']
-        arrays = {name: result[name] for name in Weights.__dataclass_fields__}
-        self._weights = Weights(**arrays)
-        self._normalisation = Normalisation.from_dict(result['ranges'])
-        if self._memory is None:
-            self._memory = Memory.blank(self._motors, self._weights.hidden)
-            self._warm = np.zeros(self._motors, dtype=int)
+        count = None if residual else self._rules.job_samples
+        self._training.submit(
+            {
+                'voltage_v': self.replay.voltage_v(count),
+                'interval_s': self.replay.interval_s(count),
+                'torque_nm': self.replay.torque_nm(count),
+                'speed_rad_s': self.replay.speed_rad_s(count),
+                'theta': theta,
+                'covariance': covariance,
+                'seen': self._seen.to_dict(),
+                'residual': residual,
+                **self._start_from,
+            }
+        )
+        self._start_from = {}
+
+    def _residual_due(self) -> bool:
+        """Whether there is so much more to learn a residual from that it is worth a round."""
+        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
+            return False
+        due = self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
+        if due:
+            self._residual_asked = self.replay.total
+        return due
+
+    def _nothing_to_gain(self, theta: Array) -> bool:
+        if self._settled is None:
+            return False
+        settled, seen = self._settled
+        return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
+
+    def _adopt(self, result: dict[str, Any], theta: Array) -> None:
+        self.jobs_done += 1
+        self._settled = (theta, self._seen) if result.get('settled') else None
+        self.loss = result.get('loss', self.loss)
+        self.residual.adopt(result)
+        if 'input' in result:
+            self._forecaster.adopt(result)

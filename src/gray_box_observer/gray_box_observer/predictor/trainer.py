@@ -1,4 +1,4 @@
-"""Training of the predictor: one job after another, each a few Adam steps on windows of the replay buffer.
+"""The contract of a trainer, and the choice of one.
 
 A job and its result are plain arrays, so that the same trainer serves inside a process of its own (live) and inline
 (offline) with the same numbers out.
@@ -7,165 +7,46 @@ A job and its result are plain arrays, so that the same trainer serves inside a 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-
-from gray_box_observer.predictor.inputs import InputLayout
-from gray_box_observer.predictor.losses import Windows, stage_two_loss
-from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.normalisation import Normalisation, moved
-from gray_box_observer.predictor.rules import TrainingRules
-from gray_box_observer.white_box.base import Array
-from gray_box_observer.white_box.motor import MotorWhiteBox
+from gray_box_observer.predictor.inputs import Variant
 
 Message = dict[str, Any]
 """Arrays and plain values by name: what passes between the observer and its trainer."""
 
 
-class _Network(torch.nn.Module):
-    """The network of :mod:`network` in torch; its second bias, which torch has to spare, stays zero."""
-
-    def __init__(self, inputs: int, hidden: int) -> None:
-        super().__init__()
-        self.lstm = torch.nn.LSTM(inputs, hidden, batch_first=True)
-        self.readout = torch.nn.Linear(hidden, 1)
-        spare = self.lstm.get_parameter('bias_hh_l0')
-        spare.requires_grad_(False)
-        spare.zero_()
-
-    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        return self.readout(self.lstm(inputs)[0])[..., 0]  # type: ignore[no-any-return]
-
-    def load(self, weights: Weights) -> None:
-        targets = self._tensors()
-        for name, array in weights.arrays().items():
-            targets[name].data.copy_(torch.as_tensor(array, dtype=torch.float32).reshape(targets[name].shape))
-
-    def export(self) -> Weights:
-        arrays = {name: tensor.detach().numpy().astype(float) for name, tensor in self._tensors().items()}
-        arrays['output'] = arrays['output'].reshape(-1)
-        return Weights(**arrays)
-
-    def _tensors(self) -> dict[str, torch.nn.Parameter]:
-        lstm = self.lstm
-        return {
-            'input': lstm.get_parameter('weight_ih_l0'),
-            'recurrent': lstm.get_parameter('weight_hh_l0'),
-            'bias': lstm.get_parameter('bias_ih_l0'),
-            'output': self.readout.get_parameter('weight'),
-            'output_bias': self.readout.get_parameter('bias'),
-        }
-
-
-class Trainer:
-    """Holds the network under training, its optimiser and its random state.
-
-    Args:
-        configuration: ``white_box`` (its :meth:`~MotorWhiteBox.to_dict`), ``rules`` (of :class:`TrainingRules`),
-            ``theta_reference`` and ``seed``.
-    """
-
-    def __init__(self, configuration: Mapping[str, Any]) -> None:
-        self._description = configuration['white_box']
-        self._rules = TrainingRules.from_dict(configuration['rules'])
-        self._seed = int(configuration['seed'])
-        self._white_box = MotorWhiteBox.from_dict(self._description, lambda v: torch.as_tensor(v, dtype=torch.float32))
-        reference = np.asarray(configuration['theta_reference'], dtype=float)
-        self._layout = InputLayout(reference, self._rules.variant.sees_theta, self._white_box.speed_measured)
-        self._network = _Network(self._layout.width, self._rules.hidden)
-        self._network.load(Weights.initial(self._layout.width, self._rules.hidden, self._seed))
-        trainable = [p for p in self._network.parameters() if p.requires_grad]
-        self._optimiser = torch.optim.Adam(trainable, self._rules.learning_rate)
-        self._plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
-            self._optimiser,
-            factor=0.5,
-            patience=self._rules.patience,
-            min_lr=self._rules.smallest_learning_rate,
-        )
-        self._normalisation: Normalisation | None = None
-        self._random = np.random.default_rng([self._seed, 1])
+class Trainer(Protocol):
+    """Holds a network under training and its random state."""
 
     def train(self, job: Message) -> Message:
         """Run one job.
 
         Args:
-            job: ``voltage_v``, ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n), and ``theta``,
-                shape (motor, parameter); ``start_*``, where training shall go on from a saved network.
+            job: ``voltage_v``, ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n): samples;
+                ``theta``, shape (motor, parameter), and ``covariance``, shape (motor, parameter, parameter): the
+                estimate; ``seen``: where the motors have run (:class:`OperatingRange`); ``start_*``, where training
+                shall go on from a saved network.
 
         Returns:
-            The network's arrays, its ranges, the mean ``loss`` and the ``windows`` seen; no arrays where the data held
-            no window without a gap.
+            ``windows``: sequences learnt from; ``loss``, unless there were none; ``settled``: whether there is nothing
+            to gain before theta or the operating range moves; the network's arrays, where a new one shall run.
         """
-        if 'start_ranges' in job:
-            self._network.load(Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}))
-            self._normalisation = Normalisation.from_dict(job['start_ranges'])
-        starts = self._window_starts(job['interval_s'])
-        if starts.size == 0:
-            return {'windows': 0}
-        self._renormalise(job)
-        losses = [self._step(job, starts) for _ in range(self._rules.steps)]
-        loss = float(np.mean(losses))
-        self._plateau.step(loss)
-        assert self._normalisation is not None
-        seen = self._rules.steps * self._rules.minibatch
-        return {
-            'windows': seen,
-            'loss': loss,
-            'ranges': self._normalisation.to_dict(),
-            **self._network.export().arrays(),
-        }
 
-    def _window_starts(self, interval_s: Array) -> Array:
-        """Flat index (motor * n + start) of every window without a restart in it."""
-        length = self._rules.length
-        n = interval_s.shape[1]
-        if n < length:
-            return np.zeros(0, dtype=int)
-        gaps = np.cumsum(np.pad(interval_s <= 0.0, ((0, 0), (1, 0))), axis=1)
-        clean: NDArray[np.bool_] = gaps[:, length:] - gaps[:, : n - length + 1] == 0
-        motor, start = np.nonzero(clean)
-        flat: Array = motor * n + start
-        return flat
 
-    def _renormalise(self, job: Message) -> None:
-        """Let the ranges grow with the data; the network goes on computing what it did."""
-        voltage = job['voltage_v'][job['interval_s'] > 0.0]
-        if self._normalisation is None:
-            speed = job['speed_rad_s'] if self._white_box.speed_measured else None
-            self._normalisation = Normalisation.of(voltage, job['torque_nm'], speed)
-            return
-        new = self._normalisation.grown(voltage, job['torque_nm'], job['speed_rad_s'])
-        if new != self._normalisation:
-            self._network.load(moved(self._network.export(), self._normalisation, new))
-            self._normalisation = new
+def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
+    """Build the trainer of a variant.
 
-    def _step(self, job: Message, starts: Array) -> float:
-        chosen = self._random.choice(starts, self._rules.minibatch)
-        motor, start = np.divmod(chosen, job['interval_s'].shape[1])
-        index = (motor[:, None], start[:, None] + np.arange(self._rules.length))
-        signals = {name: job[name][index] for name in ('voltage_v', 'interval_s', 'torque_nm', 'speed_rad_s')}
-        theta = job['theta'][motor]
-        assert self._normalisation is not None
-        columns = self._layout.columns(self._normalisation, signals['voltage_v'], signals['speed_rad_s'], theta)
-        shaped = [c if c.ndim == 2 else np.repeat(c[:, None], self._rules.length, axis=1) for c in columns]
-        inputs = torch.as_tensor(np.stack(shaped, axis=-1), dtype=torch.float32)
-        tensors = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in signals.items()}
-        windows = Windows(**tensors, theta=torch.as_tensor(theta, dtype=torch.float32))
-        predicted = self._normalisation.torque.denormalise(self._network(inputs))
-        loss = stage_two_loss(
-            self._rules.variant,
-            self._white_box.of_motors(torch.as_tensor(motor)),
-            windows,
-            predicted,
-            self._rules.context,
-            self._normalisation.torque.span,
-            self._rules.weight_floor,
-        )
-        self._optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._rules.gradient_clip)
-        self._optimiser.step()
-        return float(loss.detach())
+    Args:
+        configuration: ``white_box`` (its :meth:`~MotorWhiteBox.to_dict`), ``rules`` (of :class:`TrainingRules`),
+            ``theta_reference`` and ``seed``.
+
+    Raises:
+        ImportError: no torch, which the thesis's variants need from the first job on.
+    """
+    if configuration['rules']['variant'] == Variant.PHYSICS.value:
+        from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
+
+        return PhysicsTrainer(configuration)
+    from gray_box_observer.predictor.window_trainer import WindowTrainer
+
+    return WindowTrainer(configuration)

@@ -6,11 +6,13 @@ import queue
 import subprocess
 import sys
 import threading
+import time
 from contextlib import suppress
 from typing import Any, Protocol
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor import messages
+from gray_box_observer.predictor.trainer import make_trainer
 
 
 class Training(Protocol):
@@ -26,6 +28,14 @@ class Training(Protocol):
     def busy(self) -> bool:
         """Whether a job runs whose result has not been collected."""
 
+    @property
+    def resting(self) -> bool:
+        """Whether no job should be submitted yet, for the share of a core that training may use is used up."""
+
+    @property
+    def failure(self) -> str | None:
+        """Why training has ended for good, if it has."""
+
     def close(self) -> None:
         """Stop training for good."""
 
@@ -33,16 +43,15 @@ class Training(Protocol):
 class InlineTraining:
     """Trains while the caller waits: for the offline command, where there is nothing else to do."""
 
+    resting = False
+
     def __init__(self, configuration: dict[str, Any]) -> None:
         try:
-            import torch
-
-            from gray_box_observer.predictor.trainer import Trainer
+            self._trainer = make_trainer(configuration)
         except ImportError as error:
             raise GrayBoxError(TORCH_MISSING) from error
-        torch.set_num_threads(1)
-        self._trainer = Trainer(configuration)
         self._result: dict[str, Any] | None = None
+        self.failure: str | None = None
 
     @property
     def busy(self) -> bool:
@@ -51,7 +60,12 @@ class InlineTraining:
 
     def submit(self, job: dict[str, Any]) -> None:
         """Run a job to its end."""
-        self._result = self._trainer.train(job)
+        if self.failure is not None:
+            return
+        try:
+            self._result = self._trainer.train(job)
+        except ImportError:
+            self.failure = TORCH_MISSING
 
     def collect(self) -> dict[str, Any] | None:
         """Return the result."""
@@ -71,6 +85,8 @@ class ProcessTraining:
         self._jobs: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._busy = False
+        self._share = float(configuration['rules']['core_share'])
+        self._rest_until_s = 0.0
         self.failure: str | None = None
         self._complaints: list[str] = []
         threading.Thread(target=self._write, daemon=True, name='training jobs').start()
@@ -97,7 +113,13 @@ class ProcessTraining:
         except queue.Empty:
             return None
         self._busy = False
+        self._rest_until_s = time.monotonic() + result.pop('cpu_s') * (1.0 / self._share - 1.0)
         return result
+
+    @property
+    def resting(self) -> bool:
+        """Whether the child still has to make up for the time that its last job took."""
+        return time.monotonic() < self._rest_until_s
 
     def close(self) -> None:
         """End the child; it has nothing to save."""
@@ -130,6 +152,6 @@ class ProcessTraining:
 
 
 TORCH_MISSING = (
-    'the predictor needs torch, which this Python does not have: install it with "pip install torch", '
-    'or go on without prediction (parameter predictor:=false, or identify --skip-predictor)'
+    'training of the predictor needs torch, which this Python does not have: install it with "pip install torch", '
+    'or go on without: variant physics predicts untrained, predictor:=false or identify --skip-predictor not at all'
 )

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import time
 
 from gray_box_observer.predictor import messages
+from gray_box_observer.predictor.trainer import make_trainer
 
 
 def main() -> int:
@@ -18,15 +20,12 @@ def main() -> int:
     configuration = messages.read(source)
     if configuration is None:
         return 0
-    import torch
-
-    from gray_box_observer.predictor.trainer import Trainer
-
-    torch.set_num_threads(1)
-    trainer = Trainer(configuration)
+    trainer = make_trainer(configuration)
     while (job := messages.read(source)) is not None:
+        start_s = time.process_time()
+        result = trainer.train(job)
         try:
-            messages.write(sink, trainer.train(job))
+            messages.write(sink, {**result, 'cpu_s': time.process_time() - start_s})
         except BrokenPipeError:
             break
     return 0

@@ -13,6 +13,7 @@ import re
 from collections.abc import Mapping
 from html import escape
 from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -26,6 +27,18 @@ from gray_box_observer.report.history import MotorHistory, RunHistory
 from gray_box_observer.report.parameter_figure import parameter_figure
 from gray_box_observer.report.rejection_figure import rejection_figure
 from gray_box_observer.report.signal_figure import signal_figure
+
+_PLOTLY_MISSING = 'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
+
+
+def require_plotly() -> None:
+    """Say before a run, not after it, that its report could not be drawn; loads nothing.
+
+    Raises:
+        ReportError: plotly is not installed.
+    """
+    if find_spec('plotly') is None:
+        raise ReportError(_PLOTLY_MISSING)
 
 
 def write_report(history: RunHistory, path: Path) -> None:
@@ -139,9 +152,7 @@ def _plotly() -> tuple[str, dict[str, str]]:
         import plotly
         from plotly.offline import get_plotlyjs
     except ImportError as error:
-        raise ReportError(
-            'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
-        ) from error
+        raise ReportError(_PLOTLY_MISSING) from error
     text = str(get_plotlyjs())
     found = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
     versions = {

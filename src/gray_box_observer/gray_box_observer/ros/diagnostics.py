@@ -68,8 +68,9 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
         return DiagnosticStatus.WARN, undeclared
     estimate = observer.motors[motor].context_nodes.estimate()
     for verdict, advice in ADVICE.items():
-        names = [p.name for p, v in zip(estimate.parameters, estimate.verdicts[0], strict=True) if v is verdict]
-        if names:
+        at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
+        if at:
+            names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at]
             return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
     if estimate.identified(0):
         return DiagnosticStatus.OK, 'every parameter identified'
@@ -77,7 +78,7 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
 
 
 ADVICE = {
-    Verdict.IMPLAUSIBLE: 'at a bound: check torque_constant, units and sign of voltage and torque',
+    Verdict.IMPLAUSIBLE: 'check torque_constant, units and sign of voltage and torque',
     Verdict.UNEXCITED: 'not excited: vary the voltage',
 }
 
@@ -104,7 +105,7 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
     for j, parameter in enumerate(estimate.parameters):
         value, std = estimate.value[0, j], estimate.std[0, j]
         values[f'{parameter.name} [{parameter.unit}]'] = f'{value:.6g} +- {std:.2g}'
-        values[f'{parameter.name} verdict'] = estimate.verdicts[0][j].value
+        values[f'{parameter.name} verdict'] = f'{estimate.verdicts[0][j].value} {estimate.bound_met(0, j)}'.rstrip()
     delay = seen.delay.estimate
     values['delay [s]'] = _text(delay.value_s)
     values['delay std [s]'] = _text(delay.std_s)

@@ -17,9 +17,9 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer import checkpoint
-from gray_box_observer.configuration import NODE_NAME
+from gray_box_observer.configuration import NODE_NAME, SIGNALS
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
-from gray_box_observer.intake import SIGNALS, Intake, stamp_of
+from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros import topics
@@ -51,6 +51,7 @@ class ObserverNode(LifecycleNode):
         self._outputs: Outputs | None = None
         self._signal_subscriptions: list[Subscription] = []
         self._active = False
+        self._has_warned_of_strangers = False
         self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose)
@@ -129,29 +130,30 @@ class ObserverNode(LifecycleNode):
         return 'header' in self._types[name].get_fields_and_field_types()
 
     def _receive(self, name: str, message: Any) -> None:
-        self._take(name, message, stamp_of(message))
+        self._take(name, message, 0)
 
     def _receive_bare(self, name: str, message: Any, info: dict[str, Any]) -> None:
         self._take(name, message, info['source_timestamp'])
 
-    def _take(self, name: str, message: Any, stamp_ns: int) -> None:
+    def _take(self, name: str, message: Any, arrival_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None:
             return
         try:
-            results = self._intake.take(name, message, stamp_ns)
+            taken = self._intake.take(name, message, arrival_ns)
         except ConfigurationError as error:
             self._stop(error)
             return
-        self._outputs.results(results)
+        self._outputs.results(taken.results)
         if name == 'voltage':
-            for motor in self._intake.motors_in(name, message):
-                forecast = self._observer.forecast(motor, stamp_ns)
+            for motor, _ in taken.values:
+                forecast = self._observer.forecast(motor, taken.stamp_ns)
                 if forecast is not None:
                     self._outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
 
     def _diagnose(self) -> None:
         if self._observer is None or self._intake is None:
             return
+        self._warn_of_strangers(self._observer, self._intake)
         traffic = self._traffic(self._observer)
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
@@ -160,6 +162,18 @@ class ObserverNode(LifecycleNode):
             for motor in self._configuration.motors
         ]
         self._diagnostics.publish(array)
+
+    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
+        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        for name in ('voltage', 'torque'):
+            strangers = sorted(intake.signals[name].unknown)
+            silent = [motor for motor, pairing in observer.pairing.items() if not getattr(pairing, f'received_{name}')]
+            if strangers and silent and not self._has_warned_of_strangers:
+                self._has_warned_of_strangers = True
+                self.get_logger().warning(
+                    f'{intake.signals[name].topic} speaks of {", ".join(strangers[:5])} and not of '
+                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
+                )
 
     def _traffic(self, observer: Observer) -> Traffic:
         used, rejected = {}, {}

@@ -1,12 +1,13 @@
 """The motion of the state over one interval, with its derivatives, in the coordinates in which the rate is linear.
 
 The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) / theta_0``, for a
-motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (METHOD 1). Sensitivities follow the
-variational equation, integrated together with the state.
+motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (docs/METHOD.md, The form).
+Sensitivities follow the variational equation, integrated together with the state.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,9 @@ LARGEST_STEP = 0.35
 
 MAX_STEPS = 16
 """Where more Runge-Kutta steps were needed, exponential ones are taken: they settle where Runge-Kutta would burst."""
+
+_Rate = tuple[Array, Array, Array]
+"""Rate of the state, its derivative by the state, and by every coordinate (shape (coordinate, motor, k))."""
 
 
 def to_coordinates(theta: Array) -> Array:
@@ -46,6 +50,29 @@ def parameter_jacobian(p: Array) -> Array:
     jacobian[:, 0, 0] = -1.0 / p[:, 0] ** 2
     jacobian[:, 1:, 0] = -p[:, 1:] / p[:, :1] ** 2
     return jacobian
+
+
+@dataclass(frozen=True, slots=True)
+class _Interval:
+    """Intervals, or equal parts of them, and what is known of them; every field of shape (motor, k).
+
+    Attributes:
+        voltage_v: voltage held over it.
+        speed_rad_s: measured speed at its start; it runs linearly to that at the end.
+        end_speed_rad_s: measured speed at its end.
+        length_s: how long it lasts.
+    """
+
+    voltage_v: Array
+    speed_rad_s: Array
+    end_speed_rad_s: Array
+    length_s: Array
+
+    def parts(self, count: int) -> Iterator[_Interval]:
+        """Cut into equal parts, the first one first."""
+        slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
+        for j in range(count):
+            yield _Interval(self.voltage_v, self.speed_rad_s + j * slope, self.speed_rad_s + (j + 1) * slope, length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,42 +112,38 @@ def flow(
         end_speed: shape (motor, k): measured speed at its end, in rad/s.
         interval_s: shape (motor, k).
     """
-    first = _rate(white_box, p, start, voltage_v, speed_rad_s)
-    stiffness = float(np.max(np.abs(first[1]) * interval_s, initial=0.0))
+    interval = _Interval(voltage_v, speed_rad_s, end_speed, interval_s)
+    here = _rate(white_box, p, start, voltage_v, speed_rad_s)
+    stiffness = float(np.max(np.abs(here[1]) * interval_s, initial=0.0))
     steps = min(MAX_STEPS, max(1, int(np.ceil(stiffness / LARGEST_STEP)))) if np.isfinite(stiffness) else MAX_STEPS
     if steps == 1:
-        return _one_step(white_box, p, start, voltage_v, speed_rad_s, end_speed, interval_s, first)
-    advance = _one_step if stiffness <= steps * LARGEST_STEP else _exponential_step
-    slope, step = (end_speed - speed_rad_s) / steps, interval_s / steps
+        return _runge_kutta_step(white_box, p, start, here, interval)
+    step = _runge_kutta_step if stiffness <= steps * LARGEST_STEP else _exponential_step
     state, by_state = start, np.ones_like(start)
     by_coordinate = np.zeros((p.shape[1], *start.shape))
-    for j in range(steps):
-        before, after = speed_rad_s + j * slope, speed_rad_s + (j + 1) * slope
-        here = first if j == 0 else _rate(white_box, p, state, voltage_v, before)
-        part = advance(white_box, p, state, voltage_v, before, after, step, here)
-        state, by_state = part.end, part.by_state * by_state
-        by_coordinate = part.by_state * by_coordinate + part.by_coordinate
+    for j, part in enumerate(interval.parts(steps)):
+        if j > 0:
+            here = _rate(white_box, p, state, voltage_v, part.speed_rad_s)
+        moved = step(white_box, p, state, here, part)
+        state, by_state = moved.end, moved.by_state * by_state
+        by_coordinate = moved.by_state * by_coordinate + moved.by_coordinate
     return Flow(state, by_state, by_coordinate)
 
 
-def _one_step(
-    white_box: WhiteBox,
-    p: Array,
-    start: Array,
-    voltage_v: Array,
-    speed_rad_s: Array,
-    end_speed: Array,
-    step_s: Array,
-    first: tuple[Array, Array, Array],
-) -> Flow:
-    """One Runge-Kutta step of the state and of the variational equation; ``first`` is the rate at the start."""
-    half, middle = 0.5 * step_s, 0.5 * (speed_rad_s + end_speed)
-    k1, l1, m1 = first
+def _runge_kutta_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:
+    """One classical Runge-Kutta step of the state and of the variational equation; ``here`` is the rate at the start.
+
+    Not shared with :func:`gray_box_observer.white_box.dynamics.advance`, which runs once a sample and needs no
+    sensitivities.
+    """
+    voltage_v, step_s = interval.voltage_v, interval.length_s
+    half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + interval.end_speed_rad_s)
+    k1, l1, m1 = here
     k2, a2, g2 = _rate(white_box, p, start + half * k1, voltage_v, middle)
     l2, m2 = a2 * (1.0 + half * l1), a2 * (half * m1) + g2
     k3, a3, g3 = _rate(white_box, p, start + half * k2, voltage_v, middle)
     l3, m3 = a3 * (1.0 + half * l2), a3 * (half * m2) + g3
-    k4, a4, g4 = _rate(white_box, p, start + step_s * k3, voltage_v, end_speed)
+    k4, a4, g4 = _rate(white_box, p, start + step_s * k3, voltage_v, interval.end_speed_rad_s)
     l4, m4 = a4 * (1.0 + step_s * l3), a4 * (step_s * m3) + g4
     sixth = step_s / 6.0
     return Flow(
@@ -130,28 +153,17 @@ def _one_step(
     )
 
 
-def _exponential_step(
-    white_box: WhiteBox,
-    p: Array,
-    start: Array,
-    voltage_v: Array,
-    speed_rad_s: Array,
-    end_speed: Array,
-    step_s: Array,
-    first: tuple[Array, Array, Array],
-) -> Flow:
+def _exponential_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:
     """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and L-stable."""
-    rate, slope, by_coordinate = first
+    rate, slope, by_coordinate = here
     decay = np.minimum(slope, -1e-12)
-    left = np.exp(decay * step_s)
+    left = np.exp(decay * interval.length_s)
     reach = (left - 1.0) / decay
     return Flow(start + reach * rate, left, reach * by_coordinate)
 
 
-def _rate(
-    white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array
-) -> tuple[Array, Array, Array]:
-    """Rate, its derivative by the state, and by every coordinate (shape (coordinate, motor, k))."""
+def _rate(white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array) -> _Rate:
+    """Work out the rate and its derivatives."""
     speed = white_box.speed(state, speed_rad_s)
     drive = white_box.drive(voltage_v, state, speed)
     value = p[:, :1] * drive

@@ -1,6 +1,6 @@
 """The DC motor as a white box: any choice of its terms unknown, the others known.
 
-Source: thesis equations 4.1 to 4.4 and 4.17; METHOD 1.
+Source: thesis equations 4.1 to 4.4 and 4.17; docs/METHOD.md, The form.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The terms of the voltage balance: one entry a physical effect, declared here and nowhere else.
 
-``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with the signs of METHOD 1
-(``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants) and a brush drop beside them.
+``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with ``|w| i`` instead
+of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush drop beside them
+(docs/METHOD.md, The form).
 Functions are elementwise and use operators only, so they take numpy arrays and torch tensors alike.
 """
 

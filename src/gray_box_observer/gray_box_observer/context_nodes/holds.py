@@ -1,0 +1,112 @@
+"""Voltage held for long: the level is news of the winding that warms, not of the parameters that do not.
+
+In a long hold the torque tells one combination of the parameters, the static one, again and again. Counted as so many
+independent samples it would make the observer sure of parameters that nothing excites. A winding warms meanwhile, so
+the level is allowed to tell what a warming winding changes, given the others; what is believed of these stays what it
+was when the hold began to be a mere level.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.belief import Belief
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.white_box.base import Array, Parameter
+
+HOLD_TOLERANCE = 0.01
+"""Voltage that moves by no more than this fraction of its largest value is held."""
+
+SETTLED = 5.0
+"""Time constants after which a transition tells nothing more."""
+
+
+class Holds:
+    """Watches for long holds, motor by motor.
+
+    Args:
+        parameters: of the white box; those that heat stay free.
+        motors: number of motors.
+        long_s: a longer hold is a long one.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], motors: int, long_s: float) -> None:
+        self._free = np.array([True, *(p.heats for p in parameters)])  # the state and what heats
+        self._long_s = long_s
+        n = len(parameters)
+        self._arrays = {
+            'level': np.full((2, motors), np.inf),
+            'largest': np.zeros((2, motors)),
+            'held_s': np.zeros(motors),
+            'settled': np.zeros(motors, dtype=bool),
+            'p': np.ones((motors, n)),
+            'covariance': np.zeros((motors, n, n)),
+        }
+
+    def take(self, belief: Belief, stretch: Stretch, decay: Array) -> Belief:
+        """Take one block of samples that the belief has learnt; return what may be believed.
+
+        Args:
+            belief: after the block.
+            stretch: the block.
+            decay: shape (motor, k): what every interval leaves of a deviation.
+        """
+        held, moving = self._arrays, ~stretch.restart
+        signals = np.stack([stretch.voltage_v, stretch.speed_rad_s[:, 1:]])  # with measured speed, a load excites too
+        low = np.min(np.where(moving, signals, np.inf), axis=2)
+        high = np.max(np.where(moving, signals, -np.inf), axis=2)
+        held['largest'] = np.fmax(held['largest'], np.where(np.isfinite(low), np.fmax(-low, high), 0.0))
+        away = np.fmax(high - held['level'], held['level'] - low)
+        same = np.all((away <= HOLD_TOLERANCE * held['largest']) | np.isnan(away), axis=0)
+        held['held_s'] = np.where(same, held['held_s'] + np.sum(stretch.interval_s, axis=1), 0.0)
+        held['level'] = np.where(same, held['level'], signals[..., -1])
+        with np.errstate(divide='ignore'):
+            rate = np.min(np.where(moving, -np.log(decay), np.inf) / np.where(moving, stretch.interval_s, 1.0), axis=1)
+        settled = same & (held['held_s'] * rate > SETTLED)
+        fresh = settled & ~held['settled']
+        held['settled'] = settled
+        held['p'] = np.where(fresh[:, None], belief.p, held['p'])
+        held['covariance'] = np.where(fresh[:, None, None], belief.posterior, held['covariance'])
+        return self.cut(belief)
+
+    def cut(self, belief: Belief) -> Belief:
+        """Give what does not heat back what was believed of it when the hold had settled, in long holds only.
+
+        The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c + A (k - m_k)`` and
+        ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is the kept marginal.
+        """
+        long: NDArray[np.bool_] = self._arrays['settled'] & (self._arrays['held_s'] > self._long_s)
+        if not np.any(long) or np.all(self._free):
+            return belief
+        f = int(np.sum(self._free))
+        order = np.argsort(~self._free, kind='stable')  # what is free first
+        back, kept = np.argsort(order), order[f:] - 1
+        covariance = belief.covariance[:, order][:, :, order]
+        a = np.swapaxes(np.linalg.solve(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
+        marginal = self._arrays['covariance'][:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
+        joint = np.zeros_like(covariance)
+        joint[:, f:, f:] = marginal
+        joint[:, :f, f:] = a @ marginal
+        joint[:, f:, :f] = np.swapaxes(joint[:, :f, f:], 1, 2)
+        joint[:, :f, :f] = covariance[:, :f, :f] + a @ (joint[:, f:, :f] - covariance[:, f:, :f])
+        moved = np.log(self._arrays['p'][:, kept] / belief.p[:, kept])
+        shift = np.concatenate([(a @ moved[..., None])[..., 0], moved], axis=1)[:, back]
+        joint = joint[:, back][:, :, back]
+        restored = replace(
+            belief,
+            state=belief.state + shift[:, 0] * belief.current_a,
+            p=belief.p * np.exp(shift[:, 1:]),
+            covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
+        )
+        return belief.overwritten(restored, long & restored.finite)
+
+    def state(self) -> dict[str, Array]:
+        """Everything, for a checkpoint."""
+        return dict(self._arrays)
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self._arrays = dict(arrays)

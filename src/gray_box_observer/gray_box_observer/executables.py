@@ -1,0 +1,57 @@
+"""What ``ros2 run`` starts: each loads its module, and says in one line which package that module lacks.
+
+A distribution of ROS brings rclpy, numpy and yaml, but not what ``ros_ws/requirements/runtime.txt`` pins. The modules
+are imported here and not above, so that the line can be said at all.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Sequence
+
+EXIT_USER_ERROR = 2
+
+PIP_NAMES = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+"""Packages that pip knows by another name than Python."""
+
+_OF_ROS = re.compile(r'rclpy|(ament|rcl|ros|rosidl)_.*|.*_(msgs|srvs|interfaces)')
+
+
+def observer(args: Sequence[str] | None = None) -> int:
+    """Start the observer; the result is the exit code."""
+    return _start('observer', 'gray_box_observer.ros.observer_node', args)
+
+
+def recorder(args: Sequence[str] | None = None) -> int:
+    """Start the recorder; the result is the exit code."""
+    return _start('recorder', 'gray_box_observer.ros.recorder_node', args)
+
+
+def player(args: Sequence[str] | None = None) -> int:
+    """Start the player; the result is the exit code."""
+    return _start('player', 'gray_box_observer.ros.player_node', args)
+
+
+def identify(args: Sequence[str] | None = None) -> int:
+    """Run the offline command; the result is the exit code."""
+    return _start('identify', 'gray_box_observer.identify', args)
+
+
+def _start(name: str, module: str, args: Sequence[str] | None) -> int:
+    try:
+        code: int = importlib.import_module(module).main(args)
+    except ModuleNotFoundError as error:
+        package = (error.name or '').partition('.')[0]
+        if package in ('', __name__.partition('.')[0]):  # a defect of ours, not of the installation
+            raise
+        print(f'{name}: error: this Python has no {package}: {_remedy(package)}', file=sys.stderr)
+        return EXIT_USER_ERROR
+    return code
+
+
+def _remedy(package: str) -> str:
+    if _OF_ROS.fullmatch(package):
+        return 'source the set-up file of ROS 2 Jazzy, or of the workspace that has it'
+    return f'install it with "pip install {PIP_NAMES.get(package, package)}"'

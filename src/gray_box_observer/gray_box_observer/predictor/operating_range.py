@@ -1,0 +1,68 @@
+"""Where a motor has been seen to run; it only grows, so that nothing learnt of one regime is given up for another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.white_box.base import Array
+
+Bounds = tuple[float, float]
+
+NOTHING: Bounds = (np.inf, -np.inf)
+
+
+@dataclass(frozen=True, slots=True)
+class OperatingRange:
+    """Smallest and largest value seen of what drives a motor.
+
+    Attributes:
+        voltage_v, interval_s, speed_rad_s: bounds; the lower above the upper where nothing was seen.
+    """
+
+    voltage_v: Bounds = NOTHING
+    interval_s: Bounds = NOTHING
+    speed_rad_s: Bounds = NOTHING
+
+    def grown(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
+        """Return the range with these samples in it; those that begin a history anew tell no voltage."""
+        goes_on = interval_s > 0.0
+        return OperatingRange(
+            _grown(self.voltage_v, voltage_v[goes_on]),
+            _grown(self.interval_s, interval_s[goes_on]),
+            _grown(self.speed_rad_s, speed_rad_s),
+        )
+
+    def tells(self, speed_measured: bool) -> bool:
+        """Whether enough was seen to draw from: an interval, and a speed where speed is a signal."""
+        speed = not speed_measured or self.speed_rad_s[0] <= self.speed_rad_s[1]
+        return self.interval_s[0] <= self.interval_s[1] and speed
+
+    def voltages(self, declared_v: Sequence[float], margin: float = 0.2) -> Bounds:
+        """Voltages to be ready for: those declared, or what was seen and a margin of the largest magnitude seen."""
+        low, high = declared_v
+        if low < high:
+            return min(low, self.voltage_v[0]), max(high, self.voltage_v[1])
+        low, high = self.voltage_v
+        extra = margin * max(abs(low), abs(high))
+        return low - extra, high + extra
+
+    def to_dict(self) -> dict[str, list[float]]:
+        """Plain values, for another process or a checkpoint."""
+        return {name: list(getattr(self, name)) for name in self.__slots__}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Sequence[float]]) -> OperatingRange:
+        """Build the range that :meth:`to_dict` described."""
+        made: dict[str, Any] = {name: (float(v[0]), float(v[1])) for name, v in values.items()}
+        return cls(**made)
+
+
+def _grown(bounds: Bounds, values: Array) -> Bounds:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return bounds
+    return min(bounds[0], float(finite.min())), max(bounds[1], float(finite.max()))

@@ -1,0 +1,73 @@
+"""Variant ``physics`` in streaming: the network carries a predicted current towards where the physics leads it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor.elementwise import Axis
+from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.network import Mask, Memory, Weights, step
+from gray_box_observer.predictor.relaxation import INPUTS, after, relaxation
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+
+class RelaxingForecaster:
+    """See :class:`~gray_box_observer.predictor.forecaster.Forecaster`. Useful from the second sample of a history on.
+
+    Args:
+        white_box: the physics.
+        motors: number of motors.
+        weights: the network to begin with.
+    """
+
+    def __init__(self, white_box: WhiteBox, motors: int, weights: Weights) -> None:
+        self._white_box = white_box
+        self._axis = Axis(motors)
+        self._weights = weights
+        self._memory = Memory.blank(motors, weights.hidden)
+        self._current = self._axis.take(np.full(motors, np.nan))
+
+    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+        """Let the current relax over the interval, in one step however long it is."""
+        axis, ops = self._axis, self._axis.ops
+        start = ops.where(question.usable, self._current, 0.0)
+        interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
+        interval = relaxation(ops, self._white_box, question.way, start, interval_s)
+        columns = interval.inputs(ops)
+        inputs = np.array([columns]) if axis.single else np.stack(columns, axis=-1)
+        readout, memory = step(self._weights, self._memory, inputs)
+        end = after(ops, interval, axis.take(readout))
+        torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
+        return axis.give(torque_nm), memory
+
+    def remember(self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None) -> None:
+        """Go on from the forecast; from the measured torque where a history begins."""
+        begins = anew | ~np.isfinite(torque_nm)
+        self._memory = (self._memory if memory is None else memory).cleared(begins)
+        self._current = self._axis.take(self._white_box.state(np.where(begins, measured_nm, torque_nm)))
+
+    def adopt(self, result: dict[str, Any]) -> None:
+        """Let a better network run from here on."""
+        self._weights = Weights.of(result)
+
+    def state(self) -> dict[str, Array]:
+        """The network."""
+        return self._weights.arrays()
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back the network, if there was one."""
+        if 'input' not in arrays:
+            return
+        if any(name.startswith('range_') for name in arrays):
+            raise ConfigurationError(
+                'the checkpoint holds a network of the thesis, expected variant physics: see variant'
+            )
+        self._weights = Weights.of(arrays, self._weights.hidden, INPUTS)
+        self._memory = Memory.blank(self._memory.hidden.shape[0], self._weights.hidden)
+
+    def start(self) -> dict[str, Any]:
+        """The network, for a job."""
+        return {f'start_{name}': array for name, array in self._weights.arrays().items()}

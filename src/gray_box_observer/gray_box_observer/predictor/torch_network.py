@@ -1,0 +1,56 @@
+"""The network of :mod:`network` in torch, for training. Imported by the trainers only."""
+
+from __future__ import annotations
+
+import torch
+
+from gray_box_observer.predictor.network import Weights
+
+
+class TorchNetwork(torch.nn.Module):
+    """One LSTM layer and a linear output; its second bias, which torch has to spare, stays zero."""
+
+    def __init__(self, inputs: int, hidden: int) -> None:
+        super().__init__()
+        self.lstm = torch.nn.LSTM(inputs, hidden, batch_first=True)
+        self.readout = torch.nn.Linear(hidden, 1)
+        spare = self.lstm.get_parameter('bias_hh_l0')
+        spare.requires_grad_(False)
+        spare.zero_()
+
+    @classmethod
+    def of(cls, weights: Weights) -> TorchNetwork:
+        """Return the network with these weights."""
+        network = cls(weights.input.shape[1], weights.hidden)
+        network.load(weights)
+        return network
+
+    def forward(self, inputs: torch.Tensor) -> torch.Tensor:
+        """Outputs of shape (sequence, time) for inputs of shape (sequence, time, input), each from a blank memory."""
+        return self.readout(self.lstm(inputs)[0])[..., 0]  # type: ignore[no-any-return]
+
+    def load(self, weights: Weights) -> None:
+        """Take over plain arrays."""
+        targets = self._tensors()
+        for name, array in weights.arrays().items():
+            targets[name].data.copy_(torch.as_tensor(array, dtype=torch.float32).reshape(targets[name].shape))
+
+    def export(self) -> Weights:
+        """Return the weights as plain arrays."""
+        arrays = {name: tensor.detach().numpy().astype(float) for name, tensor in self._tensors().items()}
+        arrays['output'] = arrays['output'].reshape(-1)
+        return Weights(**arrays)
+
+    def trainable(self) -> list[torch.nn.Parameter]:
+        """Return what an optimiser may change."""
+        return [p for p in self.parameters() if p.requires_grad]
+
+    def _tensors(self) -> dict[str, torch.nn.Parameter]:
+        lstm = self.lstm
+        return {
+            'input': lstm.get_parameter('weight_ih_l0'),
+            'recurrent': lstm.get_parameter('weight_hh_l0'),
+            'bias': lstm.get_parameter('bias_ih_l0'),
+            'output': self.readout.get_parameter('weight'),
+            'output_bias': self.readout.get_parameter('bias'),
+        }

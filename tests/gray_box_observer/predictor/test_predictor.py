@@ -1,0 +1,315 @@
+"""Variant physics as it streams; the thesis's variants stand in test_window_training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor import Predictor, TrainingRules, Variant
+from gray_box_observer.predictor.elementwise import Floats
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.relaxation import course, flow
+from gray_box_observer.predictor.start import fresh
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+
+TRUTH = np.array([[0.5, 1.0, 10.0]])
+SETS = (
+    'R[1,2]D[3,3]',
+    'R[5,15]D[3,3]',
+    'R[1,2]D[1,20]',
+    'R[5,15]D[1,20]',
+    'R[5,15]D[1,20]+sin',
+    'R[0,33]D[1,20]',
+    'R[5,15]D[0.001,2]',
+    'R[5,15]D[1,20]+noise',
+)
+
+
+def predictor(box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingRules | None = None) -> Predictor:
+    rules = rules or TrainingRules()
+    return Predictor(box, motors, TRUTH[0], rules, idle, speed_measured=box.speed_measured)
+
+
+def run(one: Predictor, samples: list[Sample], theta: np.ndarray = TRUTH) -> np.ndarray:
+    """Torque forecast of every sample, shape (motor, sample)."""
+    said = []
+    for s in samples:
+        prediction = one.predict(s.interval_s, s.voltage_v, theta)
+        one.learn(s, prediction, theta)
+        said.append(prediction.torque_nm)
+    return np.array(said).T
+
+
+def error(said: np.ndarray, true_nm: np.ndarray, skip: int = 100) -> float:
+    """Mean absolute error of one motor as a fraction of the torque's standard deviation."""
+    return float(np.abs(said - true_nm)[skip:].mean() / true_nm.std())
+
+
+@pytest.mark.parametrize('excitation', SETS)
+def test_a_free_run_from_voltages_alone_is_right_within_a_hundredth_on_every_set_of_the_thesis(
+    thesis_box: MotorWhiteBox,
+    idle: Any,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., list[Sample]],
+    excitation: str,
+) -> None:
+    recording = record(excitation, 20.0, 3, solver_step_s=0.002)
+    for start in ('shipped', 'fresh'):
+        said = run(predictor(thesis_box, idle, rules=TrainingRules(start=start)), samples_of(recording))
+        assert error(said[0], recording.true_torque_nm[0]) < 1e-3
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_motor_never_seen_is_predicted_from_its_parameters(idle: Any, seed: int) -> None:
+    unseen = np.random.default_rng(seed).uniform(0.6, 1.4, 3) * TRUTH
+    inductance, resistance, hysteresis = unseen[0].tolist()
+    plant = PlantParameters(inductance=inductance, resistance=resistance, hysteresis=hysteresis)
+    recording = Simulation({'m': plant}, 'R[5,15]D[0.001,2]', seed=seed, solver_step_s=0.002).record(15.0)
+    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+    one = predictor(box, idle)
+    said = run(one, samples(recording), unseen)
+    assert error(said[0], recording.true_torque_nm[0]) < 1e-3
+
+
+def samples(recording: Recording, every: int = 1, jitter: bool = False) -> list[Sample]:
+    """Samples at every n-th stamp or, with jitter, one to n stamps apart, with the mean voltage between."""
+    random, k, made, last = np.random.default_rng(0), 0, [], 0
+    while k < recording.stamp_ns.size:
+        held = recording.voltage_v[:, last:k].mean(axis=1) if k else recording.voltage_v[:, 0]
+        interval = np.full(len(recording.motors), (recording.stamp_ns[k] - recording.stamp_ns[last]) / 1e9)
+        made.append(Sample(int(recording.stamp_ns[k]), interval, held, recording.torque_nm[:, k], 0.0 * held + np.nan))
+        last, k = k, k + (int(random.integers(1, every + 1)) if jitter else every)
+    return made
+
+
+def test_sampled_slowly_and_unevenly_it_is_still_right(thesis_box: MotorWhiteBox, idle: Any) -> None:
+    plant = PlantParameters()
+    recording = Simulation({'m': plant}, 'R[0,33]D[0.8,0.8]', seed=2, solver_step_s=0.002).record(40.0)
+    slow = samples(recording, 20)  # 0.2 s: a good part of a time constant
+    said = run(predictor(thesis_box, idle), slow)
+    true = np.array([s.torque_nm[0] for s in slow])
+    untaught = run(predictor(thesis_box, idle, rules=TrainingRules(start='fresh')), slow)
+    assert error(said[0], true, 5) < 0.01
+    assert error(said[0], true, 5) < error(untaught[0], true, 5)
+    uneven = samples(recording, 4, jitter=True)
+    mixed = run(predictor(thesis_box, idle), uneven)
+    # where the voltage changed inside an interval its mean stands for it; nearly all the error is from there
+    assert error(mixed[0], np.array([s.torque_nm[0] for s in uneven]), 5) < 0.01
+
+
+def test_after_a_step_of_the_resistance_the_error_is_back_with_the_identified_value(
+    thesis_box: MotorWhiteBox, idle: Any
+) -> None:
+    recording = Simulation(
+        {'m': PlantParameters()}, 'R[5,15]D[1,3]', seed=1, solver_step_s=0.002, schedule=['m.resistance=1.3@10']
+    ).record(20.0)
+    one, said = predictor(thesis_box, idle), []
+    for k, s in enumerate(samples(recording)):
+        theta = TRUTH if k <= 1000 else np.array([[0.5, 1.3, 10.0]])
+        prediction = one.predict(s.interval_s, s.voltage_v, theta)
+        one.learn(s, prediction, theta)
+        said.append(prediction.torque_nm[0])
+    assert error(np.array(said), recording.true_torque_nm[0]) < 1e-3
+
+
+def test_predicting_changes_nothing(thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]) -> None:
+    asked, silent = predictor(thesis_box, idle), predictor(thesis_box, idle)
+    some = samples(record('R[5,15]D[0.2,2]', 4.0))
+    expected, said = run(silent, some), []
+    for s in some:
+        for voltage in (-5.0, 40.0):
+            asked.predict(s.interval_s, np.array([voltage]), 2.0 * TRUTH)
+            asked.forecast(0.7, np.array([voltage]), 0.5 * TRUTH)
+        said.append(run(asked, [s])[0, 0])
+    np.testing.assert_array_equal(said, expected[0])
+
+
+def test_it_predicts_from_the_second_sample_of_a_history_on(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
+    one, some = predictor(thesis_box, idle), samples(record('R[5,15]D[0.2,2]', 4.0))
+    for _ in range(2):  # the second time it is a restart
+        said = run(one, some)[0]
+        assert np.isnan(said[0])
+        assert np.isfinite(said[1:]).all()
+    assert said[1] == pytest.approx(some[1].torque_nm[0], rel=1e-3)
+
+
+@pytest.mark.parametrize('horizon_s', [0.01, 0.1, 0.5, 5.0])
+def test_a_forecast_holds_the_planned_voltage_over_any_horizon_in_one_step(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording], horizon_s: float
+) -> None:
+    one = predictor(thesis_box, idle)
+    assert np.isnan(one.forecast(horizon_s, np.array([7.0]), TRUTH)[0])
+    some = samples(record('R[5,15]D[0.2,2]', 4.0))
+    run(one, some)
+    now = float(some[-1].torque_nm[0]) / 0.01
+    for voltage in (-20.0, 0.0, 3.0, 33.0):
+        way = course(Floats, thesis_box, TRUTH[0].tolist(), voltage, 0.0, 0.0)
+        exact = 0.01 * flow(Floats, thesis_box, way, now, horizon_s, 0.01)
+        reach = abs(0.01 * (way.steady_a - now))
+        assert one.forecast(horizon_s, np.array([voltage]), TRUTH)[0] == pytest.approx(exact, abs=0.01 * reach)
+
+
+def test_the_thesis_goes_from_sample_to_sample_only(thesis_box: MotorWhiteBox, idle: Any) -> None:
+    one = predictor(thesis_box, idle, rules=TrainingRules(variant=Variant.MAIN))
+    with pytest.raises(ConfigurationError, match='variant main forecasts the next sample only'):
+        one.forecast(0.5, np.array([7.0]), TRUTH)
+
+
+def test_motors_together_are_predicted_as_each_alone(idle: Any) -> None:
+    plants = {'a': PlantParameters(), 'b': PlantParameters(resistance=2.0)}
+    recording = Simulation(plants, 'R[-5,15]D[0.1,1]', seed=4, solver_step_s=0.002).record(6.0)
+    known = {'back_emf_constant': np.array([0.01, 0.01])}
+    both = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), np.array([0.01, 0.01]), known)
+    alone = MotorWhiteBox(both.context_nodes, 0.01, {'back_emf_constant': 0.01})
+    theta, together = np.array([[0.5, 1.0, 10.0], [0.5, 2.0, 10.0]]), samples(recording)
+    together[200].interval_s[1] = 0.0  # the second motor's history begins anew
+    said = run(predictor(both, idle, 2), together, theta)
+    for m in range(2):
+        own = [
+            Sample.of_one_motor(s.stamp_ns, float(s.interval_s[m]), float(s.voltage_v[m]), float(s.torque_nm[m]))
+            for s in together
+        ]
+        np.testing.assert_allclose(
+            said[m], run(predictor(alone, idle), own, theta[m : m + 1])[0], rtol=1e-9, atol=1e-12
+        )
+    assert np.isnan(said[1, 200])
+    assert np.isfinite(said[:, 201:]).all()
+
+
+def test_every_white_box_is_served_with_measured_speed_too(box: MotorWhiteBox, theta: list[float], idle: Any) -> None:
+    one, truth, interval_s = predictor(box, idle), np.array([theta]), 0.01
+    random, current, voltage, speed = np.random.default_rng(0), 0.0, 0.0, 0.0
+    said, true = [], []
+    for k in range(400):
+        torque = float(box.output(current))  # type: ignore[arg-type]
+        sample = Sample.of_one_motor(
+            k * 10**7, interval_s * (k > 0), voltage, torque, speed if box.speed_measured else np.nan
+        )
+        prediction = one.predict(sample.interval_s, sample.voltage_v, truth)
+        one.learn(sample, prediction, truth)
+        said.append(float(prediction.torque_nm[0]))
+        true.append(torque)
+        if k % 40 == 0:
+            voltage, speed = float(random.uniform(-12.0, 12.0)), float(random.uniform(-20.0, 20.0))
+            if box.speed_measured:  # it holds from here on, so this sample is the one that tells it
+                one._previous_speed = np.array([speed])
+        way = course(Floats, box, theta, voltage, speed, 0.0)
+        current = flow(Floats, box, way, current, interval_s, 0.01)
+    assert error(np.array(said), np.array(true), 1) < 2e-3
+
+
+def test_whatever_comes_what_is_said_is_finite(thesis_box: MotorWhiteBox, idle: Any) -> None:
+    one, random = predictor(thesis_box, idle), np.random.default_rng(0)
+    for k in range(500):
+        theta = TRUTH * 10.0 ** random.uniform(-6, 6, (1, 3))
+        voltage, torque = (float(random.normal() * 10.0 ** random.uniform(-9, 9)) for _ in range(2))
+        sample = Sample.of_one_motor(k, float(10.0 ** random.uniform(-6, 3)) * (k > 0), voltage, torque)
+        prediction = one.predict(sample.interval_s, sample.voltage_v, theta)
+        one.learn(sample, prediction, theta)
+        if k:
+            assert np.isfinite(prediction.torque_nm[0])
+            assert np.isfinite(prediction.white_box_torque_nm[0])
+
+
+def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
+    one, some = predictor(thesis_box, idle), samples(record('R[5,15]D[0.2,2]', 4.0))
+    wild = Weights(**{name: 1e3 * np.sign(array) for name, array in Weights.initial(5, 12, 0).arrays().items()})
+    one.restore(wild.arrays())
+    said = run(one, some)[0]
+    assert np.all(said[1:] >= 0.0)
+    assert said[1:].max() <= max(s.torque_nm[0] for s in some) * 1.01
+
+
+def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
+    one = predictor(thesis_box, idle, rules=TrainingRules(period=500))
+    covariance = np.array([np.diag([1e-4, 1e-3, 0.1])])
+    for s in samples(record('R[5,15]D[0.2,2]', 15.0)):
+        one.learn(s, one.predict(s.interval_s, s.voltage_v, TRUTH), TRUTH, covariance)
+    assert len(idle.jobs) == 3
+    job = idle.jobs[-1]
+    np.testing.assert_array_equal(job['theta'], TRUTH)
+    np.testing.assert_array_equal(job['covariance'], covariance)
+    assert job['voltage_v'].shape == (1, 500)
+    assert job['seen']['interval_s'] == [0.01, 0.01]
+    low_v, high_v = job['seen']['voltage_v']
+    assert 5.0 <= low_v < 8.0
+    assert 12.0 < high_v <= 15.0
+    other = predictor(thesis_box, idle)
+    other.restore(one.state())
+    assert other.state().keys() == one.state().keys()
+    for name, array in one.state().items():
+        np.testing.assert_array_equal(other.state()[name], array)
+
+
+class Told:
+    """Training that answers every job at once with what it was told to say."""
+
+    resting = False
+    failure = None
+
+    def __init__(self, **answer: Any) -> None:
+        self.answer, self.jobs, self.busy = answer, 0, False
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Take a job."""
+        self.jobs, self.busy = self.jobs + 1, True
+
+    def collect(self) -> dict[str, Any]:
+        """Give the answer."""
+        self.busy = False
+        return self.answer
+
+    def close(self) -> None:
+        """End nothing."""
+
+
+def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording]
+) -> None:
+    told = Told(windows=0, settled=True)
+    one, some = predictor(thesis_box, told), samples(record('R[5,15]D[0.2,2]', 10.0))
+    run(one, some)
+    settled = told.jobs
+    assert settled < 10
+    run(one, some[1:401])
+    assert told.jobs == settled
+    run(one, some[1:201], np.array([[0.5, 1.1, 10.0]]))
+    assert told.jobs == settled + 1
+    farther = [Sample(s.stamp_ns, s.interval_s, 3.0 * s.voltage_v, s.torque_nm, s.speed_rad_s) for s in some[1:301]]
+    run(one, farther, np.array([[0.5, 1.1, 10.0]]))
+    farthest = told.jobs
+    assert farthest >= settled + 2
+    run(one, farther, np.array([[0.5, 1.1, 10.0]]))
+    assert told.jobs == farthest
+
+
+def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_takes_none(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording]
+) -> None:
+    better = Weights.initial(5, 12, 7)
+    told = Told(windows=1, loss=0.5, settled=False, **better.arrays())
+    one, some = (
+        predictor(thesis_box, told, rules=TrainingRules(start='fresh')),
+        samples(record('R[5,15]D[0.2,2]', 10.0)),
+    )
+    one.freeze(True)
+    run(one, some[:500])
+    assert told.jobs == 0
+    np.testing.assert_array_equal(one.state()['output'], fresh(12, 0).output)
+    one.freeze(False)
+    run(one, some[500:])
+    np.testing.assert_array_equal(one.state()['output'], better.output)
+    assert one.loss == 0.5

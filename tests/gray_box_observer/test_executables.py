@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+START = """
+import sys
+
+executable, *missing = sys.argv[1:]
+sys.modules.update(dict.fromkeys(missing))
+from gray_box_observer import executables
+
+raise SystemExit(getattr(executables, executable)([executable, '--help']))
+"""
+
+
+def start(*arguments: str) -> tuple[int, str, str]:
+    """Start an executable in a Python that lacks the modules; return exit code, standard output and error."""
+    done = subprocess.run([sys.executable, '-c', START, *arguments], capture_output=True, text=True, timeout=100)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ('executable', 'missing', 'remedy'),
+    [
+        ('recorder', 'mcap', 'pip install mcap"'),
+        ('player', 'mcap_ros2', 'pip install mcap-ros2-support"'),
+        ('player', 'lz4', 'pip install lz4"'),
+        ('identify', 'zstandard', 'pip install zstandard"'),
+        ('identify', 'yaml', 'pip install PyYAML"'),
+        ('observer', 'rclpy', 'source the set-up file of ROS 2 Jazzy'),
+        ('recorder', 'rcl_interfaces', 'source the set-up file of ROS 2 Jazzy'),
+    ],
+)
+def test_a_missing_package_is_one_line_that_says_what_to_install(executable: str, missing: str, remedy: str) -> None:
+    code, out, said = start(executable, missing)
+    assert (code, out) == (2, '')
+    assert said.startswith(f'{executable}: error: this Python has no {missing}: ')
+    assert remedy in said
+    assert said.count('\n') == 1
+
+
+@pytest.mark.parametrize('executable', ['observer', 'recorder', 'player', 'identify'])
+def test_with_every_package_an_executable_is_the_command_of_its_module(
+    executable: str,
+) -> None:
+    code, out, said = start(executable)
+    assert (code, said) == (0, '')
+    assert out.startswith(f'usage: {executable} ')
+
+
+def test_the_observer_needs_nothing_of_the_bags_or_the_training() -> None:
+    assert start('observer', 'mcap', 'mcap_ros2', 'lz4', 'zstandard', 'torch', 'plotly')[0] == 0
+
+
+def test_a_module_of_ours_that_is_missing_is_a_defect_and_shows_its_traceback() -> None:
+    code, _, said = start('identify', 'gray_box_observer.offline')
+    assert code == 1
+    assert 'Traceback' in said
