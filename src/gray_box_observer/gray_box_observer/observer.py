@@ -122,6 +122,7 @@ class MotorObserver:
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
         context_nodes.learn(samples[-1])
         self.context_nodes = context_nodes
+        self._covariance = context_nodes.estimate().covariance
         if self.predictor is not None:
             self.predictor.replay.refill(content)
         self._foreseen = None

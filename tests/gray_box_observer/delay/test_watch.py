@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
+from gray_box_observer.configuration import Configuration
 from gray_box_observer.delay import DelayEstimate, DelayVerdict
 from gray_box_observer.observer import Observer, Result
+from gray_box_observer.predictor import InlineTraining
 
 RATE_HZ = 100.0
 START_NS = 1_000_000_000
@@ -199,6 +201,25 @@ def test_the_gradient_rule_goes_on_with_what_was_paired_anew(
     feed(one, record('R[5,15]D[0.2,2]', 60.0), 0.05)
     assert one.delays()['motor'].applied_s == pytest.approx(0.05, abs=1e-4)
     np.testing.assert_allclose(one.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.05)
+
+
+def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
+    record: Callable[..., Recording], feed: Any
+) -> None:
+    small = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
+    one = Observer(Configuration.from_flat({**small, 'motor.delay': 'estimate'}), InlineTraining)
+    recording = record('R[5,15]D[0.2,2]', 12.0)
+    results = feed(one, recording, 0.05)
+    one.close()
+    assert one.delays()['motor'].applied_s == pytest.approx(0.05, abs=1e-4)
+    said = [r.prediction.torque_nm[0] for r in results[-200:] if r.prediction is not None]
+    assert np.isfinite(said).all()
+    assert len(said) == 200
+    predictor = one.motors['motor'].predictor
+    assert predictor is not None
+    last = (results[-1].sample.stamp_ns - START_NS) // 10_000_000  # the very last torque may wait for its voltage
+    expected = recording.voltage_v[0, last - 1000 : last]
+    np.testing.assert_allclose(predictor.replay.voltage_v(1000)[0], expected, rtol=0.0, atol=0.05)
 
 
 @pytest.mark.parametrize(

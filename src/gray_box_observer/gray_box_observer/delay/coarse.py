@@ -39,18 +39,28 @@ class Profile:
 
     def best(self) -> float:
         """Return the delay of the smallest misfit in s, by the parabola through the three around it."""
-        at = int(np.argmin(self.misfit))
-        if not 0 < at < self.misfit.size - 1:
-            return float(self.delay_s[at])
-        left, middle, right = np.log(self.misfit[at - 1 : at + 2])
-        bend = left - 2.0 * middle + right
-        shift = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
+        at, slope, bend = self._parabola()
+        shift = -slope / bend if bend > 0.0 else 0.0
         return float(self.delay_s[at] + shift * (self.delay_s[1] - self.delay_s[0]))
 
     def evidence(self, delay_s: float) -> float:
         """Gain in log-likelihood of the best delay over a given one, were the residuals independent."""
+        at, slope, bend = self._parabola()
         logs = np.log(self.misfit)
-        return 0.5 * self.rows * float(np.interp(delay_s, self.delay_s, logs) - np.min(logs))
+        away = float((delay_s - self.delay_s[at]) / (self.delay_s[1] - self.delay_s[0]))
+        here = slope * away + 0.5 * bend * away**2
+        if abs(away) > 1.0:
+            here = float(np.interp(delay_s, self.delay_s, logs) - logs[at])
+        lowest = -0.5 * slope**2 / bend if bend > 0.0 else 0.0
+        return 0.5 * self.rows * (here - lowest)
+
+    def _parabola(self) -> tuple[int, float, float]:
+        """Where the misfit is smallest, and slope and bend of its logarithm there, a step being one interval."""
+        at = int(np.argmin(self.misfit))
+        if not 0 < at < self.misfit.size - 1:
+            return at, 0.0, 0.0
+        left, middle, right = np.log(self.misfit[at - 1 : at + 2])
+        return at, float(0.5 * (right - left)), float(left - 2.0 * middle + right)
 
 
 def profile(

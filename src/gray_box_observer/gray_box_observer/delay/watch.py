@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.delay.coarse import profile
+from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
 from gray_box_observer.samples.raw_history import TORQUES, RawHistory, RawSignals
 from gray_box_observer.samples.sample import nanoseconds, seconds
@@ -34,6 +34,8 @@ EVIDENCE = 15.0
 """Log-likelihood that a delay must bring; by chance one time in 2e7 (chi-square of 30 with one degree of freedom)."""
 
 COARSE_EVIDENCE = 7.5
+"""What the coarse search must bring for the fine one, which brings half as much again or more, to be worth its time."""
+
 WORTH = 0.1
 """Sample intervals that a delay must differ from the one in force: less harms nobody."""
 
@@ -168,7 +170,7 @@ class DelayWatch:
         start_s = coarse.best()
         if coarse.evidence(start_s + interval_s) < COARSE_EVIDENCE:  # flat: the voltage did not move
             return None
-        if not self._worth_refining(start_s, interval_s):
+        if not self._worth_refining(coarse, start_s, interval_s):
             return _Found(applied_s, math.nan, 0.0, interval_s, True)
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
@@ -180,14 +182,15 @@ class DelayWatch:
         inside = reach_s[0] + margin_s < best.delay_s < reach_s[1] - margin_s
         return _Found(best.delay_s, best.std_s, brought, interval_s, inside)
 
-    def _worth_refining(self, delay_s: float, interval_s: float) -> bool:
+    def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search tells of something new; the fine one takes twenty times as long."""
         known, growing = self.estimate, self._count <= 2 * TORQUES
         if known.asked and growing:
             return True
         if known.verdict is DelayVerdict.UNDECLARED and not growing:
             return abs(delay_s - known.value_s) > 0.5 * interval_s
-        return abs(delay_s - known.applied_s) > COARSE_WORTH * interval_s
+        away = abs(delay_s - known.applied_s) > COARSE_WORTH * interval_s
+        return away and coarse.evidence(known.applied_s) > COARSE_EVIDENCE
 
     def _cut(self, signals: RawSignals, applied_s: float) -> tuple[RawSignals, tuple[float, float]] | None:
         """Keep the torques whose voltage is known whatever the delay, and say how far it may reach."""
