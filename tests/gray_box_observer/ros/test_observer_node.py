@@ -192,6 +192,7 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
         f'{NODE}/motor/resistance': ('std_msgs/msg/Float64', reliable, latched),
         f'{NODE}/motor/hysteresis': ('std_msgs/msg/Float64', reliable, latched),
         f'{NODE}/motor/identified': ('std_msgs/msg/Bool', reliable, latched),
+        f'{NODE}/motor/alarm': ('std_msgs/msg/Bool', reliable, latched),
         f'{NODE}/motor/covariance': ('std_msgs/msg/Float64MultiArray', reliable, latched),
         f'{NODE}/predicted_torque': ('sensor_msgs/msg/JointState', reliable, volatile),
         '/diagnostics': ('diagnostic_msgs/msg/DiagnosticArray', reliable, volatile),
@@ -329,6 +330,23 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
     assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
     rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
     assert int(rig.values()['training jobs done']) >= 1
+
+
+def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(rig, record):
+    recording = record(EXCITATION, 10.0, torque_noise_relative=0.01, schedule=('motor.resistance=1000@8.0',))
+    rig.start(**{**SMALL_NETWORK, 'training__hidden': 12}, alarm__learn=300)
+    assert rig.latched(Bool, 'motor/alarm').data is False, 'it is told at activation'
+    said = rig.peer.listen(Bool, f'{NODE}/motor/alarm', LATCHED_QOS)
+    rig.send(recording, range(800))
+    rig.wait_for(samples_used=800, residual_alarm='armed', alarms_raised=0)
+    assert float(rig.values()['residual std [N m]']) > 0.0
+    rig.send(recording, range(800, 840))
+    rig.wait_for(samples_used=840, residual_alarm='raised', alarms_raised=1)
+    assert [message.data for message in said] == [False, True]
+    rig.send(recording, range(840, 860))
+    rig.wait_for_level(DiagnosticStatus.WARN, 'blocked rotor, open brush, weak magnet or a wrong sensor?')
+    assert rig.call(Trigger, 'reset').success
+    assert rig.latched(Bool, 'motor/alarm').data is False
 
 
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):

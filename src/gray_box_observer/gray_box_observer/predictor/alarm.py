@@ -32,6 +32,12 @@ REFRESH = 32
 
 SECONDS_A_DAY = 86400.0
 
+REMEDY = (
+    'torque is not what voltage and the identified parameters explain: '
+    'blocked rotor, open brush, weak magnet or a wrong sensor?'
+)
+"""What a standing alarm asks the user."""
+
 
 @dataclass(frozen=True, slots=True)
 class AlarmRules:
@@ -62,6 +68,12 @@ class ResidualAlarm:
 
     def __init__(self, motors: int, rules: AlarmRules | None = None) -> None:
         self._rules = rules or AlarmRules()
+        self.count = np.zeros(motors, dtype=int)
+        self.relearn()
+
+    def relearn(self) -> None:
+        """Forget what is known of the residual, and let the alarm fall; what was counted stays."""
+        motors = self.count.size
         self._sums = np.zeros((2, motors))
         self._variance, self._product = np.zeros(motors), np.zeros(motors)
         self._previous = np.zeros(motors)
@@ -71,7 +83,6 @@ class ResidualAlarm:
         self._scale, self._limit = np.zeros(motors), np.full(motors, np.inf)
         self._threshold = np.full(motors, np.inf)
         self.raised = np.zeros(motors, dtype=bool)
-        self.count = np.zeros(motors, dtype=int)
 
     @property
     def armed(self) -> NDArray[np.bool_]:

@@ -233,6 +233,7 @@ class ObserverNode(LifecycleNode):
             return
         estimates = self._observer.estimates()
         for motor in self._configuration.motors:
+            self._outputs.alarm(motor, self._observer.alarm(motor))
             if motor in estimates:
                 self._outputs.estimate(motor, estimates[motor])
             else:

@@ -25,6 +25,7 @@ class Outputs:
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
         self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in configuration.motors}
+        self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in configuration.motors}
         self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in configuration.motors}
         self._parameters = {
             (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
@@ -32,6 +33,7 @@ class Outputs:
             for p in motor.values['context_nodes']
         }
         self._announced: dict[str, int] = {}
+        self._alarmed: dict[str, bool] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, **names: str) -> Publish:
@@ -40,12 +42,14 @@ class Outputs:
         return publish
 
     def results(self, results: Iterable[Result]) -> None:
-        """Publish predictions that have not gone out as forecasts, and every changed estimate."""
+        """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
         for result in results:
             if result.prediction is not None:
                 self.prediction(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
             if result.estimate is not None:
                 self.estimate(result.motor, result.estimate)
+            if result.alarm != self._alarmed.get(result.motor):
+                self.alarm(result.motor, result.alarm)
 
     def prediction(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
         """Publish the torque predicted for a stamp, once."""
@@ -62,6 +66,11 @@ class Outputs:
             self._parameters[motor, parameter.name](Float64(data=float(value)))
         self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
         self._identified[motor](Bool(data=estimate.identified(0)))
+
+    def alarm(self, motor: str, raised: bool) -> None:
+        """Publish whether the alarm on the prediction's residual stands."""
+        self._alarmed[motor] = raised
+        self._alarm[motor](Bool(data=raised))
 
     def not_identified(self, motor: str) -> None:
         """Publish that nothing is known of a motor (yet, or any more)."""
