@@ -240,3 +240,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 def test_groups_become_dotted_names() -> None:
     assert flatten({'a': {'b': {'c': 1}, 'd': [1]}, 'e.f': 2}) == {'a.b.c': 1, 'a.d': [1], 'e.f': 2}
+
+
+def test_a_horizon_is_refused_where_the_network_goes_from_sample_to_sample_only() -> None:
+    assert Configuration.from_flat({'horizon_s': 0.5})['horizon_s'] == 0.5
+    with pytest.raises(ConfigurationError, match=r'horizon_s must be 0 with variant main, got 0\.5'):
+        Configuration.from_flat({'horizon_s': 0.5, 'variant': 'main'})

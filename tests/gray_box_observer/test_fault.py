@@ -1,4 +1,4 @@
-"""A motor that breaks while it is observed: the alarm on the prediction's residual, from simulated faults to results."""
+"""A motor that breaks while it is observed: the alarm on the residual, from simulated faults to results."""
 
 from __future__ import annotations
 
@@ -48,13 +48,14 @@ class Untrained:
         pass
 
     def submit(self, _job: dict[str, Any]) -> None:
-        pass
+        """Take a job."""
 
     def collect(self) -> dict[str, Any] | None:
+        """Give nothing."""
         return None
 
     def close(self) -> None:
-        pass
+        """End nothing."""
 
 
 def observer(**given: Any) -> Observer:

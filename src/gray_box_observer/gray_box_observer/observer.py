@@ -37,6 +37,7 @@ from gray_box_observer.predictor import (
 )
 from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
 from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 
@@ -109,6 +110,21 @@ class MotorObserver:
             prediction = self.predictor.predict(interval_s, voltage_v, self.context_nodes.theta)
             self._foreseen = question, prediction
         return self._foreseen[1]
+
+    def forecast_held(self, ahead: tuple[float, float] | None, horizon_s: float, voltage_v: float) -> Array | None:
+        """Forecast the torque after a voltage has been held for a while; changes nothing.
+
+        Args:
+            ahead: interval in s and mean voltage in V from the last sample to where the voltage begins to act; None
+                where it begins with the last sample.
+            horizon_s: how long it is held.
+            voltage_v: the voltage.
+        """
+        if self.predictor is None:
+            return None
+        motors = self.context_nodes.theta.shape[0]
+        since = None if ahead is None else self.predict(*(np.full(motors, value) for value in ahead))
+        return self.predictor.forecast(horizon_s, np.full(motors, voltage_v), self.context_nodes.theta, since)
 
     def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
         """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
@@ -250,6 +266,36 @@ class Observer:
         if prediction is None or not math.isfinite(prediction.torque_nm[0]):
             return None
         return Forecast(motor, stamp_ns, float(prediction.torque_nm[0]))
+
+    def forecast_held(self, motor: str, horizon_s: float) -> Forecast | None:
+        """Predict the torque after the newest voltage has been held for a while; changes nothing.
+
+        The stamp is that of the voltage (shifted by the delay, where there is one) plus the horizon. Torque measured at
+        or before the voltage's stamp must not be waited for: what is not measured yet is predicted on the way.
+
+        Args:
+            motor: its name.
+            horizon_s: how long the voltage is held.
+
+        Returns:
+            None before the second sample of a signal history, where no predictor runs, or where the voltage came so
+            late that torque has been learnt beyond it.
+
+        Raises:
+            ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
+        """
+        observer, pairing = self.motors.get(motor), self.pairing[motor]
+        newest = pairing.newest_voltage
+        if observer is None or newest is None:
+            return None
+        since_ns, voltage_v = newest
+        ahead = pairing.ahead(since_ns)
+        if ahead is None and since_ns != pairing.newest_sample_ns:
+            return None
+        torque_nm = observer.forecast_held(ahead, horizon_s, voltage_v)
+        if torque_nm is None or not math.isfinite(torque_nm[0]):
+            return None
+        return Forecast(motor, since_ns + nanoseconds(horizon_s), float(torque_nm[0]))
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor that has been seen."""

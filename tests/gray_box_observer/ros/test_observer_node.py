@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.observer import Observer
+from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
 pytestmark = pytest.mark.system
@@ -328,8 +329,13 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in rig.predicted]
     assert stamps == sorted(set(stamps)), 'each stamp is predicted once'
     assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
+
+    def trained() -> bool:
+        rig.send(recording, [next(indices)])
+        return int(rig.values().get('training jobs done', 0)) >= 1
+
+    rig.peer.wait(trained, 'the first training job to be done')
     rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
-    assert int(rig.values()['training jobs done']) >= 1
 
 
 def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(rig, record):
@@ -347,6 +353,29 @@ def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(r
     rig.wait_for_level(DiagnosticStatus.WARN, 'blocked rotor, open brush, weak magnet or a wrong sensor?')
     assert rig.call(Trigger, 'reset').success
     assert rig.latched(Bool, 'motor/alarm').data is False
+
+
+def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(rig, record):
+    recording = record(EXCITATION, 2.0)
+    forecasts = rig.peer.listen(JointState, f'{NODE}/forecast_torque', SIGNAL_QOS)
+    rig.start(**{**SMALL_NETWORK, 'training__hidden': 12, 'training__period': 100000}, horizon_s=0.25)
+    voltage, torque = rig.signals()
+    core, expected = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining), []
+    for k in range(80):
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        voltage.publish(state('motor', stamp_ns, voltage_v))
+        core.voltage('motor', stamp_ns, voltage_v)
+        held = core.forecast_held('motor', 0.25)
+        if held is not None:
+            expected.append((held.stamp_ns, held.torque_nm))
+            rig.peer.wait(lambda: len(forecasts) >= len(expected), 'the forecast')
+        torque.publish(state('motor', stamp_ns, torque_nm))
+        core.torque('motor', stamp_ns, torque_nm)
+    stamps = [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in forecasts]
+    assert [(s, m.effort[0]) for s, m in zip(stamps, forecasts, strict=True)] == expected
+    assert all(list(m.name) == ['motor'] for m in forecasts)
+    assert expected[0][0] == START_NS + int(recording.stamp_ns[1]) + 250_000_000
 
 
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):

@@ -5,7 +5,7 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -113,13 +113,14 @@ class Predictor:
         torque_nm, memory = self._forecaster.forecast(question)
         return Prediction(torque_nm, rollout_nm, memory, question.way)
 
-    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array) -> Array:
+    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
         """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
 
         Args:
-            horizon_s: how long, counted from the last sample.
+            horizon_s: how long, counted from the last sample or from what ``since`` tells.
             voltage_v: shape (motor,): voltage that will be held.
             theta: shape (motor, parameter): context nodes.
+            since: what was predicted of the next sample, to go on from there; None: go on from the last sample.
 
         Returns:
             Shape (motor,), in N m; NaN for a motor whose signal history has not begun.
@@ -132,7 +133,11 @@ class Predictor:
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
             )
         question = self._question(np.full(self._motors, horizon_s), voltage_v, theta)
-        return np.full(self._motors, np.nan) if question is None else self._forecaster.forecast(question)[0]
+        if question is None or (since is not None and since.memory is None):
+            return np.full(self._motors, np.nan)
+        if since is not None and since.memory is not None:
+            question = replace(question, origin=(since.torque_nm, since.memory))
+        return self._forecaster.forecast(question)[0]
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
         """Score what was predicted, remember the sample, and start or finish a training job when one is due.

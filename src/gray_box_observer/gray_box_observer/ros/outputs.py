@@ -24,6 +24,8 @@ class Outputs:
 
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
+        horizon = configuration['horizon_s'] > 0.0
+        self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in configuration.motors}
         self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in configuration.motors}
         self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in configuration.motors}
@@ -33,6 +35,7 @@ class Outputs:
             for p in motor.values['context_nodes']
         }
         self._announced: dict[str, int] = {}
+        self._foretold: dict[str, int] = {}
         self._alarmed: dict[str, bool] = {}
 
     @staticmethod
@@ -56,9 +59,13 @@ class Outputs:
         if self._announced.get(motor) == stamp_ns or not math.isfinite(torque_nm):
             return
         self._announced[motor] = stamp_ns
-        message = JointState(name=[motor], effort=[torque_nm])
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        self._predicted(message)
+        self._predicted(torque_message(motor, stamp_ns, torque_nm))
+
+    def forecast(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
+        """Publish the torque at the horizon if the newest voltage is held until then, once a voltage."""
+        if self._forecast is not None and self._foretold.get(motor) != stamp_ns:
+            self._foretold[motor] = stamp_ns
+            self._forecast(torque_message(motor, stamp_ns, torque_nm))
 
     def estimate(self, motor: str, estimate: Estimate) -> None:
         """Publish values, covariance and whether all is identified."""
@@ -75,6 +82,13 @@ class Outputs:
     def not_identified(self, motor: str) -> None:
         """Publish that nothing is known of a motor (yet, or any more)."""
         self._identified[motor](Bool(data=False))
+
+
+def torque_message(motor: str, stamp_ns: int, torque_nm: float) -> JointState:
+    """Build the message of one torque in N m at its stamp."""
+    message = JointState(name=[motor], effort=[torque_nm])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
 
 
 def covariance_message(parameters: tuple[Parameter, ...], values: list[float]) -> Float64MultiArray:
