@@ -360,7 +360,8 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
     forecasts = rig.peer.listen(JointState, f'{NODE}/forecast_torque', SIGNAL_QOS)
     rig.start(**{**SMALL_NETWORK, 'training__hidden': 12, 'training__period': 100000}, horizon_s=0.25)
     voltage, torque = rig.signals()
-    core, expected = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining), []
+    core, expected = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining), {}
+    heard: dict[int, float] = {}
     for k in range(80):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
         voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
@@ -368,14 +369,18 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
         core.voltage('motor', stamp_ns, voltage_v)
         held = core.forecast_held('motor', 0.25)
         if held is not None:
-            expected.append((held.stamp_ns, held.torque_nm))
-            rig.peer.wait(lambda: len(forecasts) >= len(expected), 'the forecast')
+            expected[held.stamp_ns] = held.torque_nm
+            wanted = state('motor', held.stamp_ns).header.stamp
+            rig.peer.wait(lambda stamp=wanted: forecasts and forecasts[-1].header.stamp == stamp, 'the forecast')
+            assert list(forecasts[-1].name) == ['motor']
+            heard[held.stamp_ns] = forecasts[-1].effort[0]
         torque.publish(state('motor', stamp_ns, torque_nm))
         core.torque('motor', stamp_ns, torque_nm)
-    stamps = [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in forecasts]
-    assert [(s, m.effort[0]) for s, m in zip(stamps, forecasts, strict=True)] == expected
-    assert all(list(m.name) == ['motor'] for m in forecasts)
-    assert expected[0][0] == START_NS + int(recording.stamp_ns[1]) + 250_000_000
+        if k == 0:
+            rig.wait_for(samples_used=1)
+    assert len(expected) == 79
+    # a voltage may overtake the torque of the sample before, which is then predicted on the way
+    assert heard == pytest.approx(expected, abs=0.01 * float(recording.torque_nm.std()))
 
 
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
