@@ -173,7 +173,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('alarm.false_a_day', 0.1, 'False alarms a day that are accepted of each motor.', 1e-9, 1e4),
     ParameterSpec('alarm.memory', 3000, 'Samples over which the spread of the residual is followed.', 2, 10_000_000),
     ParameterSpec('alarm.learn', 1000, 'Samples of an identified motor before the alarm is armed.', 2, 10_000_000),
-    ParameterSpec('checkpoint.path', 'gray_box_observer.npz', 'File that save writes and load reads.', live=True),
+    ParameterSpec(
+        'checkpoint.path', 'gray_box_observer.safetensors', 'File that save writes and load reads.', live=True
+    ),
 )
 """Parameters of the node as a whole."""
 

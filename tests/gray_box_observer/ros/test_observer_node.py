@@ -384,7 +384,7 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
 
 
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
-    path = tmp_path / 'new' / 'motor.npz'
+    path = tmp_path / 'new' / 'motor.safetensors'
     recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path)
     answer = rig.call(Trigger, 'save')
@@ -396,7 +396,7 @@ def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
     learnt = rig.estimates()
     answer = rig.call(Trigger, 'save')
     assert (answer.success, answer.message) == (True, f'saved to {path}')
-    assert [entry.name for entry in path.parent.iterdir()] == ['motor.npz']
+    assert [entry.name for entry in path.parent.iterdir()] == ['motor.safetensors']
 
     assert rig.call(Trigger, 'reset').success
     assert rig.latched(Bool, 'motor/identified').data is False
@@ -408,7 +408,7 @@ def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
     assert rig.estimates() == learnt
     assert rig.latched(Bool, 'motor/identified').data is True
     path.write_bytes(b'no checkpoint')
-    assert rig.call(Trigger, 'load').message == f'{path} is not a checkpoint of this package'
+    assert rig.call(Trigger, 'load').message == f'{path} is not a checkpoint of this package, or was cut short'
     assert rig.estimates() == learnt
 
 
