@@ -280,3 +280,44 @@ def test_saving_over_a_folder_leaves_no_scraps(tmp_path: Path, recording: Record
     with pytest.raises(GrayBoxError, match='cannot write'):
         save(one, tmp_path / 'folder')
     assert [p.name for p in tmp_path.iterdir()] == ['folder']
+
+
+HARD: dict[str, Any] = {
+    'training.start': 'fresh',
+    'training.hidden': 6,
+    'training.learning_rate': 0.02,
+    'horizon_s': 0.4,
+    'motor.voltage_limits': [-33.0, 33.0],
+}
+"""Far forecasts in all quadrants from a fresh network: training always has something to learn."""
+
+
+@pytest.mark.parametrize('at', [730, 749, 750, 1010])
+def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recording, at: int) -> None:
+    one, other = observer(InlineTraining, **HARD), observer(InlineTraining, **HARD)
+    feed(one, recording, 0, at)
+    save(one, tmp_path / 'c')
+    load(other, tmp_path / 'c')
+    for name, array in one.motors['motor'].state()[1].items():
+        assert array.tobytes() == other.motors['motor'].state()[1][name].tobytes(), name
+    one.pairing['motor'].restart()  # loading begins the signal history anew
+    first, second = (feed(o, recording, at, at + 500) for o in (one, other))
+    for r, s in zip(first, second, strict=True):
+        assert r.prediction is not None
+        assert s.prediction is not None
+        assert r.prediction.torque_nm.tobytes() == s.prediction.torque_nm.tobytes()
+    on, again = (o.motors['motor'].state()[1] for o in (one, other))
+    assert on.keys() == again.keys()
+    for name, array in on.items():
+        assert array.tobytes() == again[name].tobytes(), name
+    assert any(name.startswith('network/learning_pupil_adam_') for name in on)
+    saved = decode((tmp_path / 'c').read_bytes())[1]
+    assert saved['motor/network/input'].tobytes() != on['network/input'].tobytes(), 'it has learnt on'
+
+
+def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recording) -> None:
+    one = observer(InlineTraining, **HARD)
+    feed(one, recording, 0, 300)
+    save(one, tmp_path / 'c')
+    with pytest.raises(GrayBoxError, match='holds a network of 6 hidden units and 5 inputs, expected 4 and 5'):
+        load(observer(InlineTraining, **{**HARD, 'training.hidden': 4}), tmp_path / 'c')

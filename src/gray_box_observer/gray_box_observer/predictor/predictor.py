@@ -5,6 +5,7 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -90,6 +91,8 @@ class Predictor:
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
         self._settled: tuple[Array, OperatingRange] | None = None
+        self._job: dict[str, Any] = {}
+        self._learning: dict[str, Array] = {}
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -171,9 +174,26 @@ class Predictor:
         self._frozen = frozen
 
     def state(self) -> dict[str, Array]:
-        """The network and where the motors have run, as arrays."""
-        seen = {f'seen_{name}': np.array(bounds) for name, bounds in self._seen.to_dict().items()}
-        return {**self._forecaster.state(), **seen}
+        """The network, where the motors have run and everything that training depends on, as arrays.
+
+        A job whose result is still to come is saved as it was handed over: it is run again.
+        """
+        replay = {
+            'replay': self.replay.content()[:, :, -self._rules.job_samples :],
+            'total': np.array(self.replay.total),
+        }
+        settled = {}
+        if self._settled is not None:
+            settled = {'settled_theta': self._settled[0], **_named('settled_seen', self._settled[1].to_dict())}
+        return {
+            **self._forecaster.state(),
+            **_named('seen', self._seen.to_dict()),
+            **replay,
+            **settled,
+            **self._learning,
+            **{f'job_{name}': array for name, array in self._job.items() if name != 'seen'},
+            **_named('job_seen', self._job.get('seen', {})),
+        }
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave; training goes on from there.
@@ -182,10 +202,21 @@ class Predictor:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
-        seen = {name[5:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('seen_')}
-        self._seen = OperatingRange.from_dict(seen)
-        self._start_from = self._forecaster.start()
+        self._seen = _range(arrays, 'seen')
+        self.replay.refill(arrays['replay'])
+        self.replay.total = int(arrays['total'])
         self._settled = None
+        if 'settled_theta' in arrays:
+            self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+        self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
+        self._start_from = {
+            **self._forecaster.start(),
+            **{f'start_{name}': array for name, array in self._learning.items()},
+        }
+        job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
+        if job:
+            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
+            self._submit({**kept, 'seen': _range(job, 'seen').to_dict()})
 
     def close(self) -> None:
         """Stop training."""
@@ -232,18 +263,21 @@ class Predictor:
         if self._training.resting or self._nothing_to_gain(theta) or len(self.replay) < self._rules.length:
             return
         count = self._rules.job_samples
-        self._training.submit(
+        self._submit(
             {
-                'voltage_v': self.replay.voltage_v(count),
-                'interval_s': self.replay.interval_s(count),
-                'torque_nm': self.replay.torque_nm(count),
-                'speed_rad_s': self.replay.speed_rad_s(count),
-                'theta': theta,
-                'covariance': covariance,
+                'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
+                'interval_s': self.replay.interval_s(count).copy(),
+                'torque_nm': self.replay.torque_nm(count).copy(),
+                'speed_rad_s': self.replay.speed_rad_s(count).copy(),
+                'theta': theta.copy(),
+                'covariance': covariance.copy(),
                 'seen': self._seen.to_dict(),
-                **self._start_from,
             }
         )
+
+    def _submit(self, job: dict[str, Any]) -> None:
+        self._job = job
+        self._training.submit({**job, **self._start_from})
         self._start_from = {}
 
     def _nothing_to_gain(self, theta: Array) -> bool:
@@ -254,7 +288,21 @@ class Predictor:
 
     def _adopt(self, result: dict[str, Any], theta: Array) -> None:
         self.jobs_done += 1
+        self._job = {}
+        self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled = (theta, self._seen) if result.get('settled') else None
         self.loss = result.get('loss', self.loss)
         if 'input' in result:
             self._forecaster.adopt(result)
+
+
+def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
+    """Name the entries of an operating range as arrays."""
+    return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}
+
+
+def _range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
+    """Take back what :func:`_named` gave."""
+    start = f'{prefix}_'
+    bounds = {name[len(start) :]: pair.tolist() for name, pair in arrays.items() if name.startswith(start)}
+    return OperatingRange.from_dict(bounds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 
 import torch
@@ -10,6 +11,7 @@ from gray_box_observer.predictor.lessons import Lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import Relaxation, exponent
 from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.white_box.base import Array
 
 SHORTEST = 1e-3
 """Shortest interval, in time constants, whose defect counts in full."""
@@ -54,6 +56,27 @@ class Pupil:
     def weights(self) -> Weights:
         """What it knows now."""
         return self._network.export()
+
+    def state(self) -> dict[str, Array]:
+        """The network and the moments of Adam, as arrays."""
+        moments = {
+            f'adam_{place}_{name}': value.numpy().copy()
+            for place, of_one in self.optimiser.state_dict()['state'].items()
+            for name, value in of_one.items()
+        }
+        return {**self.weights.arrays(), **moments}
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float) -> Pupil:
+        """Return the pupil that goes on from what :meth:`state` gave."""
+        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip)
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for key, array in arrays.items():
+            if key.startswith('adam_'):
+                _, place, name = key.split('_', 2)
+                moments.setdefault(int(place), {})[name] = torch.from_numpy(array.copy())
+        pupil.optimiser.load_state_dict({**pupil.optimiser.state_dict(), 'state': moments})
+        return pupil
 
     def learn(self, lesson: Lesson) -> float:
         """Take one Adam step; return the loss before it."""
