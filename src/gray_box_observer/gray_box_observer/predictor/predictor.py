@@ -203,8 +203,9 @@ class Predictor:
         """
         self._forecaster.restore(arrays)
         self._seen = _range(arrays, 'seen')
-        self.replay.refill(arrays['replay'])
-        self.replay.total = int(arrays['total'])
+        if 'replay' in arrays:  # a network alone may be taken over too
+            self.replay.refill(arrays['replay'])
+            self.replay.total = int(arrays['total'])
         self._settled = None
         if 'settled_theta' in arrays:
             self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
