@@ -116,10 +116,10 @@ class ResidualAlarm:
         usable = np.isfinite(residual_nm) & (interval_s > 0.0)
         residual = np.where(usable, residual_nm, 0.0)
         judged = usable & self.armed & (identified | self.raised)
-        scaled = np.clip(residual * self._scale, -CLIP, CLIP)
-        moved = self._sums + np.stack([scaled, -scaled]) - REFERENCE
+        scaled = _between(residual * self._scale, -CLIP, CLIP)
+        moved = self._sums + scaled * _BOTH_SIGNS - REFERENCE
         # capped, so that the sums come down again when the fault has gone
-        self._sums = np.where(judged, np.clip(moved, 0.0, 2.0 * self._threshold), self._sums)
+        self._sums = np.where(judged, _between(moved, 0.0, 2.0 * self._threshold), self._sums)
         over = self._sums.max(axis=0)
         before = self.raised
         self.raised = (over >= self._threshold) | (before & (over > 0.0))
@@ -134,8 +134,8 @@ class ResidualAlarm:
     def _follow(self, residual: Array, interval_s: Array, which: NDArray[np.bool_]) -> None:
         """Follow the residual's spread and correlation while all is well."""
         self._learnt += which
-        share = which / np.clip(self._learnt, 1, self._rules.memory)
-        kept = np.where(self.armed, np.clip(residual, -self._limit, self._limit), residual)
+        share = which / _between(self._learnt, 1, self._rules.memory)
+        kept = np.where(self.armed, _between(residual, -self._limit, self._limit), residual)
         self._variance += share * (kept * kept - self._variance)
         self._product += share * (kept * self._previous - self._product)
         self._interval_s += share * (interval_s - self._interval_s)
@@ -165,6 +165,15 @@ class ResidualAlarm:
 
 
 _ARRAYS = ('sums', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold')
+
+
+_BOTH_SIGNS = np.array([[1.0], [-1.0]])
+
+
+def _between(values: Array, low: Any, high: Any) -> Array:
+    """As ``np.clip``, which takes several times as long over one motor."""
+    between: Array = np.minimum(np.maximum(values, low), high)
+    return between
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:
