@@ -8,23 +8,28 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from common.figures import Figure, last_line
 
 from gray_box_observer import offline
 from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.delay import DelayVerdict
+from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer import Observer
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
+SERVO = 'SG90 servo'
 SERVO_PERIOD_S = 49.75e-6
 SERVO_TIME_CONSTANT_S = (140e-6, 171e-6)
 ROBOT_RESISTANCE_OHM = (3.9, 4.5)
@@ -48,10 +53,10 @@ class Case:
 
 
 def cases(data: Path) -> Iterator[Case]:
-    """Yield every log."""
+    """Yield every log; the servo's whether it is there or not."""
     servo = data / 'openservocore' / 'rl-probe-bench.csv'
     yield Case(
-        'SG90 servo',
+        SERVO,
         servo,
         (
             f'sample_period_s={SERVO_PERIOD_S}',
@@ -142,74 +147,105 @@ def identify(case: Case) -> Observer:
     return outcome.observer
 
 
+@dataclass
+class Found:
+    """What the logs have told so far.
+
+    Attributes:
+        servo_time_constant_s: L/R of the servo; None where its log is not there.
+        healthy_ohm: R of every motor of the robots whose sensors work.
+        dead_believed: whether the motor with the dead current sensor was called identified; None where it is not there.
+    """
+
+    servo_time_constant_s: float | None = None
+    healthy_ohm: list[float] = field(default_factory=list)
+    dead_believed: bool | None = None
+
+    def take(self, case: Case, motor: str, estimate: Estimate) -> None:
+        """Take the last estimate of one motor."""
+        if case.name == SERVO:
+            self.servo_time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
+        elif (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:
+            self.dead_believed = estimate.identified(0)
+        else:
+            self.healthy_ohm.append(float(estimate.value[0, 1]))
+
+    def figures(self) -> list[Figure]:
+        """Return what was asked, with its goal; what was not measured has no value."""
+        time_constant_us = None if self.servo_time_constant_s is None else self.servo_time_constant_s * 1e6
+        low_us, high_us = (t * 1e6 for t in SERVO_TIME_CONSTANT_S)
+        return [
+            Figure('SG90 L/R in us', time_constant_us, (low_us, high_us)),
+            Figure('healthy robot motors, lowest R in ohm', min(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
+            Figure('healthy robot motors, highest R in ohm', max(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
+            Figure('healthy robot motors', float(len(self.healthy_ohm)), None),
+            Figure(
+                'dead current sensors believed', None if self.dead_believed is None else float(self.dead_believed), 0.0
+            ),
+        ]
+
+
+def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
+    """Lay out the last estimate of one motor."""
+    name = case.name if motor == 'motor' else f'{case.name} {motor}'
+    for j, parameter in enumerate(estimate.parameters):
+        known = KNOWN['servo' if case.name == SERVO else 'robot'][parameter.name]
+        value, std, verdict = estimate.value[0, j], estimate.std[0, j], estimate.verdicts[0][j].value
+        yield f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}'
+    if case.name == SERVO:
+        time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
+        yield f'{name:<18}{"L/R":<20}{time_constant_s:>12.5g}{"":>10}  {"":<13}154 us [140, 171]'
+
+
 def main() -> int:
-    """Print a table and one line of JSON."""
+    """Print two tables and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--data', type=Path, default=DEFAULT_DATA, help='folder with openservocore and regbot_rev2b')
+    parser.add_argument('--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233')
     parser.add_argument('--quick', action='store_true', help='no difference: the whole takes seconds')
-    data = parser.parse_args().data
-    if not data.is_dir():
-        print(f'real_motors: skipped: no measurements in {data}', file=sys.stderr)
+    options = parser.parse_args()
+    data = options.data or DEFAULT_DATA
+    present, steps = ([case for case in found if case.path.is_file()] for found in (cases(data), step_cases(data)))
+    if not present and not steps:
+        what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
+        if options.data is not None:
+            print(f'real_motors: error: {what}', file=sys.stderr)
+            return 2
+        print(f'real_motors: skipped: {what}; name their folder with --data', file=sys.stderr)
         print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
         return 0
-    healthy: list[float] = []
-    dead_believed, time_constant_s = None, float('nan')
-    print(f'{"motor":<18}{"parameter":<20}{"found":>12}{"std":>10}  {"verdict":<13}known')
-    for case in cases(data):
-        for motor, estimate in identify(case).estimates().items():
-            name = case.name if motor == 'motor' else f'{case.name} {motor}'
-            is_servo = case.name == 'SG90 servo'
-            for j, parameter in enumerate(estimate.parameters):
-                known = KNOWN['servo' if is_servo else 'robot'][parameter.name]
-                value, std, verdict = estimate.value[0, j], estimate.std[0, j], estimate.verdicts[0][j].value
-                print(f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}')
-            if is_servo:
-                time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
-                print(f'{name:<18}{"L/R":<20}{time_constant_s:>12.5g}{"":>10}  {"":<13}154 us [140, 171]')
-            elif (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:
-                dead_believed = estimate.identified(0)
-            else:
-                healthy.append(float(estimate.value[0, 1]))
-    low, high = ROBOT_RESISTANCE_OHM
-    figures: list[dict[str, object]] = [
-        {
-            'name': 'SG90 L/R in us',
-            'value': time_constant_s * 1e6,
-            'goal': [t * 1e6 for t in SERVO_TIME_CONSTANT_S],
-            'met': SERVO_TIME_CONSTANT_S[0] <= time_constant_s <= SERVO_TIME_CONSTANT_S[1],
-        },
-        {
-            'name': 'healthy robot motors, lowest R in ohm',
-            'value': min(healthy),
-            'goal': low,
-            'met': min(healthy) >= low,
-        },
-        {
-            'name': 'healthy robot motors, highest R in ohm',
-            'value': max(healthy),
-            'goal': high,
-            'met': max(healthy) <= high,
-        },
-        {'name': 'healthy robot motors', 'value': len(healthy), 'goal': None, 'met': None},
-        {'name': 'dead current sensor believed', 'value': dead_believed, 'goal': False, 'met': dead_believed is False},
-    ]
-    figures += delays(data)
-    print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': figures}))
+    try:
+        figures = [*parameters(present), *delays(steps)]
+    except GrayBoxError as error:
+        print(f'real_motors: error: {" ".join(str(error).split())}', file=sys.stderr)
+        return 2
+    print(last_line('real_motors', 0, figures))
     return 0
 
 
-def delays(data: Path) -> list[dict[str, object]]:
+def parameters(present: Sequence[Case]) -> list[Figure]:
+    """Print what is found of every motor; return the figures."""
+    found = Found()
+    print(f'{"motor":<18}{"parameter":<20}{"found":>12}{"std":>10}  {"verdict":<13}known')
+    for case in present:
+        for motor, estimate in identify(case).estimates().items():
+            found.take(case, motor, estimate)
+            for row in rows(case, motor, estimate):
+                print(row)
+    return found.figures()
+
+
+def delays(present: Sequence[Case]) -> list[Figure]:
     """Print the delays that are found in the logs of steps beside those that are seen by eye; return the figures."""
     print(f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  verdict')
-    figures: list[dict[str, object]] = []
-    for case in step_cases(data):
+    figures = []
+    for case in present:
         found = identify(case).delays()['motor']
         onset, steepest = onset_s(case.path)
         numbers = [1e3 * number for number in (found.value_s, found.std_s, found.applied_s, onset, steepest)]
         print('{:<28}{:>10.2f}{:>8.2f}{:>9.2f}{:>9.2f}{:>10.2f}'.format(case.name, *numbers), f' {found.verdict.value}')
-        met = found.verdict is DelayVerdict.ESTIMATED and abs(found.applied_s - onset) <= DELAY_TOLERANCE_S
-        goal = [1e3 * (onset - DELAY_TOLERANCE_S), 1e3 * (onset + DELAY_TOLERANCE_S)]
-        figures.append({'name': f'{case.name}: delay in ms', 'value': numbers[2], 'goal': goal, 'met': met})
+        applied = numbers[2] if found.verdict is DelayVerdict.ESTIMATED else math.nan  # which meets no goal
+        band = (1e3 * (onset - DELAY_TOLERANCE_S), 1e3 * (onset + DELAY_TOLERANCE_S))
+        figures.append(Figure(f'{case.name}: delay in ms', applied, band))
     return figures
 
 

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import errno
 import io
+import os
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -127,6 +129,32 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Reco
     (tmp_path / 'file').write_text('')
     with pytest.raises(GrayBoxError, match='cannot write'):
         save(one, tmp_path / 'file' / 'c.safetensors')
+
+
+def no_space(*_: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize('fails', ['os.fsync', 'pathlib.Path.replace'])
+def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
+    saved: Path, recording: Recording, fails: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, one = saved.read_bytes(), observer()
+    feed(one, recording, 0, 100)
+    monkeypatch.setattr(fails, no_space)
+    with pytest.raises(GrayBoxError, match=r'cannot write .*c\.safetensors: No space left on device'):
+        save(one, saved)
+    assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+    assert saved.read_bytes() == old
+
+
+def test_a_folder_is_not_replaced_by_a_checkpoint(tmp_path: Path, recording: Recording) -> None:
+    one = observer()
+    feed(one, recording, 0, 100)
+    (tmp_path / 'c.safetensors').mkdir()
+    with pytest.raises(GrayBoxError, match=r'cannot write .*: Is a directory'):
+        save(one, tmp_path / 'c.safetensors')
+    assert [p.name for p in tmp_path.iterdir()] == ['c.safetensors']
 
 
 def refuse(path: Path, message: str, **given: Any) -> None:
@@ -273,15 +301,6 @@ def test_arrays_of_any_numeric_type_and_shape_come_back_as_they_were(dtype: str,
         np.testing.assert_array_equal(arrays[name], expected)
 
 
-def test_saving_over_a_folder_leaves_no_scraps(tmp_path: Path, recording: Recording) -> None:
-    one = observer()
-    feed(one, recording, 0, 100)
-    (tmp_path / 'folder').mkdir()
-    with pytest.raises(GrayBoxError, match='cannot write'):
-        save(one, tmp_path / 'folder')
-    assert [p.name for p in tmp_path.iterdir()] == ['folder']
-
-
 HARD: dict[str, Any] = {
     'training.start': 'fresh',
     'training.hidden': 6,
@@ -313,6 +332,22 @@ def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recordin
     assert any(name.startswith('network/learning_pupil_adam_') for name in on)
     saved = decode((tmp_path / 'c').read_bytes())[1]
     assert saved['motor/network/input'].tobytes() != on['network/input'].tobytes(), 'it has learnt on'
+
+
+def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Callable[..., Recording]) -> None:
+    lagging = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.001, speed_mode='rotor')
+    one, other = observer(InlineTraining, **HARD), observer(InlineTraining, **HARD)
+    feed(one, lagging, 0, 1810)
+    save(one, tmp_path / 'c')
+    load(other, tmp_path / 'c')
+    one.pairing['motor'].restart()
+    for o in (one, other):
+        feed(o, lagging, 1810, 3000)
+    on, again = (o.motors['motor'].state()[1] for o in (one, other))
+    assert 'network/learning_residual_size' in on, 'there was something to learn'
+    assert on.keys() == again.keys()
+    for name, array in on.items():
+        assert array.tobytes() == again[name].tobytes(), name
 
 
 def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recording) -> None:

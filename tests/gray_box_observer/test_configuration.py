@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
-from gray_box_observer.configuration import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, Configuration, flatten
+from gray_box_observer.configuration import (
+    KNOWN_PARAMETERS,
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    Configuration,
+    flatten,
+)
 from gray_box_observer.context_nodes import GradientRules, VerdictRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import TrainingRules, Variant
@@ -138,6 +146,8 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
         ('torque__scale', float('nan'), r'torque\.scale must be a finite number other than 0, got nan'),
         ('voltage__scale', 0, r'voltage\.scale must be a finite number other than 0'),
         ('voltage__topic', '', r'voltage\.topic is empty'),
+        ('motor__known__resistance', -1.0, r'motor\.known\.resistance must be in'),
+        ('motor__known__hysteresis', 1.0, r'motor motor: hysteresis is among context_nodes and has known\.hysteresis'),
         ('motor__voltage_limits', [12.0, -12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got'),
         ('motor__voltage_limits', [12.0], r'motor\.voltage_limits must be \[lowest, highest\] in V, got \[12'),
         ('motor__voltage_limits', [0.0, 'high'], r'motor\.voltage_limits must be a list of float'),
@@ -152,6 +162,16 @@ def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> 
 )
 def test_what_cannot_be_used_is_refused_in_one_clear_line(name: str, value: Any, message: str) -> None:
     refuse(message, **{name: value})
+
+
+def test_every_term_that_is_not_identified_can_be_known() -> None:
+    assert set(KNOWN_PARAMETERS) == set(TERMS) - {'inductance'}
+    given = {parameter: 0.5 + k for k, parameter in enumerate(KNOWN_PARAMETERS.values())}
+    configuration = Configuration.from_flat(
+        {'motor.context_nodes': ['inductance'], **{f'motor.{name}': value for name, value in given.items()}}
+    )
+    known = configuration.motors['motor'].white_box(speed_measured=False).known
+    assert known == {term: given[parameter] for term, parameter in KNOWN_PARAMETERS.items()}
 
 
 def test_a_delay_is_a_number_or_the_word_estimate() -> None:
@@ -236,6 +256,17 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     binary.write_bytes(b'\xff\xfe\x00\x80')
     with pytest.raises(ConfigurationError, match='is not YAML'):
         Configuration.from_yaml(binary)
+
+
+def test_the_example_file_holds_every_parameter_with_its_default_and_its_description() -> None:
+    path = Path(__file__).resolve().parents[2] / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
+    specs = {spec.name: spec for spec in OBSERVER_PARAMETERS}
+    specs |= {f'motor.{spec.name}': spec for spec in MOTOR_PARAMETERS}
+    given = flatten(yaml.safe_load(path.read_text(encoding='utf-8'))['/**']['ros__parameters'])
+    assert list(given) == sorted(given, key=list(specs).index)
+    assert given == {name: spec.default for name, spec in specs.items()}
+    said = re.findall(r'^ +(\w+): .*?  # (.+)$', path.read_text(encoding='utf-8'), re.MULTILINE)
+    assert said == [(name.rpartition('.')[2], specs[name].description) for name in given]
 
 
 def test_groups_become_dotted_names() -> None:

@@ -192,6 +192,18 @@ def test_the_report_is_one_page_with_what_was_found(identify: Run, bag: Path, tm
     assert 'is taken as known' in page
 
 
+def test_the_report_says_what_was_taken_as_known(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor: {context_nodes: [inductance, hysteresis], known: {resistance: 1.0}}\n'
+    )
+    code, _, said = identify(bag, '--report', tmp_path / 'r.html', '--params', params, '--skip-predictor')
+    assert code == 0, said
+    page = (tmp_path / 'r.html').read_text(encoding='utf-8')
+    assert 'resistance = 1 ohm is taken as known' in page
+    assert 'its error goes into R' not in page
+
+
 def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
     params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n')

@@ -193,6 +193,24 @@ def test_one_topic_may_carry_voltage_and_torque(
     assert together.digest == observe(write_bag(tmp_path / 'apart', messages)).digest
 
 
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_a_motor_whose_resistance_is_known_gives_the_rest(
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+    rule: str,
+) -> None:
+    bag = write_bag(tmp_path / 'bag', messages_of(record('R[5,15]D[0.2,2]', 60.0, torque_noise_relative=0.002)))
+    nodes = ['inductance', 'hysteresis']
+    given = {'context_update': rule, 'motor.context_nodes': nodes, 'motor.known.resistance': 1.0}
+    estimate = observe(bag, **given).observer.estimates()['motor']
+    assert [parameter.name for parameter in estimate.parameters] == nodes
+    np.testing.assert_allclose(estimate.value, [[0.5, 10.0]], rtol=0.01 if rule == 'recursive' else 0.05)
+    without = observe(bag, **{**given, 'motor.known.resistance': 0.0}).observer.estimates()['motor']
+    assert without.value[0, 1] > 12.0  # K_HS has to stand for the resistance too
+
+
 def test_progress_counts_every_message(tmp_path: Path, write_bag: Callable[..., Path], messages: Messages) -> None:
     bag, counted = write_bag(tmp_path / 'bag', messages), []
     run([bag], Configuration.from_flat({}), None, None, counted.append)

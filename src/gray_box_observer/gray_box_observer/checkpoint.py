@@ -10,6 +10,7 @@ import json
 import os
 import struct
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -43,20 +44,26 @@ def save(observer: Observer, path: Path) -> None:
     for name, motor in observer.motors.items():
         plain['motors'][name], own = motor.state()
         arrays.update({f'{name}/{key}': array for key, array in own.items()})
-    data = encode(plain, arrays)
-    scrap: Path | None = None
+    _write_whole(path, encode(plain, arrays))
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """Write beside the file and put it in its place; where that fails, the old file stays and nothing else does."""
+    partial = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=path.name, delete=False) as file:
-            scrap = Path(file.name)
+            partial = Path(file.name)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        scrap.replace(path)
+        partial.replace(path)
     except OSError as error:
-        if scrap is not None:
-            scrap.unlink(missing_ok=True)
         raise GrayBoxError(f'cannot write {path}: {error.strerror}') from error
+    finally:
+        if partial is not None:
+            with suppress(OSError):  # where it took its place there is none left; on a dead disk there is no help
+                partial.unlink(missing_ok=True)
 
 
 def load(observer: Observer, path: Path) -> None:

@@ -163,6 +163,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'What variant physics begins with: the network that comes with the package, or a fresh one.',
         choices=('shipped', 'fresh'),
     ),
+    ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
@@ -179,6 +180,14 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
 )
 """Parameters of the node as a whole."""
 
+KNOWN_PARAMETERS = {
+    'back_emf_constant': 'back_emf_constant',
+    'brush_drop': 'brush_drop',
+    'resistance': 'known.resistance',
+    'hysteresis': 'known.hysteresis',
+}
+"""Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
+
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
     ParameterSpec(
@@ -193,6 +202,10 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first.',
+    ),
+    ParameterSpec('known.resistance', 0.0, 'Resistance R in ohm where it is not among context_nodes.', 0.0, 1e4),
+    ParameterSpec(
+        'known.hysteresis', 0.0, 'Hysteresis K_HS in V s/(rad A) where it is not among context_nodes.', 0.0, 1e6
     ),
     ParameterSpec(
         'speed_source',
@@ -240,9 +253,9 @@ class MotorConfiguration:
         """Build the white box of this motor."""
         nodes = tuple(self.values['context_nodes'])
         known = {
-            name: self.values[name]
-            for name in ('back_emf_constant', 'brush_drop')
-            if name not in nodes and self.values[name] > 0.0
+            name: self.values[parameter]
+            for name, parameter in KNOWN_PARAMETERS.items()
+            if name not in nodes and self.values[parameter] > 0.0
         }
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
 
@@ -389,6 +402,11 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
         spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _default(spec)), f'{name}.') for spec in MOTOR_PARAMETERS
     }
     motor = MotorConfiguration(name, values)
+    for node in values['context_nodes']:
+        if values.get(f'known.{node}', 0.0) > 0.0:
+            raise ConfigurationError(
+                f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of them out'
+            )
     limits_v = values['voltage_limits']
     if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
         raise ConfigurationError(f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {limits_v}')

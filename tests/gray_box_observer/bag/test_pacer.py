@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from gray_box_observer.bag.pacer import Pacer
+from gray_box_observer.bag.pacer import BURST, Pacer
 
 WAIT_S = 5.0
 
@@ -52,6 +52,34 @@ def test_without_a_rate_nothing_waits():
     replay = Replay(Pacer(0.0), [0, 10**15])
     replay.thread.join(WAIT_S)
     assert len(replay.passed) == 2 and time.monotonic() - started_s < 1.0
+
+
+def test_without_a_rate_no_more_than_the_limit_passes_however_long_it_stood_still():
+    now_s = [0.0]
+    pacer = Pacer(0.0, max_messages_per_s=100.0, clock=lambda: now_s[0])
+
+    def passing() -> int:
+        """How many pass without waiting."""
+        count = 0
+        while pacer._left_s(10**15) <= 0:
+            assert pacer.wait(10**15)
+            count += 1
+        return count
+
+    assert passing() == BURST
+    now_s[0] = 0.25
+    assert passing() == 25
+    assert pacer._left_s(0) == pytest.approx(0.01)
+    now_s[0] = 1000.0
+    assert passing() == BURST
+
+
+def test_a_limit_delays_and_loses_nothing_and_tells_no_time_meanwhile():
+    replay = Replay(Pacer(0.0, max_messages_per_s=500.0), list(range(2 * BURST)))
+    replay.thread.join(WAIT_S)
+    assert [time_ns for time_ns, _ in replay.passed] == list(range(2 * BURST))
+    assert replay.passed[-1][1] - replay.passed[0][1] > 0.9 * BURST / 500.0
+    assert replay.ticks == []
 
 
 def test_a_paused_replay_lets_single_steps_through_and_goes_on_from_there():

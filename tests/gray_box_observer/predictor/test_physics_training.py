@@ -275,8 +275,10 @@ def test_the_range_only_grows() -> None:
     assert second == OperatingRange((-1.0, 3.0), (0.01, 0.3), (2.0, 2.0))
     assert second.grown(np.array([[1.0]]), np.array([[0.02]]), np.array([[2.0]])) == second
     assert OperatingRange.from_dict(second.to_dict()) == second
-    assert OperatingRange().empty
-    assert not first.empty
+    assert not OperatingRange().tells(speed_measured=False)
+    assert first.tells(speed_measured=True)
+    assert SEEN.tells(speed_measured=False)
+    assert not SEEN.tells(speed_measured=True)
 
 
 def test_declared_limits_count_and_what_was_seen_beyond_them_too() -> None:

@@ -166,6 +166,7 @@ def rejected(rig: Rig) -> dict[str, int]:
 
 SMALL_NETWORK = {
     'predictor': 'true',
+    'variant': 'main',
     'training__hidden': 2,
     'training__context': 16,
     'training__period': 32,
@@ -383,6 +384,24 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
     assert heard == pytest.approx(expected, abs=0.01 * float(recording.torque_nm.std()))
 
 
+def test_the_default_predictor_speaks_from_the_second_sample_on(rig, record):
+    rig.start(predictor='true')
+    recording = record(EXCITATION, 8.0)
+    voltage, torque = rig.signals()
+    for k in range(20):
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        voltage.publish(state('motor', stamp_ns, float(recording.voltage_v[0, k])))
+        if k:
+            expected = state('motor', stamp_ns).header.stamp
+            rig.peer.wait(
+                lambda stamp=expected: rig.predicted and rig.predicted[-1].header.stamp == stamp, 'the prediction'
+            )
+        torque.publish(state('motor', stamp_ns, float(recording.torque_nm[0, k])))
+        rig.wait_for(samples_used=k + 1) if k == 0 else None
+    assert all(math.isfinite(m.effort[0]) for m in rig.predicted)
+    assert len(rig.predicted) == 19
+
+
 def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
     path = tmp_path / 'new' / 'motor.safetensors'
     recording = record(EXCITATION, 12.0)
@@ -550,6 +569,28 @@ def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameter
     assert said.startswith('observer: error: ')
     assert words in said
     assert said.count('\n') == 1
+
+
+def test_messages_of_other_motors_only_are_told_once_with_what_to_do(rig):
+    rig.start(motors='[left, right]')
+    for topic in rig.signals():
+        topic.publish(state('left', START_NS, 0.1))
+        topic.publish(state('motor_1 motor_0', START_NS, 0.1, 0.2))
+    rig.wait_for('left', samples_used=1)
+    for _ in range(2):  # two more rounds of diagnostics
+        rig.diagnostics.clear()
+        rig.peer.wait(lambda: rig.diagnostics, 'diagnostics')
+    _, _, said = rig.peer.end(rig.process)
+    (warning,) = [line for line in said.splitlines() if 'speaks of' in line]
+    assert 'motor/voltage speaks of motor_0, motor_1 and not of right: give the parameter motors the names' in warning
+
+
+def test_a_robot_whose_other_joints_have_names_too_is_no_reason_to_warn(rig):
+    rig.start(motors='[left]')
+    for topic in rig.signals():
+        topic.publish(state('left elbow', START_NS, 0.1, 0.2))
+    rig.wait_for('left', samples_used=1)
+    assert 'speaks of' not in rig.peer.end(rig.process)[2]
 
 
 def test_help_says_how_to_give_parameters(peer):

@@ -219,6 +219,22 @@ def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_
     assert heard[-1][0] - heard[0][0] == pytest.approx(0.5, abs=0.2)
 
 
+def test_as_fast_as_possible_does_not_outrun_a_reader_of_the_stated_speed(peer, tmp_path):
+    bag = make_bag(tmp_path / 'bag', [0.02 * k for k in range(400)])  # 50 a second: the limit alone counts
+    heard: list[float] = []
+
+    def slow(message: JointState) -> None:
+        time.sleep(0.002)
+        heard.append(message.effort[0])
+
+    peer.node.create_subscription(JointState, '/motor/torque', slow, QoSProfile(depth=150))
+    player = peer.start(PLAYER, str(bag), rate=0, max_messages_per_s=200, wait_for_subscribers=1)
+    code, _, _ = peer.end(player, None)
+    assert code == 0
+    peer.wait(lambda: len(heard) >= 400, 'every message')
+    assert heard == list(range(400))
+
+
 def test_latched_messages_are_replayed_latched(peer, tmp_path):
     with BagWriter(tmp_path / 'bag') as writer:
         profile = {'reliability': 'reliable', 'durability': 'transient_local', 'depth': 1}

@@ -6,6 +6,9 @@ import threading
 import time
 from collections.abc import Callable
 
+BURST = 50
+"""Messages that may come at once where their number a second is limited: a thread wakes too late for single ones."""
+
 
 class Pacer:
     """Holds a replaying thread back until its next message is due. All methods may be called from any thread.
@@ -13,18 +16,28 @@ class Pacer:
     Args:
         rate: Recorded seconds per second; 0 or less for as fast as possible.
         is_paused: Whether to begin paused.
+        max_messages_per_s: Where it is as fast as possible: no more than so many a second; 0 for no limit.
         clock: Monotonic seconds.
     """
 
-    def __init__(self, rate: float, *, is_paused: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        rate: float,
+        *,
+        is_paused: bool = False,
+        max_messages_per_s: float = 0.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._rate = rate
+        self._limit_per_s = max_messages_per_s
+        self._allowance = float(BURST)
         self._clock = clock
         self._changed = threading.Condition()
         self._is_paused = is_paused
         self._is_stopped = False
         self._steps = 0
         self._anchor_ns = 0
-        self._anchor_s = clock()
+        self._anchor_s = self._allowed_s = clock()
 
     @property
     def is_paused(self) -> bool:
@@ -86,16 +99,28 @@ class Pacer:
                 if self._is_paused:
                     self._changed.wait()
                     continue
-                position_ns = self._position_ns()
-                left_s = (log_time_ns - position_ns) * 1e-9 / self._rate if self._rate > 0 else 0.0
+                left_s = self._left_s(log_time_ns)
                 if left_s <= 0:
+                    self._allowance -= 1.0
                     return True
-                if tick is None:
+                if tick is None or self._rate <= 0:  # without a rate no recorded time passes while waiting
                     self._changed.wait(min(left_s, 1.0))
                     continue
                 self._changed.wait(min(left_s, tick_period_s))
                 now_ns = min(self._position_ns(), log_time_ns)
             tick(now_ns)  # outside the lock: a slow listener must not block a service
+
+    def _left_s(self, log_time_ns: int) -> float:
+        """Seconds until the message of this recorded time is due; 0 or less if it is."""
+        if self._rate > 0:
+            return (log_time_ns - self._position_ns()) * 1e-9 / self._rate
+        if self._limit_per_s <= 0:
+            return 0.0
+        now_s = self._clock()
+        # What was not used is soon forgotten: catching up after a halt would flood the readers.
+        self._allowance = min(BURST, self._allowance + (now_s - self._allowed_s) * self._limit_per_s)
+        self._allowed_s = now_s
+        return (1.0 - self._allowance) / self._limit_per_s
 
     def _anchor(self, log_time_ns: int) -> None:
         self._anchor_ns = log_time_ns

@@ -99,6 +99,12 @@ def lesson(weights: Weights, sequences: Sequences) -> Lesson:
     return Lesson(inputs, scaled, moved)
 
 
+def steady_currents(sequences: Sequences) -> Array:
+    """Currents in A at which the voltage balances, shape (sequence, time)."""
+    steady: Array = _courses(sequences).steady_a
+    return steady
+
+
 def _courses(sequences: Sequences) -> Course:
     """Where every interval leads; fields of shape (sequence, time), the parameters of shape (sequence, 1)."""
     theta = [column[:, None] for column in sequences.columns]

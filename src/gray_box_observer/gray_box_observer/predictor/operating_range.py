@@ -36,10 +36,10 @@ class OperatingRange:
             _grown(self.speed_rad_s, speed_rad_s),
         )
 
-    @property
-    def empty(self) -> bool:
-        """Whether no interval was seen yet."""
-        return self.interval_s[0] > self.interval_s[1]
+    def tells(self, speed_measured: bool) -> bool:
+        """Whether enough was seen to draw from: an interval, and a speed where speed is a signal."""
+        speed = not speed_measured or self.speed_rad_s[0] <= self.speed_rad_s[1]
+        return self.interval_s[0] <= self.interval_s[1] and speed
 
     def voltages(self, declared_v: Sequence[float], margin: float = 0.2) -> Bounds:
         """Voltages to be ready for: those declared, or what was seen and a margin of the largest magnitude seen."""

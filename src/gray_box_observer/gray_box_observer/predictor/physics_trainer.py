@@ -15,6 +15,7 @@ from gray_box_observer.predictor.drawing import Sequences, draw_around, draw_fam
 from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, free_run_error, lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.residual_trainer import ResidualTrainer
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.predictor.trainer import Message
@@ -55,6 +56,7 @@ class PhysicsTrainer:
         self._running = first_network(self._rules, self._seed)
         self._pupil: Pupil | None = None
         self._refused = 0
+        self._residual = ResidualTrainer(self._seed)
         self._family = _HeldOut(draw_family(np.random.default_rng([self._seed, 2]), HELD_OUT, LENGTH))
 
     def train(self, job: Message) -> Message:
@@ -63,14 +65,18 @@ class PhysicsTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
+        told = self._teach(job)
+        if job.get('residual'):
+            told |= self._residual.learn(self._running, recent_sequences(self._white_box, job))
+        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
+
+    def _teach(self, job: Message) -> Message:
+        """Teach the physics; say what came of it."""
         if 'start_input' in job:
             self._running = Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
             self._restore({name[15:]: array for name, array in job.items() if name.startswith('start_learning_')})
-        return {**self._train(job), **{f'learning_{name}': array for name, array in self._state().items()}}
-
-    def _train(self, job: Message) -> Message:
         seen = OperatingRange.from_dict(job['seen'])
-        if seen.empty:
+        if not seen.tells(self._white_box.speed_measured):
             return {'windows': 0, 'settled': False}
         own = _HeldOut(self._draw(np.random.default_rng([self._seed, 3]), job, seen, HELD_OUT))
         now = own.error(self._running)
@@ -94,14 +100,17 @@ class PhysicsTrainer:
     def _state(self) -> dict[str, Array]:
         """Everything but the running network that the next job depends on."""
         pupil = {} if self._pupil is None else {f'pupil_{k}': v for k, v in self._pupil.state().items()}
-        return {**pupil, 'refused': np.array(self._refused), 'random': random_state.pack(self._random)}
+        residual = {f'residual_{k}': v for k, v in self._residual.state().items()}
+        return {**pupil, **residual, 'refused': np.array(self._refused), 'random': random_state.pack(self._random)}
 
     def _restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`_state` gave; start over where that was not saved."""
         self._pupil = None
+        self._residual = ResidualTrainer(self._seed)
         if 'random' not in arrays:
             return
         self._random, self._refused = random_state.unpack(arrays['random']), int(arrays['refused'])
+        self._residual.restore({name[9:]: array for name, array in arrays.items() if name.startswith('residual_')})
         pupil = {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
         if pupil:
             from gray_box_observer.predictor.teaching import Pupil

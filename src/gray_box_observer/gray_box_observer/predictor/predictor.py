@@ -19,6 +19,7 @@ from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.relaxation import Course, course, flow
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
+from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
@@ -27,6 +28,9 @@ from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
+
+RESIDUAL_PERIOD = 1000
+"""New samples, at least, between two rounds of learning the residual."""
 
 MOVED = 0.05
 """Change of a parameter, as a fraction, after which a settled network is looked at again."""
@@ -42,19 +46,23 @@ class Prediction:
         white_box_torque_nm: shape (motor,): the white box's rollout from voltages alone.
         memory: the network's memory after this step; None where it made none.
         way: where voltage and speed lead; None at the first sample of a history.
+        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
+        residual_memory: memory of what has learnt it.
     """
 
     torque_nm: Array
     white_box_torque_nm: Array
     memory: Memory | None
     way: Course | None
+    physics_nm: Array | None = None
+    residual_memory: Memory | None = None
 
 
 class Predictor:
     """Streams the network over the samples of a group of motors.
 
     Args:
-        white_box: the physics.
+        white_box: the physics; that of a single motor has plain numbers for constants.
         motors: number of motors.
         theta_reference: shape (parameter,): see :class:`InputLayout`.
         rules: settings.
@@ -79,6 +87,8 @@ class Predictor:
         else:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
+        self.residual = ResidualForecaster(white_box, motors)
+        self._residual_asked = 0
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
@@ -114,7 +124,10 @@ class Predictor:
         end = flow(ops, self._white_box, question.way, start, length_s)
         rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
         torque_nm, memory = self._forecaster.forecast(question)
-        return Prediction(torque_nm, rollout_nm, memory, question.way)
+        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        if correction_nm is None:
+            return Prediction(torque_nm, rollout_nm, memory, question.way)
+        return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
     def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
         """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
@@ -139,7 +152,7 @@ class Predictor:
         if question is None or (since is not None and since.memory is None):
             return np.full(self._motors, np.nan)
         if since is not None and since.memory is not None:
-            question = replace(question, origin=(since.torque_nm, since.memory))
+            question = replace(question, origin=(_physics_of(since), since.memory))
         return self._forecaster.forecast(question)[0]
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
@@ -158,7 +171,9 @@ class Predictor:
             'white_box': prediction.white_box_torque_nm,
         }
         self.scores.add(sample.torque_nm, rivals)
-        self._forecaster.remember(prediction.torque_nm, sample.torque_nm, anew, prediction.memory)
+        physics_nm = _physics_of(prediction)
+        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
+        self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
         self._rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
@@ -179,19 +194,22 @@ class Predictor:
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
         replay = {
-            'replay': self.replay.content()[:, :, -self._rules.job_samples :],
+            'replay': self.replay.content(),
             'total': np.array(self.replay.total),
+            'asked': np.array(self._residual_asked),
         }
         settled = {}
         if self._settled is not None:
             settled = {'settled_theta': self._settled[0], **_named('settled_seen', self._settled[1].to_dict())}
+        learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
         return {
             **self._forecaster.state(),
+            **learnt,
             **_named('seen', self._seen.to_dict()),
             **replay,
             **settled,
             **self._learning,
-            **{f'job_{name}': array for name, array in self._job.items() if name != 'seen'},
+            **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
             **_named('job_seen', self._job.get('seen', {})),
         }
 
@@ -202,10 +220,11 @@ class Predictor:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
+        self.residual.adopt(arrays)
         self._seen = _range(arrays, 'seen')
         if 'replay' in arrays:  # a network alone may be taken over too
             self.replay.refill(arrays['replay'])
-            self.replay.total = int(arrays['total'])
+            self.replay.total, self._residual_asked = int(arrays['total']), int(arrays['asked'])
         self._settled = None
         if 'settled_theta' in arrays:
             self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
@@ -217,7 +236,8 @@ class Predictor:
         job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
         if job:
             kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
-            self._submit({**kept, 'seen': _range(job, 'seen').to_dict()})
+            residual = bool(job['residual'])
+            self._submit({**kept, 'residual': residual, 'seen': _range(job, 'seen').to_dict()})
 
     def close(self) -> None:
         """Stop training."""
@@ -261,9 +281,11 @@ class Predictor:
                 self.jobs_late += 1
                 return
             self._adopt(result, theta)
-        if self._training.resting or self._nothing_to_gain(theta) or len(self.replay) < self._rules.length:
+        residual = self._residual_due()
+        idle = self._nothing_to_gain(theta) and not residual
+        if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
-        count = self._rules.job_samples
+        count = None if residual else self._rules.job_samples
         self._submit(
             {
                 'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
@@ -273,6 +295,7 @@ class Predictor:
                 'theta': theta.copy(),
                 'covariance': covariance.copy(),
                 'seen': self._seen.to_dict(),
+                'residual': residual,
             }
         )
 
@@ -280,6 +303,15 @@ class Predictor:
         self._job = job
         self._training.submit({**job, **self._start_from})
         self._start_from = {}
+
+    def _residual_due(self) -> bool:
+        """Whether there is so much more to learn a residual from that it is worth a round."""
+        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
+            return False
+        due = self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
+        if due:
+            self._residual_asked = self.replay.total
+        return due
 
     def _nothing_to_gain(self, theta: Array) -> bool:
         if self._settled is None:
@@ -293,8 +325,14 @@ class Predictor:
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled = (theta, self._seen) if result.get('settled') else None
         self.loss = result.get('loss', self.loss)
+        self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
+
+
+def _physics_of(prediction: Prediction) -> Array:
+    """What was predicted before the residual was added: the physics goes on from there."""
+    return prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
 
 
 def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:

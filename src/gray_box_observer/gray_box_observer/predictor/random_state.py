@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Words = NDArray[np.uint64]
-"""State and increment of PCG64, each of 128 bits with the lower word first; then what is left of the last draw."""
+Words = NDArray[Any]
+"""Unsigned integers: state and increment of PCG64, each of 128 bits with the lower word first; then what is left of the last draw."""
 
 
 def pack(random: np.random.Generator) -> Words:
@@ -18,7 +18,7 @@ def pack(random: np.random.Generator) -> Words:
     return np.array([*halves, state['has_uint32'], state['uinteger']], dtype=np.uint64)
 
 
-def unpack(words: NDArray[Any]) -> np.random.Generator:
+def unpack(words: Words) -> np.random.Generator:
     """Return a generator that goes on from what :func:`pack` gave."""
     low, high, step_low, step_high, left, rest = (int(word) for word in words)
     generator = np.random.PCG64()

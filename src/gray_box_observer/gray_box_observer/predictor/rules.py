@@ -33,6 +33,7 @@ class TrainingRules:
         core_share: share of one core that training in the background may use.
         start: ``shipped``: variant ``physics`` begins with the network that comes with the package; ``fresh``: with one
             that has learnt nothing.
+        residual: learn what the physics does not explain, where held-out samples bear it out (variant ``physics``).
         horizon_s: longest forecast wanted of variant ``physics``, in s; 0: none beyond a sample interval.
         voltage_limits_v: lowest and highest voltage to be ready for; equal: learnt from what was seen.
     """
@@ -51,6 +52,7 @@ class TrainingRules:
     replay_capacity: int = 6000
     core_share: float = 0.1
     start: str = 'shipped'
+    residual: bool = True
     horizon_s: float = 0.0
     voltage_limits_v: tuple[float, float] = (0.0, 0.0)
 

@@ -10,7 +10,7 @@ import torch
 from gray_box_observer.predictor.lessons import Lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import Relaxation, exponent
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
 from gray_box_observer.white_box.base import Array
 
 SHORTEST = 1e-3
@@ -59,23 +59,13 @@ class Pupil:
 
     def state(self) -> dict[str, Array]:
         """The network and the moments of Adam, as arrays."""
-        moments = {
-            f'adam_{place}_{name}': value.numpy().copy()
-            for place, of_one in self.optimiser.state_dict()['state'].items()
-            for name, value in of_one.items()
-        }
-        return {**self.weights.arrays(), **moments}
+        return {**self.weights.arrays(), **moments_of(self.optimiser)}
 
     @classmethod
     def of(cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float) -> Pupil:
         """Return the pupil that goes on from what :meth:`state` gave."""
         pupil = cls(Weights.of(arrays), learning_rate, gradient_clip)
-        moments: dict[int, dict[str, torch.Tensor]] = {}
-        for key, array in arrays.items():
-            if key.startswith('adam_'):
-                _, place, name = key.split('_', 2)
-                moments.setdefault(int(place), {})[name] = torch.from_numpy(array.copy())
-        pupil.optimiser.load_state_dict({**pupil.optimiser.state_dict(), 'state': moments})
+        give_moments(pupil.optimiser, arrays)
         return pupil
 
     def learn(self, lesson: Lesson) -> float:

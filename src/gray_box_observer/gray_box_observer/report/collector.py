@@ -13,6 +13,7 @@ from gray_box_observer.context_nodes.sensitivity import sensitivity
 from gray_box_observer.observer import MotorObserver, Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
+from gray_box_observer.white_box import TERMS
 
 MOST_TIMES = 10
 """Alarms that are named one by one."""
@@ -127,16 +128,19 @@ def _alarm_notes(times_s: list[float]) -> list[str]:
 def notes(name: str, observer: Observer) -> list[str]:
     """Say in plain words what a reader of one motor's result has to keep in mind."""
     values = observer.configuration.motors[name].values
-    said = [
-        f'Kt = {values["torque_constant"]:g} N m/A is taken as known: every parameter scales with it '
-        '(1 % more of it, 1 % more of each).'
-    ]
     motor = observer.motors[name]
+    others = [term for term in motor.white_box.known if term != 'back_emf_constant']
+    scaling = '' if others else ': every parameter scales with it (1 % more of it, 1 % more of each)'
+    said = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
     if 'back_emf_constant' not in values['context_nodes']:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
+        where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
         said.append(
-            f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its error goes into R.'
+            f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its error goes into {where}.'
         )
+    for term in others:
+        what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
+        said.append(f'{what} is taken as known: its error goes into the estimates.')
     delay = motor.delay.estimate
     complaint = delay.complaint(name)
     if complaint is not None:

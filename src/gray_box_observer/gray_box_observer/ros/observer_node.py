@@ -51,6 +51,7 @@ class ObserverNode(LifecycleNode):
         self._outputs: Outputs | None = None
         self._signal_subscriptions: list[Subscription] = []
         self._active = False
+        self._has_warned_of_strangers = False
         self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
         self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose)
@@ -160,6 +161,7 @@ class ObserverNode(LifecycleNode):
     def _diagnose(self) -> None:
         if self._observer is None or self._intake is None:
             return
+        self._warn_of_strangers(self._observer, self._intake)
         traffic = self._traffic(self._observer)
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
@@ -168,6 +170,18 @@ class ObserverNode(LifecycleNode):
             for motor in self._configuration.motors
         ]
         self._diagnostics.publish(array)
+
+    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
+        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        for name in ('voltage', 'torque'):
+            strangers = sorted(intake.signals[name].unknown)
+            silent = [motor for motor, pairing in observer.pairing.items() if not getattr(pairing, f'received_{name}')]
+            if strangers and silent and not self._has_warned_of_strangers:
+                self._has_warned_of_strangers = True
+                self.get_logger().warning(
+                    f'{intake.signals[name].topic} speaks of {", ".join(strangers[:5])} and not of '
+                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
+                )
 
     def _traffic(self, observer: Observer) -> Traffic:
         used, rejected = {}, {}

@@ -30,6 +30,8 @@ from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_player'
 _DEPTH = 1000
+_MAX_MESSAGES_PER_S = 1000.0
+"""Of all topics together: five times as fast as it was for one motor at 100 Hz, which an observer can follow."""
 _BURST = 100
 """Messages of a topic between two waits for its acknowledgements, when nothing else holds the player back.
 
@@ -44,8 +46,10 @@ _DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with t
 was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
 _PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
   bag                   rosbag2 folder or .mcap file, if BAG is not given
-  rate                  recorded seconds per second; 0: as fast as reliable readers acknowledge, which
-                        is before they have worked it off: a busy one can lose messages (identify never does)
+  rate                  recorded seconds per second; 0: as fast as max_messages_per_s allows
+  max_messages_per_s    with rate 0, of all topics together; 0: no limit. Readers acknowledge what has arrived,
+                        not what they have worked off: one that cannot follow loses messages once its queue
+                        is full (identify never does). What was recorded faster comes as fast as it was recorded.
   loop                  begin again at the end
   start_offset_s        leave out the first seconds
   paused                begin paused
@@ -99,7 +103,11 @@ class BagPlayer(Node):
         if not (bag or path):
             raise ConfigurationError('no bag to replay; give its path, or -p bag:=PATH')
         self._reader = BagReader(bag or path)
-        self._pacer = Pacer(self._plan.rate, is_paused=is_paused)
+        self._pacer = Pacer(
+            self._plan.rate,
+            is_paused=is_paused,
+            max_messages_per_s=self._limit_per_s(self._number('max_messages_per_s', _MAX_MESSAGES_PER_S)),
+        )
         self._publishers_by_topic = self._advertise(topics)
         self._clock_publisher = self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
         self._count = 0
@@ -135,6 +143,12 @@ class BagPlayer(Node):
         if value < 0 and name != 'rate':
             raise ConfigurationError(f'{name} is {value!r}, expected 0 or more')
         return float(value)
+
+    def _limit_per_s(self, wanted_per_s: float) -> float:
+        """What was recorded faster than the limit comes as fast as it was recorded; 0 for no limit."""
+        duration_s = self._reader.duration_ns * 1e-9
+        recorded_per_s = self._reader.message_count / duration_s if duration_s > 0 else 0.0
+        return max(wanted_per_s, recorded_per_s) if wanted_per_s > 0 else 0.0
 
     def _advertise(self, wanted: Sequence[str]) -> dict[str, Publisher]:
         """A publisher for each topic that is wanted, in the bag, and of a type that is installed."""

@@ -1,0 +1,195 @@
+"""Learning the residual from recorded samples, and finding out how much of it is real.
+
+The samples fall into blocks in time; every fourth block teaches nothing and judges. The correction is used as far as it
+makes these blocks better, and not at all unless it makes them better by more than chance would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.predictor import random_state
+from gray_box_observer.predictor.drawing import Sequences
+from gray_box_observer.predictor.lessons import free_run, steady_currents
+from gray_box_observer.predictor.network import Memory, Weights, step
+from gray_box_observer.predictor.residual import BINS, INPUTS, Correction, cells
+from gray_box_observer.white_box.base import Array
+
+if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
+    from gray_box_observer.predictor.residual_pupil import ResidualPupil
+
+HIDDEN = 8
+LIMIT = 0.5
+"""Largest correction, as a fraction of the size of the current."""
+
+OWN_LIMIT = 5.0
+"""And as a multiple of the residual's own spread: the network's answers are of order one."""
+
+FEWEST = 400
+"""Samples below which nothing is learnt."""
+
+SMALL = 1e-3
+"""Residuals below this fraction of the current's spread are left to themselves."""
+
+LAGS = 16
+STRUCTURE = 64.0
+"""Portmanteau statistic (Ljung and Box 1978) of LAGS lags that white noise passes once in ten million times."""
+
+BLOCKS = 24
+EVERY = 4
+GAIN = 0.02
+"""Least fraction by which the mean absolute error of the judging blocks must fall."""
+
+SIGNIFICANT = 2.5
+"""Least gain, in its standard errors over the judging blocks."""
+
+STEPS = 150
+"""Training steps of a round."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """A stretch of samples with what the physics says of it; arrays of shape (motor, time)."""
+
+    sequences: Sequences
+    predicted_a: Array
+    steady_a: Array
+    residual_a: Array
+
+
+class ResidualTrainer:
+    """Holds the correction under training.
+
+    Args:
+        seed: of everything random.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._random = np.random.default_rng([seed, 5])
+        self._seed = seed
+        self._pupil: ResidualPupil | None = None
+        self._sizes: tuple[Array, float] | None = None
+        self._best: list[Correction] = []
+
+    def learn(self, weights: Weights, measured: tuple[Sequences, Array] | None, steps: int = STEPS) -> dict[str, Any]:
+        """Run one round.
+
+        Args:
+            weights: of the network that knows the physics.
+            measured: a stretch of samples, and its measured currents of shape (motor, time).
+            steps: training steps.
+
+        Returns:
+            The correction's arrays; empty where there is too little to tell.
+
+        Raises:
+            ImportError: there is something to learn, and no torch to learn it with.
+        """
+        if measured is None or measured[1].shape[1] < FEWEST:
+            return {}
+        run = _against_physics(weights, *measured)
+        if self._pupil is None and not worth_learning(run.residual_a, run.predicted_a):
+            return {}
+        judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
+        self._best = [min(judged, key=lambda pair: pair[1])[0]]
+        return self._best[0].arrays()
+
+    def state(self) -> dict[str, Array]:
+        """Everything that the next round depends on, as arrays."""
+        state: dict[str, Array] = {'random': random_state.pack(self._random)}
+        if self._pupil is not None and self._sizes is not None:
+            state |= {'size': self._sizes[0], 'limit_a': np.array(self._sizes[1])}
+            state |= {f'pupil_{name}': array for name, array in self._pupil.state().items()}
+        for best in self._best:
+            state |= {f'best_{name}': array for name, array in best.arrays().items()}
+        return state
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self._random = random_state.unpack(arrays['random'])
+        if 'size' in arrays:
+            from gray_box_observer.predictor.residual_pupil import ResidualPupil
+
+            self._sizes = arrays['size'].copy(), float(arrays['limit_a'])
+            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
+            self._pupil.restore({name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')})
+        best = Correction.of({name[5:]: array for name, array in arrays.items() if name.startswith('best_')})
+        self._best = [] if best is None else [best]
+
+    def _taught(self, run: _Run, steps: int) -> Correction:
+        """Teach on all blocks but the judging ones."""
+        from gray_box_observer.predictor.residual_pupil import ResidualPupil
+
+        voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
+        if self._pupil is None or self._sizes is None:
+            sizes = [np.quantile(np.abs(signal), 0.95) for signal in (voltage, run.predicted_a, speed)]
+            limit_a = min(LIMIT * float(sizes[1]), OWN_LIMIT * float(run.residual_a.std()))
+            self._sizes = np.array([max(float(size), 1e-9) for size in sizes]), max(limit_a, 1e-9)
+            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
+        size, limit_a = self._sizes
+        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
+        inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
+        teaching = ~_judging(run.residual_a.shape[1])
+        self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, steps)
+        support = np.zeros((BINS, BINS))
+        at = cells(run.predicted_a / size[1])[:, teaching], cells(voltage / size[0])[:, teaching]
+        np.add.at(support, at, 1.0)
+        return replace(blank, weights=self._pupil.weights, support=support)
+
+
+def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
+    """Return the correction with the share of it that the judging blocks bear out, and the error they are left with."""
+    said = _said(replace(correction, share=1.0), run)
+    judging = _judging(run.residual_a.shape[1])
+    residual, said = run.residual_a[:, judging], said[:, judging]
+    share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
+    before, after = np.abs(residual), np.abs(residual - share * said)
+    parts = max(2, BLOCKS // EVERY)
+    gains = np.array([part.mean() for part in np.array_split(before - after, parts, axis=1)])
+    error = gains.std(ddof=1) / np.sqrt(parts)
+    real = gains.mean() > max(SIGNIFICANT * error, GAIN * before.mean())
+    return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
+
+
+def worth_learning(residual: Array, predicted: Array) -> bool:
+    """Whether residuals are not small, and hang together in time, as all does that voltage and motion cause.
+
+    Args:
+        residual: shape (motor, time).
+        predicted: shape (motor, time): what they are small against.
+    """
+    if np.all(residual.std(axis=1) < SMALL * predicted.std(axis=1)):
+        return False
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    n, power = residual.shape[1], np.sum(centred**2, axis=1)
+    statistic = np.zeros(residual.shape[0])
+    for lag in range(1, LAGS + 1):
+        correlation = np.sum(centred[:, lag:] * centred[:, :-lag], axis=1) / np.maximum(power, 1e-300)
+        statistic += n * (n + 2.0) * correlation**2 / (n - lag)
+    return bool(np.any(statistic > STRUCTURE))
+
+
+def _judging(samples: int) -> NDArray[np.bool_]:
+    """Samples that judge, shape (time,)."""
+    judging: NDArray[np.bool_] = (np.arange(samples) * BLOCKS // samples) % EVERY == EVERY - 1
+    return judging
+
+
+def _against_physics(weights: Weights, sequences: Sequences, current_a: Array) -> _Run:
+    predicted, _ = free_run(weights, sequences)
+    return _Run(sequences, predicted, steady_currents(sequences), current_a - predicted)
+
+
+def _said(correction: Correction, run: _Run) -> Array:
+    """What a correction says along a stretch, by the code that streams, shape (motor, time)."""
+    voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
+    inputs = correction.inputs(voltage, run.predicted_a, run.steady_a, speed)
+    memory, said = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(voltage)
+    for k in range(inputs.shape[1]):
+        readout, memory = step(correction.weights, memory, inputs[:, k])
+        said[:, k] = correction.current(readout, run.predicted_a[:, k], voltage[:, k])
+    return said

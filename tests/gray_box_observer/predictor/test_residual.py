@@ -1,0 +1,105 @@
+"""What is learnt beside the physics: nothing where there is nothing, and never more than held-out samples bear out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor.drawing import Sequences
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_trainer import ResidualTrainer, worth_learning
+from gray_box_observer.predictor.start import first_network
+from gray_box_observer.white_box import MotorWhiteBox
+
+Effect = Callable[[np.ndarray], np.ndarray]
+Measured = tuple[Sequences, np.ndarray]
+
+TRUTH = np.array([[0.5, 1.0, 10.0]])
+
+
+@pytest.fixture
+def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Callable[..., Measured]:
+    """A recording as the trainer sees it, with an effect on the torque that the white box does not have."""
+
+    def make(effect: Effect = np.zeros_like, noise: float = 0.01, duration_s: float = 40.0) -> Measured:
+        made = record('R[5,15]D[0.001,2]', duration_s, torque_noise_relative=noise)
+        current_a = (made.torque_nm + effect(made.true_torque_nm)) / 0.01
+        n = current_a.shape[1] - 1
+        blank = np.full((1, n), np.nan)
+        sequences = Sequences(thesis_box, TRUTH, made.voltage_v[:, :-1], np.full((1, n), 0.01), blank, current_a[:, 0])
+        return sequences, current_a[:, 1:]
+
+    return make
+
+
+@pytest.fixture
+def physics() -> Weights:
+    return first_network(TrainingRules(), 0)
+
+
+def friction(torque_nm: np.ndarray) -> np.ndarray:
+    """A tenth of the torque's spread, lost the more the larger the torque."""
+    size = torque_nm.std()
+    return -0.1 * size * np.tanh(torque_nm / size - 3.0)
+
+
+def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., Measured]) -> None:
+    for noise in (0.0, 0.01):
+        assert ResidualTrainer(0).learn(physics, measured(noise=noise)) == {}
+
+
+def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
+    physics: Weights, measured: Callable[..., Measured]
+) -> None:
+    trainer, data = ResidualTrainer(0), measured(friction)
+    learnt = [Correction.of(trainer.learn(physics, data)) for _ in range(2)][-1]
+    assert learnt is not None
+    assert learnt.share > 0.8
+    assert 0.0 < learnt.limit_a < 0.5 * np.abs(data[1]).max()
+
+
+def test_what_held_out_samples_do_not_bear_out_is_not_used(physics: Weights, measured: Callable[..., Measured]) -> None:
+    random = np.random.default_rng(0)
+
+    def wandering(torque_nm: np.ndarray) -> np.ndarray:
+        """It hangs together in time, but neither voltage nor current has anything to do with it."""
+        walk = np.cumsum(random.standard_normal(torque_nm.shape), axis=1)
+        return 0.05 * torque_nm.std() * (walk - walk.mean()) / walk.std()
+
+    learnt = Correction.of(ResidualTrainer(0).learn(physics, measured(wandering), steps=40))
+    assert learnt is None or learnt.share == 0.0
+
+
+def test_white_noise_has_no_structure_and_a_ripple_has() -> None:
+    random = np.random.default_rng(1)
+    white, predicted = random.standard_normal((2, 4000)), 10.0 * random.standard_normal((2, 4000))
+    assert not worth_learning(white, predicted)
+    assert worth_learning(white + np.sin(0.05 * np.arange(4000)), predicted)
+    assert not worth_learning(1e-4 * np.sin(0.05 * np.arange(4000))[None], predicted[:1])
+
+
+def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
+    loud = Weights.initial(INPUTS, 4, 0)
+    support = np.zeros((BINS, BINS))
+    support[BINS // 2 :, BINS // 2 :] = 1000.0
+    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support)
+    readout, current, voltage = np.array([1e6, -1e6, 1e6]), np.array([1.0, 1.0, -1.0]), np.array([5.0, 5.0, -5.0])
+    said = learnt.current(readout, current, voltage)
+    np.testing.assert_allclose(said, [0.3, -0.3, 0.0], rtol=0.01)
+    wild = learnt.inputs(np.array([1e300]), np.array([-1e300]), np.array([0.0]), np.array([np.inf]))
+    assert np.all(np.abs(wild) <= 3.0)
+
+
+def test_arrays_give_the_same_correction_back() -> None:
+    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)))
+    again = Correction.of({**learnt.arrays(), 'input': np.zeros(1)})
+    assert again is not None
+    assert (again.limit_a, again.share) == (0.3, 0.7)
+    np.testing.assert_array_equal(again.weights.recurrent, learnt.weights.recurrent)
+    assert Correction.of({}) is None
