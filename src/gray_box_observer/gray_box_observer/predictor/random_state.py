@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Words = NDArray[Any]
-"""Unsigned integers: state and increment of PCG64, each of 128 bits with the lower word first; then what is left of the last draw."""
+"""Unsigned integers: state and increment of PCG64, 128 bits each, lower word first; then the rest of the last draw."""
 
 
 def pack(random: np.random.Generator) -> Words:
