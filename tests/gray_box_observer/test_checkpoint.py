@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,11 +12,12 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.checkpoint import VERSION, load, save
+from gray_box_observer.checkpoint import VERSION, decode, encode, load, save
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer import Observer, Result
-from gray_box_observer.predictor import InlineTraining, messages
+from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor.start import SHIPPED
 
 SMALL: dict[str, Any] = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
 
@@ -41,7 +44,7 @@ def recording(record: Callable[..., Recording]) -> Recording:
 def saved(tmp_path: Path, recording: Recording) -> Path:
     one = observer()
     feed(one, recording, 0, 1000)
-    path = tmp_path / 'c.npz'
+    path = tmp_path / 'c.safetensors'
     save(one, path)
     return path
 
@@ -52,8 +55,8 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
 ) -> None:
     one, other = observer(context_update=rule), observer(context_update=rule, seed=77)
     feed(one, recording, 0, 1010)
-    save(one, tmp_path / 'c.npz')
-    load(other, tmp_path / 'c.npz')
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
     before, after = one.estimates()['motor'], other.estimates()['motor']
     assert before.value.tobytes() + before.covariance.tobytes() == after.value.tobytes() + after.covariance.tobytes()
     assert before.stamp_ns == after.stamp_ns
@@ -69,18 +72,20 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
 def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: Path) -> None:
     other = observer()
     load(other, saved)
-    save(other, tmp_path / 'again.npz')
-    first, second = (messages.decode(p.read_bytes()) for p in (saved, tmp_path / 'again.npz'))
-    assert first.keys() == second.keys()
-    for name, value in first.items():
-        np.testing.assert_array_equal(value, second[name])
+    save(other, tmp_path / 'again.safetensors')
+    (plain, arrays), (again, second) = (decode(p.read_bytes()) for p in (saved, tmp_path / 'again.safetensors'))
+    assert again == plain
+    assert second.keys() == arrays.keys()
+    for name, array in arrays.items():
+        assert (second[name].dtype, second[name].shape) == (array.dtype, array.shape)
+        assert second[name].tobytes() == array.tobytes(), name
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
     one, other = (observer(InlineTraining, variant='main') for _ in range(2))
     feed(one, recording, 0, 500)
-    save(one, tmp_path / 'c.npz')
-    load(other, tmp_path / 'c.npz')
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
     said = [float(r.prediction.torque_nm[0]) for r in feed(other, recording, 500, 530) if r.prediction is not None]
     assert np.isnan(said[:8]).all()
     assert np.isfinite(said[12:]).all()
@@ -90,10 +95,10 @@ def test_the_network_of_another_variant_is_refused(tmp_path: Path, recording: Re
     for variant, wanted in (('main', 'expected variant physics'), ('physics', 'expected one of the thesis')):
         one = observer(InlineTraining, variant=variant)
         feed(one, recording, 0, 500)
-        save(one, tmp_path / f'{variant}.npz')
+        save(one, tmp_path / f'{variant}.safetensors')
         other = observer(InlineTraining, variant='physics' if variant == 'main' else 'main')
         with pytest.raises(GrayBoxError, match=wanted):
-            load(other, tmp_path / f'{variant}.npz')
+            load(other, tmp_path / f'{variant}.safetensors')
 
 
 def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recording: Recording) -> None:
@@ -108,14 +113,14 @@ def test_saving_replaces_the_old_file_and_leaves_no_scraps(saved: Path, recordin
 def test_saving_makes_the_folder(tmp_path: Path, recording: Recording) -> None:
     one = observer()
     feed(one, recording, 0, 100)
-    save(one, tmp_path / 'a' / 'b' / 'c.npz')
-    load(observer(), tmp_path / 'a' / 'b' / 'c.npz')
+    save(one, tmp_path / 'a' / 'b' / 'c.safetensors')
+    load(observer(), tmp_path / 'a' / 'b' / 'c.safetensors')
 
 
 def test_there_is_nothing_to_save_before_the_first_sample(tmp_path: Path) -> None:
     with pytest.raises(GrayBoxError, match='nothing to save yet'):
-        save(observer(), tmp_path / 'c.npz')
-    assert not (tmp_path / 'c.npz').exists()
+        save(observer(), tmp_path / 'c.safetensors')
+    assert not (tmp_path / 'c.safetensors').exists()
 
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Recording) -> None:
@@ -123,7 +128,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path, recording: Reco
     feed(one, recording, 0, 100)
     (tmp_path / 'file').write_text('')
     with pytest.raises(GrayBoxError, match='cannot write'):
-        save(one, tmp_path / 'file' / 'c.npz')
+        save(one, tmp_path / 'file' / 'c.safetensors')
 
 
 def no_space(*_: Any) -> None:
@@ -137,7 +142,7 @@ def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
     old, one = saved.read_bytes(), observer()
     feed(one, recording, 0, 100)
     monkeypatch.setattr(fails, no_space)
-    with pytest.raises(GrayBoxError, match=r'cannot write .*c\.npz: No space left on device'):
+    with pytest.raises(GrayBoxError, match=r'cannot write .*c\.safetensors: No space left on device'):
         save(one, saved)
     assert [p.name for p in saved.parent.iterdir()] == [saved.name]
     assert saved.read_bytes() == old
@@ -146,10 +151,10 @@ def test_a_save_that_fails_keeps_the_old_file_and_leaves_no_scraps(
 def test_a_folder_is_not_replaced_by_a_checkpoint(tmp_path: Path, recording: Recording) -> None:
     one = observer()
     feed(one, recording, 0, 100)
-    (tmp_path / 'c.npz').mkdir()
+    (tmp_path / 'c.safetensors').mkdir()
     with pytest.raises(GrayBoxError, match=r'cannot write .*: Is a directory'):
-        save(one, tmp_path / 'c.npz')
-    assert [p.name for p in tmp_path.iterdir()] == ['c.npz']
+        save(one, tmp_path / 'c.safetensors')
+    assert [p.name for p in tmp_path.iterdir()] == ['c.safetensors']
 
 
 def refuse(path: Path, message: str, **given: Any) -> None:
@@ -160,13 +165,10 @@ def refuse(path: Path, message: str, **given: Any) -> None:
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    refuse(tmp_path / 'none.npz', 'cannot read .*none.npz')
+    refuse(tmp_path / 'none.safetensors', 'cannot read .*none.safetensors')
 
 
 def garbage() -> dict[str, bytes]:
-    import io
-    import pickle
-
     array, archive = io.BytesIO(), io.BytesIO()
     np.save(array, np.zeros(3))
     np.savez(archive, a=np.zeros(3))
@@ -176,13 +178,14 @@ def garbage() -> dict[str, bytes]:
         'pickle': pickle.dumps({'version': VERSION}),
         'npy': array.getvalue(),
         'npz': archive.getvalue(),
-        'json list': messages.encode({'version': VERSION}),
+        'network': SHIPPED.read_bytes(),
+        'header beyond the end': b'\xff' * 64,
     }
 
 
 @pytest.mark.parametrize('kind', list(garbage()))
 def test_a_file_that_is_no_checkpoint_is_refused(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / 'c.npz'
+    path = tmp_path / 'c.safetensors'
     path.write_bytes(garbage()[kind])
     refuse(path, 'is not a checkpoint of this package')
 
@@ -198,13 +201,13 @@ def test_a_damaged_file_is_refused(saved: Path) -> None:
     data = bytearray(saved.read_bytes())
     data[len(data) // 2] ^= 0xFF
     saved.write_bytes(bytes(data))
-    refuse(saved, 'is not a checkpoint of this package')
+    refuse(saved, 'is damaged: its content does not match its checksum')
 
 
-def test_another_version_is_refused(saved: Path) -> None:
-    content = messages.decode(saved.read_bytes())
-    saved.write_bytes(messages.encode({**content, 'version': VERSION + 1}))
-    refuse(saved, f'is of version {VERSION + 1}, expected {VERSION}')
+@pytest.mark.parametrize('version', [VERSION - 1, VERSION + 1])
+def test_another_version_is_refused(saved: Path, version: int) -> None:
+    saved.write_bytes(encode(*decode(saved.read_bytes()), version))
+    refuse(saved, f'is of version {version}, expected {VERSION}: it was saved by another release')
 
 
 def test_another_motor_is_refused(saved: Path) -> None:
@@ -235,8 +238,12 @@ def test_another_white_box_is_refused_and_changes_nothing(
 def test_the_checkpoint_of_another_rule_is_refused(tmp_path: Path, recording: Recording) -> None:
     one = observer(context_update='gradient')
     feed(one, recording, 0, 500)
-    save(one, tmp_path / 'c.npz')
-    refuse(tmp_path / 'c.npz', 'is a checkpoint of the rule gradient, expected recursive', context_update='recursive')
+    save(one, tmp_path / 'c.safetensors')
+    refuse(
+        tmp_path / 'c.safetensors',
+        'is a checkpoint of the rule gradient, expected recursive',
+        context_update='recursive',
+    )
 
 
 def feed_early(one: Observer, recording: Recording, start: int, end: int, delay_ns: int) -> list[Result]:
@@ -253,8 +260,8 @@ def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recordi
     feed_early(one, recording, 0, 1500, 53_000_000)
     applied_s = one.delays()['motor'].applied_s
     assert applied_s == pytest.approx(0.053, abs=1e-3)
-    save(one, tmp_path / 'c.npz')
-    load(other, tmp_path / 'c.npz')
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'] == one.delays()['motor']
     assert other.pairing['motor'].delay_ns == round(applied_s * 1e9)
     on = feed_early(other, recording, 1500, 2000, 53_000_000)
@@ -268,16 +275,84 @@ def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recordi
 def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, recording: Recording) -> None:
     one, other = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': 0.02})
     feed_early(one, recording, 0, 1500, 53_000_000)
-    save(one, tmp_path / 'c.npz')
-    load(other, tmp_path / 'c.npz')
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'].applied_s == 0.02
     assert other.pairing['motor'].delay_ns == 20_000_000
 
 
 def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
-    content = messages.decode(saved.read_bytes())
-    del content['motors']['motor']['delay']
-    saved.write_bytes(messages.encode(content))
+    plain, arrays = decode(saved.read_bytes())
+    del plain['motors']['motor']['delay']
+    saved.write_bytes(encode(plain, arrays))
     one = observer(**{'motor.delay': 'estimate'})
     load(one, saved)
     assert one.delays()['motor'].applied_s == 0.0
+
+
+@pytest.mark.parametrize('dtype', ['f8', 'f4', 'i8', 'i4', 'u8', 'u1', '?'])
+@pytest.mark.parametrize('shape', [(), (0,), (3,), (2, 3)])
+def test_arrays_of_any_numeric_type_and_shape_come_back_as_they_were(dtype: str, shape: tuple[int, ...]) -> None:
+    array = np.random.default_rng(1).integers(0, 2, shape).astype(dtype)
+    plain, arrays = decode(encode({'large': 2**127 + 1, 'none': None}, {'a/b': array, 'view': array.T}))
+    assert plain == {'large': 2**127 + 1, 'none': None}
+    for name, expected in (('a/b', array), ('view', array.T)):
+        assert arrays[name].dtype == expected.dtype
+        np.testing.assert_array_equal(arrays[name], expected)
+
+
+HARD: dict[str, Any] = {
+    'training.start': 'fresh',
+    'training.hidden': 6,
+    'training.learning_rate': 0.02,
+    'horizon_s': 0.4,
+    'motor.voltage_limits': [-33.0, 33.0],
+}
+"""Far forecasts in all quadrants from a fresh network: training always has something to learn."""
+
+
+@pytest.mark.parametrize('at', [730, 749, 750, 1010])
+def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recording, at: int) -> None:
+    one, other = observer(InlineTraining, **HARD), observer(InlineTraining, **HARD)
+    feed(one, recording, 0, at)
+    save(one, tmp_path / 'c')
+    load(other, tmp_path / 'c')
+    for name, array in one.motors['motor'].state()[1].items():
+        assert array.tobytes() == other.motors['motor'].state()[1][name].tobytes(), name
+    one.pairing['motor'].restart()  # loading begins the signal history anew
+    first, second = (feed(o, recording, at, at + 500) for o in (one, other))
+    for r, s in zip(first, second, strict=True):
+        assert r.prediction is not None
+        assert s.prediction is not None
+        assert r.prediction.torque_nm.tobytes() == s.prediction.torque_nm.tobytes()
+    on, again = (o.motors['motor'].state()[1] for o in (one, other))
+    assert on.keys() == again.keys()
+    for name, array in on.items():
+        assert array.tobytes() == again[name].tobytes(), name
+    assert any(name.startswith('network/learning_pupil_adam_') for name in on)
+    saved = decode((tmp_path / 'c').read_bytes())[1]
+    assert saved['motor/network/input'].tobytes() != on['network/input'].tobytes(), 'it has learnt on'
+
+
+def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Callable[..., Recording]) -> None:
+    lagging = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.001, speed_mode='rotor')
+    one, other = observer(InlineTraining, **HARD), observer(InlineTraining, **HARD)
+    feed(one, lagging, 0, 1810)
+    save(one, tmp_path / 'c')
+    load(other, tmp_path / 'c')
+    one.pairing['motor'].restart()
+    for o in (one, other):
+        feed(o, lagging, 1810, 3000)
+    on, again = (o.motors['motor'].state()[1] for o in (one, other))
+    assert 'network/learning_residual_size' in on, 'there was something to learn'
+    assert on.keys() == again.keys()
+    for name, array in on.items():
+        assert array.tobytes() == again[name].tobytes(), name
+
+
+def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recording) -> None:
+    one = observer(InlineTraining, **HARD)
+    feed(one, recording, 0, 300)
+    save(one, tmp_path / 'c')
+    with pytest.raises(GrayBoxError, match='holds a network of 6 hidden units and 5 inputs, expected 4 and 5'):
+        load(observer(InlineTraining, **{**HARD, 'training.hidden': 4}), tmp_path / 'c')

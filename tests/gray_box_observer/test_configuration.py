@@ -271,3 +271,9 @@ def test_the_example_file_holds_every_parameter_with_its_default_and_its_descrip
 
 def test_groups_become_dotted_names() -> None:
     assert flatten({'a': {'b': {'c': 1}, 'd': [1]}, 'e.f': 2}) == {'a.b.c': 1, 'a.d': [1], 'e.f': 2}
+
+
+def test_a_horizon_is_refused_where_the_network_goes_from_sample_to_sample_only() -> None:
+    assert Configuration.from_flat({'horizon_s': 0.5})['horizon_s'] == 0.5
+    with pytest.raises(ConfigurationError, match=r'horizon_s must be 0 with variant main, got 0\.5'):
+        Configuration.from_flat({'horizon_s': 0.5, 'variant': 'main'})

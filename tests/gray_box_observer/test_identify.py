@@ -86,6 +86,40 @@ def test_the_predictor_is_scored_unless_it_is_skipped(identify: Run, bag: Path, 
     assert all(np.isfinite(value) for value in predictor.values())
 
 
+def test_a_fault_is_an_alarm_in_json_table_and_report(
+    identify: Run,
+    tmp_path: Path,
+    write_bag: Callable[..., Path],
+    record: Callable[..., Recording],
+    messages_of: Callable[..., Messages],
+) -> None:
+    recording = record(
+        'R[5,15]D[0.2,2]', 13.0, torque_noise_relative=0.01, schedule=('motor.torque_constant=0.006@12.0',)
+    )
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    alarm: {learn: 500}\n    training: {steps: 1}\n')
+    report = tmp_path / 'r.html'
+    faulty = write_bag(tmp_path / 'faulty', messages_of(recording))
+    code, out, said = identify(faulty, '--params', params, '--json', tmp_path / 'r.json', '--report', report)
+    assert code == 0
+    alarms = json.loads((tmp_path / 'r.json').read_text())['motors']['motor']['alarms']
+    assert alarms['raised'] == 1
+    assert alarms['first_s'] == pytest.approx(12.05, abs=0.05)
+    when = f'{alarms["first_s"]:.2f} s'
+    assert f'alarms: 1, first at {when}' in out
+    assert f'motor motor: alarm at {when}, 1 in all: torque is not what voltage' in said
+    assert f'Alarm at {when}: torque is not what voltage' in report.read_text()
+
+
+def test_alarms_are_none_without_faults_and_null_without_predictor(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    training: {steps: 1}\n')
+    for options, expected in ((('--skip-predictor',), None), (('--params', params), {'raised': 0, 'first_s': None})):
+        code, out, _ = identify(bag, '--json', '-', *options)
+        assert code == 0
+        assert json.loads(out)['motors']['motor']['alarms'] == expected
+
+
 @pytest.fixture
 def early(
     tmp_path: Path,

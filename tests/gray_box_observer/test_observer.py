@@ -13,6 +13,9 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor.elementwise import Floats
+from gray_box_observer.predictor.relaxation import course, flow
+from gray_box_observer.white_box import MotorWhiteBox
 
 FAST: dict[str, Any] = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
 
@@ -85,6 +88,57 @@ def test_a_forecast_is_the_prediction_that_is_scored_later(record: Callable[...,
     skill = one.skill('motor')
     assert skill is not None
     assert skill.samples == compared
+
+
+@pytest.mark.parametrize('torque_first', [False, True])
+@pytest.mark.parametrize('horizon_s', [0.005, 0.1, 1.0])
+def test_a_voltage_that_is_held_leads_where_the_physics_says(
+    record: Callable[..., Recording], thesis_box: MotorWhiteBox, horizon_s: float, torque_first: bool
+) -> None:
+    recording, one, far = record('R[5,15]D[0.05,1]', 8.0, solver_step_s=0.002), observer(InlineTraining), []
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
+        if torque_first:
+            one.torque('motor', stamp, torque_nm)
+        one.voltage('motor', stamp, voltage_v)
+        before = one.forecast('motor', stamp)
+        said = one.forecast_held('motor', horizon_s)
+        assert one.forecast('motor', stamp) == before, 'nothing has changed'
+        if not torque_first:
+            one.torque('motor', stamp, torque_nm)
+        if k < 500:
+            continue
+        assert said is not None
+        assert said.stamp_ns == stamp + round(horizon_s * 1e9)
+        way = course(Floats, thesis_box, [0.5, 1.0, 10.0], voltage_v, 0.0, 0.0)
+        far.append(said.torque_nm - 0.01 * flow(Floats, thesis_box, way, torque_nm / 0.01, horizon_s, 0.01))
+    assert np.abs(far).max() < 0.01 * recording.torque_nm.std()
+
+
+def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_time(
+    record: Callable[..., Recording],
+) -> None:
+    recording, one = record(duration_s=6.0), observer(InlineTraining)
+    assert one.forecast_held('motor', 0.1) is None
+    feed(one, recording, 100)
+    assert one.forecast_held('motor', 0.1) is not None
+    for stamp in (1_300_000_000, 1_600_000_000):  # the first of them is learnt by patience, without its voltage
+        one.torque('motor', stamp, 0.01)
+    assert one.pairing['motor'].held == 1
+    assert one.forecast_held('motor', 0.1) is None
+    without = observer()
+    feed(without, recording, 100)
+    assert without.forecast_held('motor', 0.1) is None
+
+
+def test_a_delayed_voltage_is_held_from_where_it_acts(record: Callable[..., Recording]) -> None:
+    recording = record(duration_s=6.0)
+    prompt, late = (observer(InlineTraining, **{'motor.delay': delay_s}) for delay_s in (0.0, 0.02))
+    feed(prompt, recording, 300)
+    for k, stamp in enumerate(recording.stamp_ns[:300].tolist()):
+        late.voltage('motor', stamp - 20_000_000, float(recording.voltage_v[0, k]))
+        late.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    assert late.forecast_held('motor', 0.3) == prompt.forecast_held('motor', 0.3)
 
 
 def test_nothing_is_forecast_of_a_motor_without_predictor_or_history(record: Callable[..., Recording]) -> None:

@@ -1,19 +1,34 @@
-"""Saving what was learnt to one versioned file, and taking it back. Plain arrays only: nothing in it can run."""
+"""Saving what was learnt to one versioned file, and taking it back bit for bit.
+
+The file is safetensors: arrays, and text in its header. Nothing in it can run.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import struct
 import tempfile
-import zipfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as read_arrays
+from safetensors.numpy import save as write_arrays
+
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer import Observer
-from gray_box_observer.predictor import messages
+from gray_box_observer.white_box.base import Array
 
-VERSION = 1
+FORMAT = 'gray_box_observer checkpoint'
+
+VERSION = 2
+
+_LENGTH = struct.Struct('<Q')
+"""What a safetensors file begins with: the length of its header."""
 
 
 def save(observer: Observer, path: Path) -> None:
@@ -24,13 +39,12 @@ def save(observer: Observer, path: Path) -> None:
     """
     if not observer.motors:
         raise GrayBoxError('nothing to save yet: no motor has been seen')
-    rule = observer.configuration['context_update']
-    content: dict[str, Any] = {'version': VERSION, 'context_update': rule, 'motors': {}}
+    plain: dict[str, Any] = {'context_update': observer.configuration['context_update'], 'motors': {}}
+    arrays: dict[str, Array] = {}
     for name, motor in observer.motors.items():
-        plain, arrays = motor.state()
-        content['motors'][name] = plain
-        content.update({f'{name}/{key}': array for key, array in arrays.items()})
-    _write_whole(path, messages.encode(content))
+        plain['motors'][name], own = motor.state()
+        arrays.update({f'{name}/{key}': array for key, array in own.items()})
+    _write_whole(path, encode(plain, arrays))
 
 
 def _write_whole(path: Path, data: bytes) -> None:
@@ -56,17 +70,16 @@ def load(observer: Observer, path: Path) -> None:
     """Take back what :func:`save` wrote; the signal history starts anew, the estimates stand where they stood.
 
     Raises:
-        GrayBoxError: no such file, not a checkpoint, another version, or motors or parameters that do not match.
+        GrayBoxError: no such file, not a checkpoint, another version, damaged, or motors or parameters that do not
+            match.
     """
     try:
-        content = messages.decode(path.read_bytes())
-        version, rule, motors = content['version'], content['context_update'], content['motors']
+        plain, arrays = decode(path.read_bytes())
+        rule, motors = plain['context_update'], plain['motors']
     except OSError as error:
         raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
-    except (KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise GrayBoxError(f'{path} is not a checkpoint of this package') from error
-    if version != VERSION:
-        raise GrayBoxError(f'{path} is of version {version}, expected {VERSION}: it was saved by another release')
+    except GrayBoxError as error:
+        raise GrayBoxError(f'{path} {error}') from error
     if rule != observer.configuration['context_update']:
         expected = observer.configuration['context_update']
         raise GrayBoxError(f'{path} is a checkpoint of the rule {rule}, expected {expected}: see context_update')
@@ -74,7 +87,49 @@ def load(observer: Observer, path: Path) -> None:
     if strangers:
         raise GrayBoxError(f'{path} holds motor {strangers[0]}, which is not among the configured ones')
     saved = {}
-    for name, plain in motors.items():
+    for name, own in motors.items():
         prefix = f'{name}/'
-        saved[name] = plain, {k[len(prefix) :]: value for k, value in content.items() if k.startswith(prefix)}
+        saved[name] = own, {k[len(prefix) :]: value for k, value in arrays.items() if k.startswith(prefix)}
     observer.restore(saved)
+
+
+def encode(plain: dict[str, Any], arrays: dict[str, Array], version: int = VERSION) -> bytes:
+    """Turn plain values and arrays of any numeric type into the bytes of a checkpoint."""
+    content = json.dumps(plain)
+    whole = {name: np.array(array, order='C') for name, array in arrays.items()}  # a view has other bytes behind it
+    header = {'format': FORMAT, 'version': str(version), 'content': content, 'sha256': _digest(content, whole)}
+    return write_arrays(whole, metadata=header)
+
+
+def decode(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return what :func:`encode` was given.
+
+    Raises:
+        GrayBoxError: no checkpoint, another version, or damaged; the message goes after the file's name.
+    """
+    try:
+        arrays = read_arrays(data)  # checks lengths and offsets first
+        (length,) = _LENGTH.unpack_from(data)
+        header = json.loads(data[_LENGTH.size : _LENGTH.size + length]).get('__metadata__', {})
+    except (SafetensorError, struct.error, ValueError, KeyError) as error:
+        raise GrayBoxError('is not a checkpoint of this package, or was cut short') from error
+    if header.get('format') != FORMAT:
+        raise GrayBoxError('is not a checkpoint of this package: it holds other arrays')
+    if header.get('version') != str(VERSION):
+        raise GrayBoxError(
+            f'is of version {header.get("version")}, expected {VERSION}: it was saved by another release'
+        )
+    content = header.get('content', '')
+    if header.get('sha256') != _digest(content, arrays):
+        raise GrayBoxError('is damaged: its content does not match its checksum')
+    plain: dict[str, Any] = json.loads(content)
+    return plain, arrays
+
+
+def _digest(content: str, arrays: dict[str, Array]) -> str:
+    """Checksum of everything that was learnt."""
+    digest = hashlib.sha256(content.encode())
+    for name in sorted(arrays):
+        digest.update(f'{name} {arrays[name].dtype.str} {arrays[name].shape}'.encode())
+        digest.update(arrays[name].tobytes())
+    return digest.hexdigest()

@@ -125,7 +125,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
         choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
-    ParameterSpec('horizon_s', 0.0, 'Longest forecast of variant physics, in s; 0: the next sample.', 0.0, 1e6),
+    ParameterSpec('horizon_s', 0.0, 'Horizon of ~/forecast_torque, in s (variant physics); 0: none.', 0.0, 1e6),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
@@ -171,7 +171,12 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0
     ),
-    ParameterSpec('checkpoint.path', 'gray_box_observer.npz', 'File that save writes and load reads.', live=True),
+    ParameterSpec('alarm.false_a_day', 0.1, 'False alarms a day that are accepted of each motor.', 1e-9, 1e4),
+    ParameterSpec('alarm.memory', 3000, 'Samples over which the spread of the residual is followed.', 2, 10_000_000),
+    ParameterSpec('alarm.learn', 1000, 'Samples of an identified motor before the alarm is armed.', 2, 10_000_000),
+    ParameterSpec(
+        'checkpoint.path', 'gray_box_observer.safetensors', 'File that save writes and load reads.', live=True
+    ),
 )
 """Parameters of the node as a whole."""
 
@@ -314,6 +319,11 @@ class Configuration:
                 raise ConfigurationError(
                     f'parameter {large} must be at least twice {small}, got {values[large]} and {values[small]}'
                 )
+        if values['horizon_s'] > 0.0 and values['variant'] != 'physics':
+            raise ConfigurationError(
+                f'parameter horizon_s must be 0 with variant {values["variant"]}, got {values["horizon_s"]!r}: '
+                'only variant physics looks beyond the next sample'
+            )
         for name in SIGNALS:
             _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}

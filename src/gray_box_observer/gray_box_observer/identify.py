@@ -23,6 +23,7 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.samples import Rejection
 
 if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
@@ -97,6 +98,10 @@ def _run(options: argparse.Namespace) -> None:
         if counts:
             outcome.warnings.append(f'{counts.total()} messages of {name} could not be read')
     complaints = [delay.complaint(name) for name, delay in outcome.observer.delays().items()]
+    outcome.warnings += [
+        f'motor {name}: alarm at {times_s[0]:.2f} s, {len(times_s)} in all: {REMEDY}'
+        for name, times_s in outcome.alarms_s.items()
+    ]
     outcome.warnings += [complaint for complaint in complaints if complaint is not None]
     for warning in outcome.warnings:
         print(f'identify: warning: {warning}', file=sys.stderr)
@@ -216,7 +221,11 @@ def describe(outcome: offline.Outcome) -> dict[str, Any]:
             },
             'covariance': estimate.covariance[0].tolist(),
             'predictor': None if skill is None else skill.to_dict(),
+            'alarms': None,
         }
+        if outcome.observer.motors[name].alarm is not None:
+            times_s = [round(time_s, 6) for time_s in outcome.alarms_s.get(name, [])]
+            motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
         delay = delays[name]
         if delay.asked or delay.complaint(name) is not None:
             found = [None if math.isnan(number) else number for number in (delay.value_s, delay.std_s)]
@@ -275,6 +284,8 @@ def _print_table(result: dict[str, Any], stream: TextIO) -> None:
                 'not told by the data' if delay['value'] is None else f'{delay["value"]:.6g} +- {delay["std"]:.2g} s'
             )
             print(f'  {"delay":<18} {found}, applied {delay["applied"]:.6g} s', file=stream)
+        if motor['alarms'] and motor['alarms']['raised']:
+            print(f'  alarms: {motor["alarms"]["raised"]}, first at {motor["alarms"]["first_s"]:.2f} s', file=stream)
         for reason, count in motor['rejected'].items():
             if count:
                 print(f'  rejected: {reason} {count}', file=stream)

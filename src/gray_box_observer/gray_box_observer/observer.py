@@ -25,9 +25,19 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import Prediction, Predictor, Skill, Training, TrainingRules, Variant
+from gray_box_observer.predictor import (
+    AlarmRules,
+    Prediction,
+    Predictor,
+    ResidualAlarm,
+    Skill,
+    Training,
+    TrainingRules,
+    Variant,
+)
 from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
 from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 
@@ -43,12 +53,14 @@ class Result:
         sample: the sample that was learnt.
         prediction: what had been predicted of it; None without predictor.
         estimate: the new estimate; None where the sample did not change it.
+        alarm: whether the alarm on the prediction's residual stands after the sample.
     """
 
     motor: str
     sample: Sample
     prediction: Prediction | None
     estimate: Estimate | None
+    alarm: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +80,26 @@ class MotorObserver:
         context_nodes: the rule that learns the parameters.
         predictor: forecasts torque; None where there is none.
         delay: asks whether voltage and torque are shifted against each other.
+        alarm: watches the prediction's residual; None where no prediction is good enough to judge by.
     """
 
     def __init__(
-        self, white_box: MotorWhiteBox, context_nodes: ContextUpdate, predictor: Predictor | None, delay: DelayWatch
+        self,
+        white_box: MotorWhiteBox,
+        context_nodes: ContextUpdate,
+        predictor: Predictor | None,
+        delay: DelayWatch,
+        alarm: ResidualAlarm | None = None,
     ) -> None:
         self.white_box = white_box
         self.context_nodes = context_nodes
         self.predictor = predictor
         self.delay = delay
+        self.alarm = alarm
+        self._frozen = False
         self._foreseen: tuple[bytes, Prediction] | None = None
-        self._covariance = context_nodes.estimate().covariance
+        self._identified = np.zeros(context_nodes.theta.shape[0], dtype=bool)
+        self._covariance = self._known(context_nodes.estimate())
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -90,9 +111,26 @@ class MotorObserver:
             self._foreseen = question, prediction
         return self._foreseen[1]
 
+    def forecast_held(self, ahead: tuple[float, float] | None, horizon_s: float, voltage_v: float) -> Array | None:
+        """Forecast the torque after a voltage has been held for a while; changes nothing.
+
+        Args:
+            ahead: interval in s and mean voltage in V from the last sample to where the voltage begins to act; None
+                where it begins with the last sample.
+            horizon_s: how long it is held.
+            voltage_v: the voltage.
+        """
+        if self.predictor is None:
+            return None
+        motors = self.context_nodes.theta.shape[0]
+        since = None if ahead is None else self.predict(*(np.full(motors, value) for value in ahead))
+        return self.predictor.forecast(horizon_s, np.full(motors, voltage_v), self.context_nodes.theta, since)
+
     def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
         """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
         prediction = self.predict(sample.interval_s, sample.voltage_v)
+        if self.alarm is not None and prediction is not None:
+            self.alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, self._identified)
         if self.predictor is not None and prediction is not None:
             self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
         changed = self.context_nodes.learn(sample)
@@ -100,14 +138,26 @@ class MotorObserver:
         if not changed:
             return prediction, None
         estimate = self.context_nodes.estimate()
-        self._covariance = estimate.covariance
+        self._covariance = self._known(estimate)
         return prediction, estimate
 
+    def _known(self, estimate: Estimate) -> Array:
+        """Keep whether all is identified, which freezing does not undo; return the covariance."""
+        if not self._frozen:
+            self._identified = np.array([estimate.identified(motor) for motor in range(estimate.value.shape[0])])
+        return estimate.covariance
+
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning, of the context nodes and of the predictor; predictions go on."""
+        """Stop or resume learning, of the context nodes and of the predictor; predictions and the alarm go on."""
+        self._frozen = frozen
         self.context_nodes.freeze(frozen)
         if self.predictor is not None:
             self.predictor.freeze(frozen)
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether the alarm stands for any of these motors."""
+        return self.alarm is not None and bool(self.alarm.raised.any())
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
@@ -125,6 +175,9 @@ class MotorObserver:
         self._covariance = context_nodes.estimate().covariance
         if self.predictor is not None:
             self.predictor.replay.refill(content)
+        if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
+            self.alarm.relearn()
+        self._covariance = self._known(context_nodes.estimate())
         self._foreseen = None
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -132,8 +185,9 @@ class MotorObserver:
         plain, arrays = self.context_nodes.state()
         network = {} if self.predictor is None else self.predictor.state()
         content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain, 'delay': self.delay.state()}
-        named = {f'nodes/{k}': v for k, v in arrays.items()} | {f'network/{k}': v for k, v in network.items()}
-        return content, named
+        alarm = {} if self.alarm is None else {**self.alarm.state(), 'identified': self._identified}
+        groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
+        return content, {f'{group}/{name}': array for group, part in groups.items() for name, array in part.items()}
 
     def close(self) -> None:
         """Stop training."""
@@ -142,14 +196,21 @@ class MotorObserver:
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave."""
-        nodes = {k.removeprefix('nodes/'): v for k, v in arrays.items() if k.startswith('nodes/')}
-        self.context_nodes.restore(plain['context_nodes'], nodes)
-        self._covariance = self.context_nodes.estimate().covariance
+        self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'))
+        self._covariance = self._known(self.context_nodes.estimate())
         if self.predictor is not None:
-            network = {k.removeprefix('network/'): v for k, v in arrays.items() if k.startswith('network/')}
-            self.predictor.restore(network)
+            self.predictor.restore(_group(arrays, 'network'))
+        alarm = _group(arrays, 'alarm')
+        if self.alarm is not None and alarm:
+            self._identified = alarm.pop('identified').copy()
+            self.alarm.restore(alarm)
         if 'delay' in plain:
             self.delay.restore(plain['delay'])
+
+
+def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:
+    """Take one group out of what :meth:`MotorObserver.state` named."""
+    return {name.removeprefix(f'{group}/'): array for name, array in arrays.items() if name.startswith(f'{group}/')}
 
 
 def _context_update(values: Configuration, white_box: MotorWhiteBox, initial: Array, seed: int) -> ContextUpdate:
@@ -207,6 +268,36 @@ class Observer:
             return None
         return Forecast(motor, stamp_ns, float(prediction.torque_nm[0]))
 
+    def forecast_held(self, motor: str, horizon_s: float) -> Forecast | None:
+        """Predict the torque after the newest voltage has been held for a while; changes nothing.
+
+        The stamp is that of the voltage (shifted by the delay, where there is one) plus the horizon. Torque measured at
+        or before the voltage's stamp must not be waited for: what is not measured yet is predicted on the way.
+
+        Args:
+            motor: its name.
+            horizon_s: how long the voltage is held.
+
+        Returns:
+            None before the second sample of a signal history, where no predictor runs, or where the voltage came so
+            late that torque has been learnt beyond it.
+
+        Raises:
+            ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
+        """
+        observer, pairing = self.motors.get(motor), self.pairing[motor]
+        newest = pairing.newest_voltage
+        if observer is None or newest is None:
+            return None
+        since_ns, voltage_v = newest
+        ahead = pairing.ahead(since_ns)
+        if ahead is None and since_ns != pairing.newest_sample_ns:
+            return None
+        torque_nm = observer.forecast_held(ahead, horizon_s, voltage_v)
+        if torque_nm is None or not math.isfinite(torque_nm[0]):
+            return None
+        return Forecast(motor, since_ns + nanoseconds(horizon_s), float(torque_nm[0]))
+
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor that has been seen."""
         return {name: observer.context_nodes.estimate() for name, observer in self.motors.items()}
@@ -214,6 +305,11 @@ class Observer:
     def delays(self) -> dict[str, DelayEstimate]:
         """Return what is known of the delay between voltage and torque of every motor that has been seen."""
         return {name: observer.delay.estimate for name, observer in self.motors.items()}
+
+    def alarm(self, motor: str) -> bool:
+        """Whether the alarm on the prediction's residual stands; never where nothing is predicted by the physics."""
+        observer = self.motors.get(motor)
+        return observer is not None and observer.alarmed
 
     def skill(self, motor: str) -> Skill | None:
         """Return the predictor's scores; None where there is no predictor."""
@@ -276,7 +372,7 @@ class Observer:
                 observer.context_nodes.learn(sample)
                 continue
             prediction, estimate = observer.step(sample)
-            results.append(Result(motor, sample, prediction, estimate))
+            results.append(Result(motor, sample, prediction, estimate, observer.alarmed))
             delay_s = None if self._frozen else observer.delay.take(pairing.history, sample.stamp_ns)
             if delay_s is not None:
                 known, rest = pairing.redelay(delay_s, sample.stamp_ns)
@@ -309,7 +405,7 @@ class Observer:
         initial = np.array([motor.initial()])
         nodes = self._nodes(motor, white_box)
         watch = DelayWatch(white_box, initial, motor.delay_s, asked=motor.estimates_delay, gap_s=values['gap_s'])
-        predictor = None
+        predictor = alarm = None
         if self._training is not None:
             low_v, high_v = motor.values['voltage_limits']
             training_rules = TrainingRules(
@@ -333,6 +429,8 @@ class Observer:
                 speed_measured=white_box.speed_measured,
                 seed=self._seed(motor.name),
             )
-        observer = MotorObserver(white_box, nodes, predictor, watch)
+            if training_rules.variant is Variant.PHYSICS:
+                alarm = ResidualAlarm(1, AlarmRules(**values.group('alarm')))
+        observer = MotorObserver(white_box, nodes, predictor, watch, alarm)
         observer.freeze(self._frozen)
         return observer

@@ -35,6 +35,7 @@ class Outcome:
         digest: SHA-256 over every estimate in order.
         first_ns, last_ns: stamps of the first and last sample, by motor.
         duration_s: time that the samples cover, by motor, without gaps and jumps of the clock.
+        alarms_s: when the alarm on the residual was raised, in s of the time that the samples cover, by motor.
         warnings: what the user should know, such as how much of a truncated bag was lost.
     """
 
@@ -44,6 +45,7 @@ class Outcome:
     first_ns: dict[str, int] = field(default_factory=dict)
     last_ns: dict[str, int] = field(default_factory=dict)
     duration_s: dict[str, float] = field(default_factory=dict)
+    alarms_s: dict[str, list[float]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -70,6 +72,7 @@ def run(
     observer = Observer(configuration, training)
     outcome = Outcome(observer, Intake(observer, configuration))
     digest = hashlib.sha256()
+    alarmed: set[str] = set()
 
     def take(results: Iterable[Result]) -> None:
         for result in results:
@@ -77,6 +80,9 @@ def run(
             outcome.last_ns[result.motor] = result.sample.stamp_ns
             covered_s = outcome.duration_s.get(result.motor, 0.0) + float(result.sample.interval_s[0])
             outcome.duration_s[result.motor] = covered_s
+            if result.alarm and result.motor not in alarmed:
+                outcome.alarms_s.setdefault(result.motor, []).append(covered_s)
+            (alarmed.add if result.alarm else alarmed.discard)(result.motor)
             if result.estimate is not None:
                 digest.update(result.motor.encode())
                 digest.update(np.int64(result.estimate.stamp_ns).tobytes())

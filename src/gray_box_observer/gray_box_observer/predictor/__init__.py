@@ -1,5 +1,6 @@
 """The LSTM that forecasts torque from voltage and the context nodes, and its training (thesis 4.3, 5.1)."""
 
+from gray_box_observer.predictor.alarm import AlarmRules, ResidualAlarm
 from gray_box_observer.predictor.inputs import Variant
 from gray_box_observer.predictor.predictor import Prediction, Predictor
 from gray_box_observer.predictor.rules import TrainingRules
@@ -7,10 +8,12 @@ from gray_box_observer.predictor.scores import Skill
 from gray_box_observer.predictor.training import InlineTraining, ProcessTraining, Training
 
 __all__ = [
+    'AlarmRules',
     'InlineTraining',
     'Prediction',
     'Predictor',
     'ProcessTraining',
+    'ResidualAlarm',
     'Skill',
     'Training',
     'TrainingRules',

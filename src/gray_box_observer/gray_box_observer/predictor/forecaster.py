@@ -19,6 +19,8 @@ class Question:
         theta: shape (motor, parameter).
         way: where it leads, in the form that :class:`~gray_box_observer.predictor.elementwise.Axis` gives signals.
         usable: whether the interval goes on from a known start, in the same form.
+        origin: forecast torque, shape (motor,), and memory to go on from; None: those of the last sample. Only variant
+            ``physics`` looks so far ahead.
     """
 
     interval_s: Array
@@ -27,6 +29,7 @@ class Question:
     theta: Array
     way: Course
     usable: Any
+    origin: tuple[Array, Memory] | None = None
 
 
 class Forecaster(Protocol):

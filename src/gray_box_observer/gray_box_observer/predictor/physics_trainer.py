@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gray_box_observer.predictor import random_state
 from gray_box_observer.predictor.drawing import Sequences, draw_around, draw_family
 from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, free_run_error, lesson
 from gray_box_observer.predictor.network import Weights
@@ -67,13 +68,13 @@ class PhysicsTrainer:
         told = self._teach(job)
         if job.get('residual'):
             told |= self._residual.learn(self._running, recent_sequences(self._white_box, job))
-        return told
+        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
         """Teach the physics; say what came of it."""
         if 'start_input' in job:
             self._running = Weights(**{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
-            self._pupil = None
+            self._restore({name[15:]: array for name, array in job.items() if name.startswith('start_learning_')})
         seen = OperatingRange.from_dict(job['seen'])
         if not seen.tells(self._white_box.speed_measured):
             return {'windows': 0, 'settled': False}
@@ -95,6 +96,26 @@ class PhysicsTrainer:
         if settled:
             self._pupil, self._refused = None, 0
         return {**told, 'settled': settled, 'error': own.error(self._running)}
+
+    def _state(self) -> dict[str, Array]:
+        """Everything but the running network that the next job depends on."""
+        pupil = {} if self._pupil is None else {f'pupil_{k}': v for k, v in self._pupil.state().items()}
+        residual = {f'residual_{k}': v for k, v in self._residual.state().items()}
+        return {**pupil, **residual, 'refused': np.array(self._refused), 'random': random_state.pack(self._random)}
+
+    def _restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`_state` gave; start over where that was not saved."""
+        self._pupil = None
+        self._residual = ResidualTrainer(self._seed)
+        if 'random' not in arrays:
+            return
+        self._random, self._refused = random_state.unpack(arrays['random']), int(arrays['refused'])
+        self._residual.restore({name[9:]: array for name, array in arrays.items() if name.startswith('residual_')})
+        pupil = {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
+        if pupil:
+            from gray_box_observer.predictor.teaching import Pupil
+
+            self._pupil = Pupil.of(pupil, self._rules.learning_rate, self._rules.gradient_clip)
 
     def _enrol(self) -> Pupil:
         from gray_box_observer.predictor.teaching import Pupil

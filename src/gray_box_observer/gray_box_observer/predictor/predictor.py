@@ -5,7 +5,8 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,8 @@ class Predictor:
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
         self._settled: tuple[Array, OperatingRange] | None = None
+        self._job: dict[str, Any] = {}
+        self._learning: dict[str, Array] = {}
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -126,13 +129,14 @@ class Predictor:
             return Prediction(torque_nm, rollout_nm, memory, question.way)
         return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
-    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array) -> Array:
+    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
         """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
 
         Args:
-            horizon_s: how long, counted from the last sample.
+            horizon_s: how long, counted from the last sample or from what ``since`` tells.
             voltage_v: shape (motor,): voltage that will be held.
             theta: shape (motor, parameter): context nodes.
+            since: what was predicted of the next sample, to go on from there; None: go on from the last sample.
 
         Returns:
             Shape (motor,), in N m; NaN for a motor whose signal history has not begun.
@@ -145,7 +149,11 @@ class Predictor:
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
             )
         question = self._question(np.full(self._motors, horizon_s), voltage_v, theta)
-        return np.full(self._motors, np.nan) if question is None else self._forecaster.forecast(question)[0]
+        if question is None or (since is not None and since.memory is None):
+            return np.full(self._motors, np.nan)
+        if since is not None and since.memory is not None:
+            question = replace(question, origin=(_physics_of(since), since.memory))
+        return self._forecaster.forecast(question)[0]
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
         """Score what was predicted, remember the sample, and start or finish a training job when one is due.
@@ -163,7 +171,7 @@ class Predictor:
             'white_box': prediction.white_box_torque_nm,
         }
         self.scores.add(sample.torque_nm, rivals)
-        physics_nm = prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
+        physics_nm = _physics_of(prediction)
         self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
         self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
@@ -181,10 +189,29 @@ class Predictor:
         self._frozen = frozen
 
     def state(self) -> dict[str, Array]:
-        """The network and where the motors have run, as arrays."""
-        seen = {f'seen_{name}': np.array(bounds) for name, bounds in self._seen.to_dict().items()}
+        """The network, where the motors have run and everything that training depends on, as arrays.
+
+        A job whose result is still to come is saved as it was handed over: it is run again.
+        """
+        replay = {
+            'replay': self.replay.content(),
+            'total': np.array(self.replay.total),
+            'asked': np.array(self._residual_asked),
+        }
+        settled = {}
+        if self._settled is not None:
+            settled = {'settled_theta': self._settled[0], **_named('settled_seen', self._settled[1].to_dict())}
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
-        return {**self._forecaster.state(), **seen, **learnt}
+        return {
+            **self._forecaster.state(),
+            **learnt,
+            **_named('seen', self._seen.to_dict()),
+            **replay,
+            **settled,
+            **self._learning,
+            **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
+            **_named('job_seen', self._job.get('seen', {})),
+        }
 
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave; training goes on from there.
@@ -194,10 +221,23 @@ class Predictor:
         """
         self._forecaster.restore(arrays)
         self.residual.adopt(arrays)
-        seen = {name[5:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('seen_')}
-        self._seen = OperatingRange.from_dict(seen)
-        self._start_from = self._forecaster.start()
+        self._seen = _range(arrays, 'seen')
+        if 'replay' in arrays:  # a network alone may be taken over too
+            self.replay.refill(arrays['replay'])
+            self.replay.total, self._residual_asked = int(arrays['total']), int(arrays['asked'])
         self._settled = None
+        if 'settled_theta' in arrays:
+            self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+        self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
+        self._start_from = {
+            **self._forecaster.start(),
+            **{f'start_{name}': array for name, array in self._learning.items()},
+        }
+        job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
+        if job:
+            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
+            residual = bool(job['residual'])
+            self._submit({**kept, 'residual': residual, 'seen': _range(job, 'seen').to_dict()})
 
     def close(self) -> None:
         """Stop training."""
@@ -246,19 +286,22 @@ class Predictor:
         if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
         count = None if residual else self._rules.job_samples
-        self._training.submit(
+        self._submit(
             {
-                'voltage_v': self.replay.voltage_v(count),
-                'interval_s': self.replay.interval_s(count),
-                'torque_nm': self.replay.torque_nm(count),
-                'speed_rad_s': self.replay.speed_rad_s(count),
-                'theta': theta,
-                'covariance': covariance,
+                'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
+                'interval_s': self.replay.interval_s(count).copy(),
+                'torque_nm': self.replay.torque_nm(count).copy(),
+                'speed_rad_s': self.replay.speed_rad_s(count).copy(),
+                'theta': theta.copy(),
+                'covariance': covariance.copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
-                **self._start_from,
             }
         )
+
+    def _submit(self, job: dict[str, Any]) -> None:
+        self._job = job
+        self._training.submit({**job, **self._start_from})
         self._start_from = {}
 
     def _residual_due(self) -> bool:
@@ -278,8 +321,27 @@ class Predictor:
 
     def _adopt(self, result: dict[str, Any], theta: Array) -> None:
         self.jobs_done += 1
+        self._job = {}
+        self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled = (theta, self._seen) if result.get('settled') else None
         self.loss = result.get('loss', self.loss)
         self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
+
+
+def _physics_of(prediction: Prediction) -> Array:
+    """What was predicted before the residual was added: the physics goes on from there."""
+    return prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
+
+
+def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
+    """Name the entries of an operating range as arrays."""
+    return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}
+
+
+def _range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
+    """Take back what :func:`_named` gave."""
+    start = f'{prefix}_'
+    bounds = {name[len(start) :]: pair.tolist() for name, pair in arrays.items() if name.startswith(start)}
+    return OperatingRange.from_dict(bounds)

@@ -33,12 +33,16 @@ class RelaxingForecaster:
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
         """Let the current relax over the interval, in one step however long it is."""
         axis, ops = self._axis, self._axis.ops
-        start = ops.where(question.usable, self._current, 0.0)
+        current, memory = self._current, self._memory
+        if question.origin is not None:
+            torque_nm, memory = question.origin
+            current = axis.take(self._white_box.state(torque_nm))
+        start = ops.where(question.usable, current, 0.0)
         interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
         interval = relaxation(ops, self._white_box, question.way, start, interval_s)
         columns = interval.inputs(ops)
         inputs = np.array([columns]) if axis.single else np.stack(columns, axis=-1)
-        readout, memory = step(self._weights, self._memory, inputs)
+        readout, memory = step(self._weights, memory, inputs)
         end = after(ops, interval, axis.take(readout))
         torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
         return axis.give(torque_nm), memory

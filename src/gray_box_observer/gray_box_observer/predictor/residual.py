@@ -116,6 +116,7 @@ class ResidualForecaster:
 
     def remember(self, correction_nm: Array, anew: Mask, memory: Memory | None) -> None:
         """Go on to the next sample, with a blank memory where the signal history starts."""
+        memory = self._memory if memory is None else memory  # a history begins without a forecast
         if memory is not None:
             self._memory = memory.cleared(anew)
         added = np.nan_to_num(correction_nm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
 from gray_box_observer.white_box.base import Array
 
 LENGTH = 512
@@ -46,6 +47,15 @@ class ResidualPupil:
     def weights(self) -> Weights:
         """What it knows now."""
         return self._network.export()
+
+    def state(self) -> dict[str, Array]:
+        """The network and the moments of Adam, as arrays."""
+        return {**self.weights.arrays(), **moments_of(self._optimiser)}
+
+    def restore(self, arrays: Mapping[str, Array]) -> None:
+        """Go on from what :meth:`state` gave."""
+        self._network.load(Weights.of(arrays))
+        give_moments(self._optimiser, arrays)
 
     def learn(
         self,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.predictor import random_state
 from gray_box_observer.predictor.drawing import Sequences
 from gray_box_observer.predictor.lessons import free_run, steady_currents
 from gray_box_observer.predictor.network import Memory, Weights, step
@@ -96,6 +97,28 @@ class ResidualTrainer:
         judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
         self._best = [min(judged, key=lambda pair: pair[1])[0]]
         return self._best[0].arrays()
+
+    def state(self) -> dict[str, Array]:
+        """Everything that the next round depends on, as arrays."""
+        state: dict[str, Array] = {'random': random_state.pack(self._random)}
+        if self._pupil is not None and self._sizes is not None:
+            state |= {'size': self._sizes[0], 'limit_a': np.array(self._sizes[1])}
+            state |= {f'pupil_{name}': array for name, array in self._pupil.state().items()}
+        for best in self._best:
+            state |= {f'best_{name}': array for name, array in best.arrays().items()}
+        return state
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self._random = random_state.unpack(arrays['random'])
+        if 'size' in arrays:
+            from gray_box_observer.predictor.residual_pupil import ResidualPupil
+
+            self._sizes = arrays['size'].copy(), float(arrays['limit_a'])
+            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
+            self._pupil.restore({name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')})
+        best = Correction.of({name[5:]: array for name, array in arrays.items() if name.startswith('best_')})
+        self._best = [] if best is None else [best]
 
     def _taught(self, run: _Run, steps: int) -> Correction:
         """Teach on all blocks but the judging ones."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 
 import torch
@@ -9,7 +10,8 @@ import torch
 from gray_box_observer.predictor.lessons import Lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import Relaxation, exponent
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
+from gray_box_observer.white_box.base import Array
 
 SHORTEST = 1e-3
 """Shortest interval, in time constants, whose defect counts in full."""
@@ -54,6 +56,17 @@ class Pupil:
     def weights(self) -> Weights:
         """What it knows now."""
         return self._network.export()
+
+    def state(self) -> dict[str, Array]:
+        """The network and the moments of Adam, as arrays."""
+        return {**self.weights.arrays(), **moments_of(self.optimiser)}
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float) -> Pupil:
+        """Return the pupil that goes on from what :meth:`state` gave."""
+        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip)
+        give_moments(pupil.optimiser, arrays)
+        return pupil
 
     def learn(self, lesson: Lesson) -> float:
         """Take one Adam step; return the loss before it."""

@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 
 from gray_box_observer.predictor.network import Weights
+from gray_box_observer.white_box.base import Array
+
+
+def moments_of(optimiser: torch.optim.Optimizer) -> dict[str, Array]:
+    """Return what Adam remembers of every weight, as arrays by ``adam_<place>_<name>``."""
+    return {
+        f'adam_{place}_{name}': value.numpy().copy()
+        for place, of_one in optimiser.state_dict()['state'].items()
+        for name, value in of_one.items()
+    }
+
+
+def give_moments(optimiser: torch.optim.Optimizer, arrays: Mapping[str, Array]) -> None:
+    """Let Adam go on from what :func:`moments_of` gave."""
+    moments: dict[int, dict[str, torch.Tensor]] = {}
+    for key, array in arrays.items():
+        if key.startswith('adam_'):
+            _, place, name = key.split('_', 2)
+            moments.setdefault(int(place), {})[name] = torch.from_numpy(array.copy())
+    optimiser.load_state_dict({**optimiser.state_dict(), 'state': moments})
 
 
 class TorchNetwork(torch.nn.Module):

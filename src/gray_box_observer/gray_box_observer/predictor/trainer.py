@@ -25,11 +25,13 @@ class Trainer(Protocol):
             job: ``voltage_v``, ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n): samples;
                 ``theta``, shape (motor, parameter), and ``covariance``, shape (motor, parameter, parameter): the
                 estimate; ``seen``: where the motors have run (:class:`OperatingRange`); ``start_*``, where training
-                shall go on from a saved network.
+                shall go on from a saved network; ``start_learning_*``, what a result told under ``learning_*``.
 
         Returns:
             ``windows``: sequences learnt from; ``loss``, unless there were none; ``settled``: whether there is nothing
-            to gain before theta or the operating range moves; the network's arrays, where a new one shall run.
+            to gain before theta or the operating range moves; the network's arrays, where a new one shall run;
+            ``learning_*``, arrays from which another trainer goes on alike (optimiser and random state), where the
+            variant has them.
         """
 
 

@@ -11,8 +11,12 @@ import numpy as np
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.sensitivity import sensitivity
 from gray_box_observer.observer import MotorObserver, Observer, Result
+from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
 from gray_box_observer.white_box import TERMS
+
+MOST_TIMES = 10
+"""Alarms that are named one by one."""
 
 
 @dataclass
@@ -23,6 +27,8 @@ class _Course:
     shift_ns: int = 0
     samples: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
     estimates: list[tuple[float, Estimate]] = field(default_factory=list)
+    alarms_s: list[float] = field(default_factory=list)
+    alarmed: bool = False
 
 
 class Collector:
@@ -57,6 +63,9 @@ class Collector:
         )
         if result.estimate is not None:
             course.estimates.append((time_s, result.estimate))
+        if result.alarm and not course.alarmed:
+            course.alarms_s.append(time_s)
+        course.alarmed = result.alarm
 
     def histories(self, observer: Observer, rejected: Mapping[str, Mapping[str, int]]) -> tuple[MotorHistory, ...]:
         """Return the history of every motor; ``rejected`` counts by motor and reason."""
@@ -78,7 +87,7 @@ class Collector:
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
             rejected=dict(rejected),
             scores={key: float(v) for key, v in scores.items() if v is not None and key != 'samples'},
-            notes=tuple(notes(name, observer)),
+            notes=(*_alarm_notes(course.alarms_s), *notes(name, observer)),
             sensitivity=_sensitivity(observer.motors[name]),
         )
 
@@ -105,6 +114,15 @@ class Collector:
 def _sensitivity(motor: MotorObserver) -> dict[str, dict[str, float]] | None:
     """How an error of the known constants goes into the estimate, from what the rule remembers."""
     return sensitivity(motor.white_box, motor.context_nodes.replay, motor.context_nodes.theta)
+
+
+def _alarm_notes(times_s: list[float]) -> list[str]:
+    """Say when the alarm on the residual was raised."""
+    if not times_s:
+        return []
+    when = ', '.join(f'{time_s:.2f} s' for time_s in times_s[:MOST_TIMES])
+    more = f' and {len(times_s) - MOST_TIMES} times more' if len(times_s) > MOST_TIMES else ''
+    return [f'Alarm at {when}{more}: {REMEDY}']
 
 
 def notes(name: str, observer: Observer) -> list[str]:

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
+from gray_box_observer.predictor.alarm import REMEDY
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +64,8 @@ def _judge(motor: str, observer: Observer, intake: Intake, traffic: Traffic, act
         return DiagnosticStatus.STALE, 'no new sample: have voltage and torque stopped, or do their stamps differ?'
     if refused:
         return DiagnosticStatus.WARN, complaint
+    if observer.alarm(motor):
+        return DiagnosticStatus.WARN, REMEDY
     undeclared = observer.motors[motor].delay.estimate.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
@@ -112,6 +115,11 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
     values['delay applied [s]'] = f'{delay.applied_s:.6g}'
     values['delay verdict'] = delay.verdict.value
     values.update({name: str(count) for name, count in seen.context_nodes.counters().items()})
+    if seen.alarm is not None:
+        armed = 'raised' if observer.alarm(motor) else 'armed' if seen.alarm.armed[0] else 'learning the residual'
+        values['residual alarm'] = armed
+        values['residual std [N m]'] = _text(float(seen.alarm.spread[0]))
+        values['alarms raised'] = str(seen.alarm.count[0])
     skill = observer.skill(motor)
     if skill is not None and seen.predictor is not None:
         values.update({name: _text(value) for name, value in skill.to_dict().items()})

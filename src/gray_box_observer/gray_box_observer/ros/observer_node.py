@@ -146,9 +146,17 @@ class ObserverNode(LifecycleNode):
         self._outputs.results(taken.results)
         if name == 'voltage':
             for motor, _ in taken.values:
-                forecast = self._observer.forecast(motor, taken.stamp_ns)
-                if forecast is not None:
-                    self._outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
+                self._foretell(self._observer, self._outputs, motor, taken.stamp_ns)
+
+    def _foretell(self, observer: Observer, outputs: Outputs, motor: str, stamp_ns: int) -> None:
+        """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
+        forecast = observer.forecast(motor, stamp_ns)
+        if forecast is not None:
+            outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
+        horizon_s = self._configuration['horizon_s']
+        held = observer.forecast_held(motor, horizon_s) if horizon_s > 0.0 else None
+        if held is not None:
+            outputs.forecast(held.motor, held.stamp_ns, held.torque_nm)
 
     def _diagnose(self) -> None:
         if self._observer is None or self._intake is None:
@@ -247,6 +255,7 @@ class ObserverNode(LifecycleNode):
             return
         estimates = self._observer.estimates()
         for motor in self._configuration.motors:
+            self._outputs.alarm(motor, self._observer.alarm(motor))
             if motor in estimates:
                 self._outputs.estimate(motor, estimates[motor])
             else:

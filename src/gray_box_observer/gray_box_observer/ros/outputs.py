@@ -24,7 +24,10 @@ class Outputs:
 
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
+        horizon = configuration['horizon_s'] > 0.0
+        self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in configuration.motors}
+        self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in configuration.motors}
         self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in configuration.motors}
         self._parameters = {
             (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
@@ -32,6 +35,8 @@ class Outputs:
             for p in motor.values['context_nodes']
         }
         self._announced: dict[str, int] = {}
+        self._foretold: dict[str, int] = {}
+        self._alarmed: dict[str, bool] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, **names: str) -> Publish:
@@ -40,21 +45,27 @@ class Outputs:
         return publish
 
     def results(self, results: Iterable[Result]) -> None:
-        """Publish predictions that have not gone out as forecasts, and every changed estimate."""
+        """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
         for result in results:
             if result.prediction is not None:
                 self.prediction(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
             if result.estimate is not None:
                 self.estimate(result.motor, result.estimate)
+            if result.alarm != self._alarmed.get(result.motor):
+                self.alarm(result.motor, result.alarm)
 
     def prediction(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
         """Publish the torque predicted for a stamp, once."""
         if self._announced.get(motor) == stamp_ns or not math.isfinite(torque_nm):
             return
         self._announced[motor] = stamp_ns
-        message = JointState(name=[motor], effort=[torque_nm])
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        self._predicted(message)
+        self._predicted(torque_message(motor, stamp_ns, torque_nm))
+
+    def forecast(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
+        """Publish the torque at the horizon if the newest voltage is held until then, once a voltage."""
+        if self._forecast is not None and self._foretold.get(motor) != stamp_ns:
+            self._foretold[motor] = stamp_ns
+            self._forecast(torque_message(motor, stamp_ns, torque_nm))
 
     def estimate(self, motor: str, estimate: Estimate) -> None:
         """Publish values, covariance and whether all is identified."""
@@ -63,9 +74,21 @@ class Outputs:
         self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
         self._identified[motor](Bool(data=estimate.identified(0)))
 
+    def alarm(self, motor: str, raised: bool) -> None:
+        """Publish whether the alarm on the prediction's residual stands."""
+        self._alarmed[motor] = raised
+        self._alarm[motor](Bool(data=raised))
+
     def not_identified(self, motor: str) -> None:
         """Publish that nothing is known of a motor (yet, or any more)."""
         self._identified[motor](Bool(data=False))
+
+
+def torque_message(motor: str, stamp_ns: int, torque_nm: float) -> JointState:
+    """Build the message of one torque in N m at its stamp."""
+    message = JointState(name=[motor], effort=[torque_nm])
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
 
 
 def covariance_message(parameters: tuple[Parameter, ...], values: list[float]) -> Float64MultiArray:

@@ -214,6 +214,18 @@ class Pairing:
         known = [self._newest_voltage_ns] + ([self._newest_speed_ns] if self._own_speed else [])
         return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
 
+    @property
+    def newest_voltage(self) -> tuple[int, float] | None:
+        """Instant in ns from which the newest voltage acts, and the voltage in V; None before the first."""
+        if self._newest_voltage_ns is None:
+            return None
+        return self._newest_voltage_ns, self._voltages[-1][1] if self._voltages else self._held_v
+
+    @property
+    def newest_sample_ns(self) -> int | None:
+        """Stamp of the last sample of the signal history; None before the first."""
+        return self._previous_ns
+
     def ahead(self, stamp_ns: int) -> tuple[float, float] | None:
         """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
 
