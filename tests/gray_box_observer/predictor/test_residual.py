@@ -51,14 +51,14 @@ def friction(torque_nm: np.ndarray) -> np.ndarray:
 
 def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., Measured]) -> None:
     for noise in (0.0, 0.01):
-        assert ResidualTrainer(0).learn(physics, measured(noise=noise)) == {}
+        assert ResidualTrainer(0).learn(physics, [measured(noise=noise)]) == {}
 
 
 def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     physics: Weights, measured: Callable[..., Measured]
 ) -> None:
     trainer, data = ResidualTrainer(0), measured(friction)
-    learnt = [Correction.of(trainer.learn(physics, data)) for _ in range(2)][-1]
+    learnt = [Correction.of(trainer.learn(physics, [data])) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.8
     assert 0.0 < learnt.limit_a < 0.5 * np.abs(data[1]).max()
@@ -72,7 +72,7 @@ def test_what_held_out_samples_do_not_bear_out_is_not_used(physics: Weights, mea
         walk = np.cumsum(random.standard_normal(torque_nm.shape), axis=1)
         return 0.05 * torque_nm.std() * (walk - walk.mean()) / walk.std()
 
-    learnt = Correction.of(ResidualTrainer(0).learn(physics, measured(wandering), steps=40))
+    learnt = Correction.of(ResidualTrainer(0).learn(physics, [measured(wandering)], steps=40))
     assert learnt is None or learnt.share == 0.0
 
 
