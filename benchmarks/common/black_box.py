@@ -47,9 +47,7 @@ class BlackBox:
         self._mean, self._size = taught.mean(axis=0), taught.std(axis=0) + 1e-12
         self._torque_mean, self._torque_size = float(torque.mean()), float(torque.std()) + 1e-12
         self._x = [self._tensor(x) for x in inputs]
-        self._y = [
-            torch.as_tensor((y - self._torque_mean) / self._torque_size, dtype=torch.float32) for y in torque_nm
-        ]
+        self._y = [torch.as_tensor((y - self._torque_mean) / self._torque_size, dtype=torch.float32) for y in torque_nm]
         self._judging = [torch.as_tensor(np.asarray(j, dtype=bool)) for j in judging]
         found = [self._taught(hidden, steps, rate, seed) for rate in LEARNING_RATES]
         self.error, weights, self.learning_rate = min(found, key=lambda one: one[0])

@@ -108,7 +108,9 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
         plain, rollout = free_run(observer, test, theta, alone)
         said = {'white box': rollout, 'no residual': plain, 'residual': free_run(observer, test, theta, network)[0]}
         said |= {name: one.predict(_inputs(series(test))) for name, one in black.items()}
-        outcomes.append(Outcome(_scores(test, said, task.scored_from_s), None if learnt is None else learnt.share, found))
+        outcomes.append(
+            Outcome(_scores(test, said, task.scored_from_s), None if learnt is None else learnt.share, found)
+        )
     return outcomes
 
 
@@ -183,9 +185,7 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
     seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])
     job = {**signals, 'theta': estimate.value, 'covariance': estimate.covariance, 'seen': seen.to_dict()}
-    trainer = PhysicsTrainer(
-        {'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed}
-    )
+    trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
     network: dict[str, Any] = {}
     for _ in range(rounds):
         told = trainer.train({**job, 'residual': True})

@@ -51,6 +51,9 @@ GAIN = 0.02
 SIGNIFICANT = 2.5
 """Least gain, in its standard errors over the judging blocks."""
 
+SPEAKING = 2.0
+"""Fewest judging blocks that must have something to say, counted as many of equal error would say it."""
+
 STEPS = 150
 """Training steps of a round."""
 
@@ -150,10 +153,27 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
     before, after = np.abs(residual), np.abs(residual - share * said)
     parts = max(2, BLOCKS // EVERY)
-    gains = np.array([part.mean() for part in np.array_split(before - after, parts, axis=1)])
-    error = gains.std(ddof=1) / np.sqrt(parts)
-    real = gains.mean() > max(SIGNIFICANT * error, GAIN * before.mean())
+    had, gains = (np.array([p.mean() for p in np.array_split(a, parts, axis=1)]) for a in (before, before - after))
+    real = borne_out(had, gains)
     return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
+
+
+def borne_out(had: Array, gains: Array) -> bool:
+    """Whether blocks tell of a gain that is worth it and more than chance.
+
+    The gain is a ratio, all that was gained to all that there was, with the standard error of one (Cochran 1977, 2.11):
+    that a motor at rest leaves nothing to gain does not make what is gained while it runs a matter of chance.
+
+    Args:
+        had: shape (block,): mean absolute errors without the correction.
+        gains: shape (block,): by how much less they are with it.
+    """
+    total, n = float(had.sum()), had.size
+    if total <= 0.0 or total**2 < SPEAKING * float(np.sum(had**2)):
+        return False
+    ratio = float(gains.sum()) / total
+    error = float(np.sqrt(n / (n - 1.0) * np.sum((gains - ratio * had) ** 2))) / total
+    return ratio > max(SIGNIFICANT * error, GAIN)
 
 
 def worth_learning(residual: Array, predicted: Array) -> bool:
