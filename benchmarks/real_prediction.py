@@ -134,9 +134,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233')
     parser.add_argument('--quick', action='store_true', help='one seed, one robot, little training')
-    parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 3, with --quick 1)')
+    parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 2, with --quick 1)')
     options = parser.parse_args()
-    data, seeds = options.data or DEFAULT_DATA, options.seeds or (1 if options.quick else 3)
+    data, seeds = options.data or DEFAULT_DATA, options.seeds or (1 if options.quick else 2)
     todo = [(group, task, seed) for group, task in tasks(data, options.quick) for seed in range(1, seeds + 1)]
     if not todo:
         what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
