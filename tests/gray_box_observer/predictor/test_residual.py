@@ -13,7 +13,8 @@ from gray_box_observer.predictor import TrainingRules
 from gray_box_observer.predictor.drawing import Sequences
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
-from gray_box_observer.predictor.residual_trainer import ResidualTrainer, worth_learning
+from gray_box_observer.predictor.residual_pupil import LENGTH, WARM, windows
+from gray_box_observer.predictor.residual_trainer import ResidualTrainer, borne_out, worth_learning
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -51,14 +52,14 @@ def friction(torque_nm: np.ndarray) -> np.ndarray:
 
 def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., Measured]) -> None:
     for noise in (0.0, 0.01):
-        assert ResidualTrainer(0).learn(physics, measured(noise=noise)) == {}
+        assert ResidualTrainer(0).learn(physics, [measured(noise=noise)]) == {}
 
 
 def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     physics: Weights, measured: Callable[..., Measured]
 ) -> None:
     trainer, data = ResidualTrainer(0), measured(friction)
-    learnt = [Correction.of(trainer.learn(physics, data)) for _ in range(2)][-1]
+    learnt = [Correction.of(trainer.learn(physics, [data])) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.8
     assert 0.0 < learnt.limit_a < 0.5 * np.abs(data[1]).max()
@@ -72,7 +73,7 @@ def test_what_held_out_samples_do_not_bear_out_is_not_used(physics: Weights, mea
         walk = np.cumsum(random.standard_normal(torque_nm.shape), axis=1)
         return 0.05 * torque_nm.std() * (walk - walk.mean()) / walk.std()
 
-    learnt = Correction.of(ResidualTrainer(0).learn(physics, measured(wandering), steps=40))
+    learnt = Correction.of(ResidualTrainer(0).learn(physics, [measured(wandering)], steps=40))
     assert learnt is None or learnt.share == 0.0
 
 
@@ -82,6 +83,54 @@ def test_white_noise_has_no_structure_and_a_ripple_has() -> None:
     assert not worth_learning(white, predicted)
     assert worth_learning(white + np.sin(0.05 * np.arange(4000)), predicted)
     assert not worth_learning(1e-4 * np.sin(0.05 * np.arange(4000))[None], predicted[:1])
+
+
+def test_rest_between_runs_does_not_speak_against_a_gain_and_one_block_alone_not_for_it() -> None:
+    had = np.array([0.0, 0.0, 0.0, 1.0, 1.2, 0.9])
+    assert borne_out(had, 0.8 * had)
+    assert not borne_out(had, 0.01 * had)
+    assert not borne_out(had, np.array([0.0, 0.0, 0.0, 0.9, -0.8, 0.4]))
+    assert not borne_out(np.array([0.0, 0.0, 0.0, 0.0, 0.01, 1.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.008, 0.8]))
+    assert not borne_out(np.zeros(6), np.zeros(6))
+
+
+def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:
+    anew = np.zeros(2000, dtype=bool)
+    anew[[0, 100, 1300]] = True
+    history = np.cumsum(anew)
+    drawn = [windows(np.random.default_rng(seed), anew) for seed in range(200)]
+    for at, heard in drawn:
+        assert at.shape == heard.shape == (8, LENGTH)
+        for row, counts in zip(at, heard, strict=True):
+            assert np.unique(history[row[counts]]).size == 1
+            assert counts[:WARM].all() if anew[row[0]] else not counts[:WARM].any()
+    taught = np.unique(np.concatenate([at[heard] for at, heard in drawn]))
+    np.testing.assert_array_equal(taught, np.arange(2000))
+
+
+def test_short_histories_teach_together_what_none_of_them_could_alone(
+    physics: Weights, measured: Callable[..., Measured]
+) -> None:
+    sequences, current_a = measured(friction)
+    cut = [slice(k, k + 300) for k in range(1, 3900, 300)]
+    short = [
+        (
+            replace(
+                sequences,
+                voltage_v=sequences.voltage_v[:, s],
+                interval_s=sequences.interval_s[:, s],
+                speed_rad_s=sequences.speed_rad_s[:, s],
+                start_a=current_a[:, s.start - 1],
+            ),
+            current_a[:, s],
+        )
+        for s in cut
+    ]
+    assert ResidualTrainer(0).learn(physics, short[-1:]) == {}
+    trainer = ResidualTrainer(0)
+    learnt = [Correction.of(trainer.learn(physics, short)) for _ in range(2)][-1]
+    assert learnt is not None
+    assert learnt.share > 0.5
 
 
 def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:

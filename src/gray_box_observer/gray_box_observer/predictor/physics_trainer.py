@@ -67,7 +67,7 @@ class PhysicsTrainer:
         """
         told = self._teach(job)
         if job.get('residual'):
-            told |= self._residual.learn(self._running, recent_sequences(self._white_box, job))
+            told |= self._residual.learn(self._running, histories(self._white_box, job))
         return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
@@ -169,21 +169,33 @@ class _HeldOut:
         return free_run_error(weights, self._sequences, self._exact_a)
 
 
-def recent_sequences(white_box: MotorWhiteBox, job: Message) -> tuple[Sequences, Array] | None:
-    """Cut the newest samples of a job where a history began; return the newest stretch and its measured currents.
+def histories(white_box: MotorWhiteBox, job: Message) -> list[tuple[Sequences, Array]]:
+    """Cut the samples of a job where any motor's history began; return every stretch and its measured currents.
 
-    Shapes (motor, n): every motor's stretch has the length of the shortest. None where there is hardly any.
+    Shapes (motor, n), n of each stretch its own. What is too short to tell anything is left out.
     """
     intervals = job['interval_s']
-    anew = [np.flatnonzero(~(row > 0.0)) for row in intervals]
-    first = max(int(where[-1]) if where.size else 0 for where in anew)
-    if intervals.shape[1] - first < LENGTH:
-        return None
-    current = white_box.state(job['torque_nm'])
-    speed = job['speed_rad_s'][:, first:-1]  # what was known when the interval began
-    voltage_v, interval_s = (job[name][:, first + 1 :] for name in ('voltage_v', 'interval_s'))
-    sequences = Sequences(white_box, job['theta'], voltage_v, interval_s, speed, current[:, first])
-    return sequences, current[:, first + 1 :]
+    begins = np.flatnonzero(np.any(~(intervals > 0.0), axis=0))
+    edges = np.unique([0, *begins.tolist(), intervals.shape[1]])
+    pairs = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    return [_stretch(white_box, job, first, end) for first, end in pairs if end - first >= LENGTH]
+
+
+def recent_sequences(white_box: MotorWhiteBox, job: Message) -> tuple[Sequences, Array] | None:
+    """Return the newest stretch of :func:`histories`; None where there is hardly any since the last began."""
+    intervals = job['interval_s']
+    begins = np.flatnonzero(np.any(~(intervals > 0.0), axis=0))
+    first, end = int(begins[-1]) if begins.size else 0, intervals.shape[1]
+    return _stretch(white_box, job, first, end) if end - first >= LENGTH else None
+
+
+def _stretch(white_box: MotorWhiteBox, job: Message, first: int, end: int) -> tuple[Sequences, Array]:
+    """Samples from one to before another: the first is where they start."""
+    current = white_box.state(job['torque_nm'][:, first:end])
+    speed = job['speed_rad_s'][:, first : end - 1]  # what was known when the interval began
+    voltage_v, interval_s = (job[name][:, first + 1 : end] for name in ('voltage_v', 'interval_s'))
+    sequences = Sequences(white_box, job['theta'], voltage_v, interval_s, speed, current[:, 0])
+    return sequences, current[:, 1:]
 
 
 def _constant(value: Any) -> Any:

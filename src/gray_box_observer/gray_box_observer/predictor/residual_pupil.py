@@ -63,30 +63,53 @@ class ResidualPupil:
         inputs: Array,
         residual: Array,
         teaching: NDArray[np.bool_],
+        anew: NDArray[np.bool_],
         steps: int,
     ) -> None:
-        """Take Adam steps on windows drawn from a stretch.
+        """Take Adam steps on windows drawn from signal histories.
 
         Args:
             random: draws the windows.
-            inputs: shape (motor, time, input).
+            inputs: shape (motor, time, input): histories one after another.
             residual: shape (motor, time), in units of the largest correction.
             teaching: shape (time,): samples whose error counts.
+            anew: shape (time,): where a history begins, the first among them.
             steps: number of steps.
         """
-        length = min(LENGTH, inputs.shape[1])
         x, y = (torch.as_tensor(array, dtype=torch.float32) for array in (inputs, residual))
         counts = torch.as_tensor(teaching, dtype=torch.float32)
         size = float(np.mean(np.abs(residual))) + 1e-12
         for _ in range(steps):
-            motor = random.integers(inputs.shape[0], size=WINDOWS)
-            start = random.integers(inputs.shape[1] - length + 1, size=WINDOWS)
-            index = torch.as_tensor(start[:, None] + np.arange(length))
-            rows = torch.as_tensor(motor[:, None])
-            error = (torch.tanh(self._network(x[rows, index])) - y[rows, index])[:, WARM:] / size
-            weight = counts[index][:, WARM:]
+            motor = torch.as_tensor(random.integers(inputs.shape[0], size=WINDOWS)[:, None])
+            at, heard = (torch.as_tensor(array) for array in windows(random, anew))
+            error = (torch.tanh(self._network(x[motor, at])) - y[motor, at]) / size
+            weight = counts[at] * heard
             loss = (torch.nn.functional.smooth_l1_loss(error, torch.zeros_like(error), reduction='none') * weight).sum()
             self._optimiser.zero_grad()
             (loss / weight.sum().clamp_min(1.0)).backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
             self._optimiser.step()
+
+
+def windows(random: np.random.Generator, anew: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Draw windows, none of them across the beginning of a history.
+
+    Args:
+        random: draws.
+        anew: shape (time,): where a history begins, the first among them.
+
+    Returns:
+        Samples, and whether their error counts, each of shape (WINDOWS, time). It does not behind the end of a history
+        that is shorter than a window, nor while the memory fills; at the beginning of a history it does, for there the
+        network that streams starts with a blank memory too.
+    """
+    first = np.flatnonzero(anew)
+    end = np.append(first[1:], anew.size)
+    drawn = random.integers(anew.size, size=WINDOWS)
+    own = np.searchsorted(first, drawn, side='right') - 1
+    length = min(LENGTH, int(np.max(end - first)))
+    start = np.maximum(first[own], np.minimum(drawn - random.integers(length, size=WINDOWS), end[own] - length))
+    offset = np.arange(length)
+    at = start[:, None] + offset
+    heard = (at < end[own, None]) & ((offset >= WARM) | (start == first[own])[:, None])
+    return np.minimum(at, anew.size - 1), heard

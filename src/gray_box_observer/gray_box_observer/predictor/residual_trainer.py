@@ -6,6 +6,7 @@ makes these blocks better, and not at all unless it makes them better by more th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,11 +24,15 @@ if TYPE_CHECKING:  # torch is imported when there is something to learn, not bef
     from gray_box_observer.predictor.residual_pupil import ResidualPupil
 
 HIDDEN = 8
-LIMIT = 0.5
-"""Largest correction, as a fraction of the size of the current."""
+LIMIT = 1.0
+"""Largest correction, as a fraction of the size of the measured current: of the predicted one it could not be, for what
+the physics lacks most (a rotor that runs up, where no speed is measured) is what it predicts least of."""
 
 OWN_LIMIT = 5.0
 """And as a multiple of the residual's own spread: the network's answers are of order one."""
+
+OUTGROWN = 1.5
+"""Growth of any size after which the network is taught anew in units of the new ones."""
 
 FEWEST = 400
 """Samples below which nothing is learnt."""
@@ -47,15 +52,24 @@ GAIN = 0.02
 SIGNIFICANT = 2.5
 """Least gain, in its standard errors over the judging blocks."""
 
+SPEAKING = 2.0
+"""Fewest judging blocks that must have something to say, counted as many of equal error would say it."""
+
 STEPS = 150
 """Training steps of a round."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A stretch of samples with what the physics says of it; arrays of shape (motor, time)."""
+    """Signal histories one after another, with what the physics says of them; arrays of shape (motor, time).
 
-    sequences: Sequences
+    ``anew`` has shape (time,): where a history begins.
+    """
+
+    anew: NDArray[np.bool_]
+    voltage_v: Array
+    speed_rad_s: Array
+    current_a: Array
     predicted_a: Array
     steady_a: Array
     residual_a: Array
@@ -75,12 +89,14 @@ class ResidualTrainer:
         self._sizes: tuple[Array, float] | None = None
         self._best: list[Correction] = []
 
-    def learn(self, weights: Weights, measured: tuple[Sequences, Array] | None, steps: int = STEPS) -> dict[str, Any]:
+    def learn(
+        self, weights: Weights, measured: Sequence[tuple[Sequences, Array]], steps: int = STEPS
+    ) -> dict[str, Any]:
         """Run one round.
 
         Args:
             weights: of the network that knows the physics.
-            measured: a stretch of samples, and its measured currents of shape (motor, time).
+            measured: signal histories, each with its measured currents of shape (motor, time).
             steps: training steps.
 
         Returns:
@@ -89,9 +105,9 @@ class ResidualTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
-        if measured is None or measured[1].shape[1] < FEWEST:
+        if sum(current_a.shape[1] for _, current_a in measured) < FEWEST:
             return {}
-        run = _against_physics(weights, *measured)
+        run = _against_physics(weights, measured)
         if self._pupil is None and not worth_learning(run.residual_a, run.predicted_a):
             return {}
         judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
@@ -124,21 +140,32 @@ class ResidualTrainer:
         """Teach on all blocks but the judging ones."""
         from gray_box_observer.predictor.residual_pupil import ResidualPupil
 
-        voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
-        if self._pupil is None or self._sizes is None:
-            sizes = [np.quantile(np.abs(signal), 0.95) for signal in (voltage, run.predicted_a, speed)]
-            limit_a = min(LIMIT * float(sizes[1]), OWN_LIMIT * float(run.residual_a.std()))
-            self._sizes = np.array([max(float(size), 1e-9) for size in sizes]), max(limit_a, 1e-9)
-            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
+        voltage, speed = run.voltage_v, run.speed_rad_s
+        now = _sizes(run)
+        if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
+            self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed)
         size, limit_a = self._sizes
         blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
         inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
         teaching = ~_judging(run.residual_a.shape[1])
-        self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, steps)
+        self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, run.anew, steps)
         support = np.zeros((BINS, BINS))
         at = cells(run.predicted_a / size[1])[:, teaching], cells(voltage / size[0])[:, teaching]
         np.add.at(support, at, 1.0)
         return replace(blank, weights=self._pupil.weights, support=support)
+
+
+def _sizes(run: _Run) -> tuple[Array, float]:
+    """Sizes of voltage, current and speed, and the largest correction in A."""
+    signals = run.voltage_v, run.predicted_a, run.speed_rad_s, run.current_a
+    volt, ampere, speed, measured = (max(float(np.quantile(np.abs(signal), 0.95)), 1e-9) for signal in signals)
+    limit_a = min(LIMIT * measured, OWN_LIMIT * float(run.residual_a.std()))
+    return np.array([volt, ampere, speed]), max(limit_a, 1e-9)
+
+
+def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
+    """Whether what was recorded since is of another size, as after a first step at the end of a long rest."""
+    return bool(np.any(new[0] > OUTGROWN * old[0]) or new[1] > OUTGROWN * old[1])
 
 
 def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
@@ -149,10 +176,27 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
     before, after = np.abs(residual), np.abs(residual - share * said)
     parts = max(2, BLOCKS // EVERY)
-    gains = np.array([part.mean() for part in np.array_split(before - after, parts, axis=1)])
-    error = gains.std(ddof=1) / np.sqrt(parts)
-    real = gains.mean() > max(SIGNIFICANT * error, GAIN * before.mean())
+    had, gains = (np.array([p.mean() for p in np.array_split(a, parts, axis=1)]) for a in (before, before - after))
+    real = borne_out(had, gains)
     return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
+
+
+def borne_out(had: Array, gains: Array) -> bool:
+    """Whether blocks tell of a gain that is worth it and more than chance.
+
+    The gain is a ratio, all that was gained to all that there was, with the standard error of one (Cochran 1977, 2.11):
+    that a motor at rest leaves nothing to gain does not make what is gained while it runs a matter of chance.
+
+    Args:
+        had: shape (block,): mean absolute errors without the correction.
+        gains: shape (block,): by how much less they are with it.
+    """
+    total, n = float(had.sum()), had.size
+    if total <= 0.0 or total**2 < SPEAKING * float(np.sum(had**2)):
+        return False
+    ratio = float(gains.sum()) / total
+    error = float(np.sqrt(n / (n - 1.0) * np.sum((gains - ratio * had) ** 2))) / total
+    return ratio > max(SIGNIFICANT * error, GAIN)
 
 
 def worth_learning(residual: Array, predicted: Array) -> bool:
@@ -179,17 +223,22 @@ def _judging(samples: int) -> NDArray[np.bool_]:
     return judging
 
 
-def _against_physics(weights: Weights, sequences: Sequences, current_a: Array) -> _Run:
-    predicted, _ = free_run(weights, sequences)
-    return _Run(sequences, predicted, steady_currents(sequences), current_a - predicted)
+def _against_physics(weights: Weights, measured: Sequence[tuple[Sequences, Array]]) -> _Run:
+    parts = []
+    for sequences, current_a in measured:
+        predicted, _ = free_run(weights, sequences)
+        anew = np.arange(current_a.shape[1]) == 0
+        speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
+        parts.append((anew, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted))
+    return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
 
 def _said(correction: Correction, run: _Run) -> Array:
-    """What a correction says along a stretch, by the code that streams, shape (motor, time)."""
-    voltage, speed = run.sequences.voltage_v, np.nan_to_num(run.sequences.speed_rad_s)
-    inputs = correction.inputs(voltage, run.predicted_a, run.steady_a, speed)
-    memory, said = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(voltage)
+    """What a correction says along the histories, by the code that streams, shape (motor, time)."""
+    inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
+    memory, said = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(run.voltage_v)
     for k in range(inputs.shape[1]):
+        memory = memory.cleared(np.full(inputs.shape[0], run.anew[k]))
         readout, memory = step(correction.weights, memory, inputs[:, k])
-        said[:, k] = correction.current(readout, run.predicted_a[:, k], voltage[:, k])
+        said[:, k] = correction.current(readout, run.predicted_a[:, k], run.voltage_v[:, k])
     return said

@@ -1,0 +1,225 @@
+"""Free runs on measurements of real motors: who predicts what nobody has seen.
+
+Every log goes the way of a user's log, CSV to bag, bag through the observer; what scores is never in what identifies,
+teaches, normalises or chooses.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from common.black_box import BlackBox, judging_blocks
+from common.motion import FloatArray
+from common.prediction import NoTraining
+from gray_box_observer import offline
+from gray_box_observer.bag.csv_log import csv_to_bag
+from gray_box_observer.bag.csv_mapping import FIRST_STAMP_NS, CsvMapping
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.observer import Observer
+from gray_box_observer.predictor import Predictor, TrainingRules
+from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
+from gray_box_observer.predictor.residual import Correction
+from gray_box_observer.predictor.residual_trainer import BLOCKS, EVERY, HIDDEN, STEPS
+from gray_box_observer.samples import Sample
+
+APART_NS = 20_000_000_000
+"""Between the first stamps of logs that are read one after another: far more than a gap."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A part of a log file.
+
+    Attributes:
+        path: of the file.
+        columns: how it is read, see :class:`CsvMapping`.
+        rows: how many of its rows, from the first; None: all.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    rows: int | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is learnt from and what is predicted.
+
+    Attributes:
+        name: for the table.
+        known: logs, or first parts of logs, to learn from.
+        asked: logs that are predicted, from their first rows on.
+        scored_from_s: time since its first row from which the prediction is scored.
+        parameters: of the observer; its motor is called ``motor``.
+    """
+
+    name: str
+    known: tuple[Log, ...]
+    asked: tuple[Log, ...]
+    scored_from_s: float
+    parameters: dict[str, object]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Errors in % of the standard deviation of the torque that is scored.
+
+    Attributes:
+        errors: mean absolute error by predictor.
+        share: how much of the residual is used; None where nothing was learnt.
+        theta: parameters identified, by name.
+    """
+
+    errors: dict[str, float]
+    share: float | None
+    theta: dict[str, float]
+
+
+def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Outcome]:
+    """Identify, teach and predict; return what came of every log that is asked for.
+
+    Args:
+        task: what.
+        seed: of everything random in training.
+        rounds: of the residual's training.
+        patience: steps of the black box at each of its learning rates, as a multiple of those of the residual.
+    """
+    observer, histories = identified(task)
+    motor = observer.motors['motor']
+    delay_s = motor.delay.estimate.applied_s
+    theta = motor.context_nodes.estimate().value
+    names = [parameter.name for parameter in motor.white_box.parameters]
+    found = dict(zip(names, theta[0].tolist(), strict=True)) | {'delay': delay_s}
+    network = trained(observer, histories, seed, rounds)
+    alone = {name: array for name, array in network.items() if not name.startswith('residual_')}
+    learnt = Correction.of(network)
+    steps, sizes = round(patience * rounds * STEPS), (HIDDEN, TrainingRules().hidden + HIDDEN)
+    black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in sizes}
+    outcomes = []
+    for log in task.asked:
+        test = max(histories_of([log], {**task.parameters, 'motor.delay': delay_s}), key=len)
+        plain, rollout = free_run(observer, test, theta, alone)
+        said = {'white box': rollout, 'no residual': plain, 'residual': free_run(observer, test, theta, network)[0]}
+        said |= {name: one.predict(_inputs(series(test))) for name, one in black.items()}
+        outcomes.append(
+            Outcome(_scores(test, said, task.scored_from_s), None if learnt is None else learnt.share, found)
+        )
+    return outcomes
+
+
+def _scores(test: Sequence[Sample], said: dict[str, FloatArray], from_s: float) -> dict[str, float]:
+    """Mean absolute errors in % of the torque's standard deviation, over the samples that score."""
+    true = series(test)['torque_nm']
+    stamp_s = np.array([sample.stamp_ns - FIRST_STAMP_NS for sample in test]) / 1e9
+    counts = (stamp_s >= from_s) & (np.arange(true.size) > 0)
+    if not counts.any():
+        return {name: float('nan') for name in (*said, 'persistence')}
+    all_said = {**said, 'persistence': np.concatenate([[np.nan], true[:-1]])}
+    size = float(true[counts].std())
+    return {name: 100.0 * float(np.abs(one - true)[counts].mean()) / size for name, one in all_said.items()}
+
+
+def identified(task: Task) -> tuple[Observer, list[list[Sample]]]:
+    """Run the observer over what is known; return it and the signal histories with the delay that it has found."""
+    observer, _ = _run(task.known, task.parameters)
+    delay_s = observer.delays()['motor'].applied_s
+    return observer, histories_of(task.known, {**task.parameters, 'motor.delay': delay_s})
+
+
+def histories_of(logs: Sequence[Log], parameters: dict[str, object]) -> list[list[Sample]]:
+    """Pair the samples of logs, learning nothing; one list a signal history."""
+    histories: list[list[Sample]] = []
+    for sample in _run(logs, {**parameters, 'freeze': True})[1]:
+        if sample.interval_s[0] <= 0.0 or not histories:
+            histories.append([])
+        histories[-1].append(sample)
+    return histories
+
+
+def _run(logs: Sequence[Log], parameters: dict[str, object]) -> tuple[Observer, list[Sample]]:
+    samples: list[Sample] = []
+    with tempfile.TemporaryDirectory() as folder:
+        bags = []
+        for k, log in enumerate(logs):
+            cut = Path(folder) / f'log{k}{log.path.suffix}'
+            cut.write_text(_first_rows(log))
+            mapping = replace(CsvMapping.from_options(log.columns), first_stamp_ns=FIRST_STAMP_NS + k * APART_NS)
+            bags.append(Path(folder) / f'bag{k}')
+            csv_to_bag(cut, bags[-1], mapping)
+        outcome = offline.run(
+            bags, Configuration.from_flat(parameters), None, lambda result: samples.append(result.sample)
+        )
+    return outcome.observer, samples
+
+
+def _first_rows(log: Log) -> str:
+    """The head of the file and as many rows of numbers as are wanted."""
+    lines = log.path.read_text().splitlines(keepends=True)
+    head = next((k for k, line in enumerate(lines) if line[:1] in '-.0123456789'), len(lines))
+    return ''.join(lines if log.rows is None else lines[: head + log.rows])
+
+
+def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
+    """Signals of a history, each of shape (time,); a speed that did not come is that of the sample before."""
+    names = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
+    made = {name: np.array([getattr(sample, name)[0] for sample in history]) for name in names}
+    known = np.isfinite(made['speed_rad_s'])
+    newest = np.maximum.accumulate(np.where(known, np.arange(known.size), 0))
+    made['speed_rad_s'] = made['speed_rad_s'][newest]
+    made['interval_s'][0] = 0.0
+    return made
+
+
+def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int, rounds: int) -> dict[str, Any]:
+    """Run rounds of the package's trainer over all histories; return the arrays of networks and correction."""
+    motor = observer.motors['motor']
+    estimate = motor.context_nodes.estimate()
+    parts = [series(history) for history in histories]
+    signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
+    seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])
+    job = {**signals, 'theta': estimate.value, 'covariance': estimate.covariance, 'seen': seen.to_dict()}
+    trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
+    network: dict[str, Any] = {}
+    for _ in range(rounds):
+        told = trainer.train({**job, 'residual': True})
+        network |= {name: told[name] for name in told if isinstance(told[name], np.ndarray)}
+    return network
+
+
+def free_run(
+    observer: Observer, test: Sequence[Sample], theta: FloatArray, network: dict[str, Any]
+) -> tuple[FloatArray, FloatArray]:
+    """Predict a history from its voltages (and speeds); return the predictor's torque and the white box's, (time,)."""
+    box = observer.motors['motor'].white_box
+    made = Predictor(box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured)
+    made.restore(network)
+    said = []
+    for sample in test:
+        prediction = made.predict(sample.interval_s, sample.voltage_v, theta)
+        made.learn(sample, prediction, theta)
+        said.append((prediction.torque_nm[0], prediction.white_box_torque_nm[0]))
+    both = np.array(said)
+    return both[:, 0], both[:, 1]
+
+
+def black_box(histories: Sequence[Sequence[Sample]], hidden: int, steps: int, seed: int) -> BlackBox:
+    """Teach a plain LSTM on the same histories with the same blocks held out."""
+    parts = [series(history) for history in histories]
+    judging = judging_blocks([part['torque_nm'].size for part in parts], BLOCKS, EVERY)
+    inputs, torque_nm = [_inputs(part) for part in parts], [part['torque_nm'] for part in parts]
+    return BlackBox(inputs, torque_nm, judging, hidden=hidden, steps=steps, seed=seed)
+
+
+def _inputs(part: dict[str, FloatArray]) -> FloatArray:
+    """Voltage of the interval and, where it is measured, the speed at its beginning: what the gray box is shown."""
+    columns = [part['voltage_v']]
+    if np.all(np.isfinite(part['speed_rad_s'])):
+        columns.append(np.concatenate([part['speed_rad_s'][:1], part['speed_rad_s'][:-1]]))
+    return np.stack(columns, axis=1)
