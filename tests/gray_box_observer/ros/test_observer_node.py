@@ -341,7 +341,7 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
 
 def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(rig, record):
     recording = record(EXCITATION, 10.0, torque_noise_relative=0.01, schedule=('motor.resistance=1000@8.0',))
-    rig.start(**{**SMALL_NETWORK, 'training__hidden': 12}, alarm__learn=300)
+    rig.start(**{**SMALL_NETWORK, 'variant': 'physics', 'training__hidden': 12}, alarm__learn=300)
     assert rig.latched(Bool, 'motor/alarm').data is False, 'it is told at activation'
     said = rig.peer.listen(Bool, f'{NODE}/motor/alarm', LATCHED_QOS)
     rig.send(recording, range(800))
@@ -359,7 +359,7 @@ def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(r
 def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(rig, record):
     recording = record(EXCITATION, 2.0)
     forecasts = rig.peer.listen(JointState, f'{NODE}/forecast_torque', SIGNAL_QOS)
-    rig.start(**{**SMALL_NETWORK, 'training__hidden': 12, 'training__period': 100000}, horizon_s=0.25)
+    rig.start(**{'predictor': 'true', 'training__period': 100000}, horizon_s=0.25)
     voltage, torque = rig.signals()
     core, expected = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining), {}
     heard: dict[int, float] = {}
