@@ -7,15 +7,10 @@ from typing import Any
 import pytest
 import yaml
 
-from gray_box_observer.configuration import (
-    KNOWN_PARAMETERS,
-    MOTOR_PARAMETERS,
-    OBSERVER_PARAMETERS,
-    Configuration,
-    flatten,
-)
+from gray_box_observer.configuration import Configuration, flatten
 from gray_box_observer.context_nodes import GradientRules, VerdictRules
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.parameters import KNOWN_PARAMETERS, MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 from gray_box_observer.predictor import TrainingRules, Variant
 from gray_box_observer.samples.pairing import PairingRules
 from gray_box_observer.white_box import TERMS

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from gray_box_observer.bag.fields import FieldPath
-from gray_box_observer.configuration import SIGNALS, Configuration
+from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
 from gray_box_observer.observer import Observer, Result
+from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 
 

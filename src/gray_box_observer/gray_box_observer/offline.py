@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.assembly import TrainingFactory
 from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.bag.mcap_content import RawMessage
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import SIGNALS, Configuration
+from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import BagError, SampleError
 from gray_box_observer.intake import Intake
-from gray_box_observer.observer import Observer, Result, TrainingFactory
+from gray_box_observer.observer import Observer, Result
+from gray_box_observer.parameters import SIGNALS
 
 PROGRESS_STEP = 512
 

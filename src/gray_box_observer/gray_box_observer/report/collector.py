@@ -10,7 +10,8 @@ import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.sensitivity import sensitivity
-from gray_box_observer.observer import MotorObserver, Observer, Result
+from gray_box_observer.motor_observer import MotorObserver
+from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
 from gray_box_observer.white_box import TERMS

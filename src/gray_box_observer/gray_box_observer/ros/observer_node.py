@@ -17,10 +17,11 @@ from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer import checkpoint
-from gray_box_observer.configuration import NODE_NAME, SIGNALS
+from gray_box_observer.configuration import NODE_NAME
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
+from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.diagnostics import Traffic, status_of

@@ -1,4 +1,4 @@
-"""Declaring the parameters of :mod:`gray_box_observer.configuration` on a node."""
+"""Declaring the parameters of :mod:`gray_box_observer.parameters` on a node."""
 
 from __future__ import annotations
 
@@ -7,12 +7,8 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 
-from gray_box_observer.configuration import (
-    MOTOR_PARAMETERS,
-    OBSERVER_PARAMETERS,
-    Configuration,
-    ParameterSpec,
-)
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
 
 
 def declare(node: Node) -> Configuration:

@@ -1,0 +1,154 @@
+"""The observer of motors that are sampled together: white box, context nodes and predictor, one sample at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes import ContextUpdate, Estimate
+from gray_box_observer.delay import DelayWatch
+from gray_box_observer.predictor import Prediction, Predictor, ResidualAlarm
+from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+
+
+class MotorObserver:
+    """White box, context nodes and predictor of motors that are sampled together.
+
+    Args:
+        white_box: the physics.
+        context_nodes: the rule that learns the parameters.
+        predictor: forecasts torque; None where there is none.
+        delay: asks whether voltage and torque are shifted against each other.
+        alarm: watches the prediction's residual; None where no prediction is good enough to judge by.
+    """
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        context_nodes: ContextUpdate,
+        predictor: Predictor | None,
+        delay: DelayWatch,
+        alarm: ResidualAlarm | None = None,
+    ) -> None:
+        self.white_box = white_box
+        self.context_nodes = context_nodes
+        self.predictor = predictor
+        self.delay = delay
+        self.alarm = alarm
+        self._frozen = False
+        self._foreseen: tuple[bytes, Prediction] | None = None
+        self._identified = np.zeros(context_nodes.theta.shape[0], dtype=bool)
+        self._covariance = self._known(context_nodes.estimate())
+
+    def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
+        """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
+        if self.predictor is None:
+            return None
+        question = interval_s.tobytes() + voltage_v.tobytes()
+        if self._foreseen is None or self._foreseen[0] != question:
+            prediction = self.predictor.predict(interval_s, voltage_v, self.context_nodes.theta)
+            self._foreseen = question, prediction
+        return self._foreseen[1]
+
+    def forecast_held(self, ahead: tuple[float, float] | None, horizon_s: float, voltage_v: float) -> Array | None:
+        """Forecast the torque after a voltage has been held for a while; changes nothing.
+
+        Args:
+            ahead: interval in s and mean voltage in V from the last sample to where the voltage begins to act; None
+                where it begins with the last sample.
+            horizon_s: how long it is held.
+            voltage_v: the voltage.
+        """
+        if self.predictor is None:
+            return None
+        motors = self.context_nodes.theta.shape[0]
+        since = None if ahead is None else self.predict(*(np.full(motors, value) for value in ahead))
+        return self.predictor.forecast(horizon_s, np.full(motors, voltage_v), self.context_nodes.theta, since)
+
+    def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
+        """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
+        prediction = self.predict(sample.interval_s, sample.voltage_v)
+        if self.alarm is not None and prediction is not None:
+            self.alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, self._identified)
+        if self.predictor is not None and prediction is not None:
+            self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
+        changed = self.context_nodes.learn(sample)
+        self._foreseen = None
+        if not changed:
+            return prediction, None
+        estimate = self.context_nodes.estimate()
+        self._covariance = self._known(estimate)
+        return prediction, estimate
+
+    def _known(self, estimate: Estimate) -> Array:
+        """Keep whether all is identified, which freezing does not undo; return the covariance."""
+        if not self._frozen:
+            self._identified = np.array([estimate.identified(motor) for motor in range(estimate.value.shape[0])])
+        return estimate.covariance
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning, of the context nodes and of the predictor; predictions and the alarm go on."""
+        self._frozen = frozen
+        self.context_nodes.freeze(frozen)
+        if self.predictor is not None:
+            self.predictor.freeze(frozen)
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether the alarm stands for any of these motors."""
+        return self.alarm is not None and bool(self.alarm.raised.any())
+
+    def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
+        """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
+
+        The nodes are given all but the last sample as what they remember and learn the last: the recursive rule then
+        fits everything at once, which takes a fraction of the time of learning one sample after another.
+        """
+        if not samples:
+            return
+        content = ReplayBuffer.of(samples).content()
+        plain, arrays = context_nodes.state()
+        context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
+        context_nodes.learn(samples[-1])
+        self.context_nodes = context_nodes
+        if self.predictor is not None:
+            self.predictor.replay.refill(content)
+        if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
+            self.alarm.relearn()
+        self._covariance = self._known(context_nodes.estimate())
+        self._foreseen = None
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        plain, arrays = self.context_nodes.state()
+        network = {} if self.predictor is None else self.predictor.state()
+        content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain, 'delay': self.delay.state()}
+        alarm = {} if self.alarm is None else {**self.alarm.state(), 'identified': self._identified}
+        groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
+        return content, {f'{group}/{name}': array for group, part in groups.items() for name, array in part.items()}
+
+    def close(self) -> None:
+        """Stop training."""
+        if self.predictor is not None:
+            self.predictor.close()
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'))
+        self._covariance = self._known(self.context_nodes.estimate())
+        if self.predictor is not None:
+            self.predictor.restore(_group(arrays, 'network'))
+        alarm = _group(arrays, 'alarm')
+        if self.alarm is not None and alarm:
+            self._identified = alarm.pop('identified').copy()
+            self.alarm.restore(alarm)
+        if 'delay' in plain:
+            self.delay.restore(plain['delay'])
+
+
+def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:
+    """Take one group out of what :meth:`MotorObserver.state` named."""
+    return {name.removeprefix(f'{group}/'): array for name, array in arrays.items() if name.startswith(f'{group}/')}

@@ -1,0 +1,228 @@
+"""Every parameter of the observer, declared once: node, ``identify``, YAML, documentation and tests read this list.
+
+Names are those of ROS parameters; each motor has a group of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.white_box import TERMS
+
+SIGNALS = ('voltage', 'torque', 'speed')
+"""What is measured; each has a group of parameters that say where it comes from."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter as a user sees it.
+
+    Attributes:
+        name: dotted ROS parameter name; for a motor's parameters, below the motor's name.
+        default: value and, by its type, the type.
+        description: what it does, with its unit.
+        minimum, maximum: inclusive range of a number.
+        choices: allowed values of a string.
+        words: words that may stand in place of a number.
+        live: whether it may be changed while the node runs.
+    """
+
+    name: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    live: bool = False
+
+    def check(self, value: Any, where: str = '') -> Any:
+        """Return the value in the declared type.
+
+        Raises:
+            ConfigurationError: wrong type, outside the range, or not among the choices.
+        """
+        name = f'{where}{self.name}'
+        if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if isinstance(self.default, list) and isinstance(value, tuple):
+            value = list(value)
+        if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
+            value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
+        if value in self.words:
+            return value
+        if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ConfigurationError(f'parameter {name} must be a number or {" or ".join(self.words)}, got {value!r}')
+        if type(value) is not type(self.default):
+            wanted, got = type(self.default).__name__, type(value).__name__
+            raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
+        if isinstance(value, list) and any(type(entry) is not type(self.default[0]) for entry in value):
+            wanted = type(self.default[0]).__name__
+            raise ConfigurationError(f'parameter {name} must be a list of {wanted}, got {value!r}')
+        if self.choices and value not in self.choices:
+            raise ConfigurationError(f'parameter {name} must be one of {", ".join(self.choices)}, got {value!r}')
+        numbers = value if isinstance(value, list) else [value]
+        for number in numbers:
+            if isinstance(number, (int, float)) and not isinstance(number, bool):
+                self._check_range(name, number)
+        return value
+
+    def _check_range(self, name: str, number: float) -> None:
+        above = self.minimum is None or number >= self.minimum
+        below = self.maximum is None or number <= self.maximum
+        if not (above and below):  # NaN is neither
+            low = '-inf' if self.minimum is None else f'{self.minimum:g}'
+            high = 'inf' if self.maximum is None else f'{self.maximum:g}'
+            raise ConfigurationError(f'parameter {name} must be in [{low}, {high}], got {number!r}')
+
+
+def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool, what: str) -> list[ParameterSpec]:
+    specs = [
+        ParameterSpec(f'{name}.topic', topic, f'Topic that carries {what}; empty: none of its own.'),
+        ParameterSpec(f'{name}.type', type_name, f'Message type of {name}.topic.'),
+        ParameterSpec(
+            f'{name}.field',
+            field_path,
+            f'Field path of {what} in the message, such as data or wrench.torque.z.',
+        ),
+    ]
+    if scale:
+        specs.append(
+            ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in SI units (a current: give Kt).')
+        )
+    return specs
+
+
+OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
+    ParameterSpec('motors', ['motor'], 'Names of the motors, as in JointState.name.'),
+    ParameterSpec('autostart', True, 'Configure and activate the node by itself when it starts.'),
+    ParameterSpec(
+        'context_update',
+        'recursive',
+        'Rule that learns the context nodes: recursive maximum likelihood, or the gradient rule of the thesis.',
+        choices=('recursive', 'gradient'),
+    ),
+    ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
+    ParameterSpec(
+        'variant',
+        'physics',
+        'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
+        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+    ),
+    ParameterSpec('horizon_s', 0.0, 'Horizon of ~/forecast_torque, in s (variant physics); 0: none.', 0.0, 1e6),
+    ParameterSpec('seed', 0, 'Seed of everything random.', 0),
+    ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
+    ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
+    ParameterSpec('hold_s', 0.25, 'How far torque may run ahead of voltage, in s, before voltage is held.', 0.0, 1e6),
+    ParameterSpec('jump_back_s', 1.0, 'Backward jump of a stamp, in s, that means a restarted clock.', 0.0, 1e6),
+    *_signal('voltage', 'motor/voltage', 'sensor_msgs/msg/JointState', 'effort', True, 'armature voltage'),
+    *_signal('torque', 'motor/torque', 'sensor_msgs/msg/JointState', 'effort', True, 'motor torque'),
+    *_signal('speed', '', 'sensor_msgs/msg/JointState', 'velocity', True, 'shaft speed'),
+    ParameterSpec('recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000),
+    ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
+    ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
+    ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
+    ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
+    ParameterSpec(
+        'recursive.long_hold_s',
+        60.0,
+        'In a longer hold of the voltage, in s, the level moves only what heats.',
+        0.0,
+        1e9,
+    ),
+    ParameterSpec('gradient.batch_size', 25, 'New samples between two updates of the context nodes.', 1, 100000),
+    ParameterSpec('gradient.window', 10, 'Samples between the two ends of a difference.', 1, 10000),
+    ParameterSpec('gradient.learning_rate', 0.02, 'Adam, on the logarithm of the parameters.', 1e-6, 1.0),
+    ParameterSpec('gradient.replay_capacity', 6000, 'Samples remembered for the context nodes.', 100, 10_000_000),
+    ParameterSpec('training.hidden', 12, 'Hidden units of the LSTM (thesis: 2).', 1, 1024),
+    ParameterSpec('training.context', 64, 'Past samples the LSTM warms up on (thesis: 64).', 2, 100000),
+    ParameterSpec('training.period', 100, 'Samples between two training jobs.', 1, 1_000_000),
+    ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
+    ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
+    ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
+    ParameterSpec('training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0),
+    ParameterSpec(
+        'training.start',
+        'shipped',
+        'What variant physics begins with: the network that comes with the package, or a fresh one.',
+        choices=('shipped', 'fresh'),
+    ),
+    ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
+    ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
+    ParameterSpec(
+        'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
+    ),
+    ParameterSpec(
+        'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0
+    ),
+    ParameterSpec('alarm.false_a_day', 0.1, 'False alarms a day that are accepted of each motor.', 1e-9, 1e4),
+    ParameterSpec('alarm.memory', 3000, 'Samples over which the spread of the residual is followed.', 2, 10_000_000),
+    ParameterSpec('alarm.learn', 1000, 'Samples of an identified motor before the alarm is armed.', 2, 10_000_000),
+    ParameterSpec(
+        'checkpoint.path', 'gray_box_observer.safetensors', 'File that save writes and load reads.', live=True
+    ),
+)
+"""Parameters of the node as a whole."""
+
+KNOWN_PARAMETERS = {
+    'back_emf_constant': 'back_emf_constant',
+    'brush_drop': 'brush_drop',
+    'resistance': 'known.resistance',
+    'hysteresis': 'known.hysteresis',
+}
+"""Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
+
+MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
+    ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
+    ParameterSpec(
+        'back_emf_constant',
+        0.01,
+        'Back-EMF constant Kb in V s/rad; known unless among context_nodes.',
+        0.0,
+        1e6,
+    ),
+    ParameterSpec('brush_drop', 0.0, 'Brush drop V_b in V; known unless among context_nodes.', 0.0, 1e3),
+    ParameterSpec(
+        'context_nodes',
+        ['inductance', 'resistance', 'hysteresis'],
+        'Parameters to identify; inductance first.',
+    ),
+    ParameterSpec('known.resistance', 0.0, 'Resistance R in ohm where it is not among context_nodes.', 0.0, 1e4),
+    ParameterSpec(
+        'known.hysteresis', 0.0, 'Hysteresis K_HS in V s/(rad A) where it is not among context_nodes.', 0.0, 1e6
+    ),
+    ParameterSpec(
+        'speed_source',
+        'auto',
+        'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where torque brings speed.',
+        choices=('auto', 'measured', 'torque_constant'),
+    ),
+    ParameterSpec(
+        'voltage_limits',
+        [0.0, 0.0],
+        'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from what is seen.',
+        -1e6,
+        1e6,
+    ),
+    ParameterSpec(
+        'delay',
+        0.0,
+        'By how much voltage acts on torque later than it is stamped, in s; or the word estimate.',
+        -1.0,
+        1.0,
+        words=('estimate',),
+    ),
+    *(
+        ParameterSpec(
+            f'initial.{term.parameter.name}',
+            term.parameter.initial,
+            f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
+            term.parameter.lower,
+            term.parameter.upper,
+        )
+        for term in TERMS.values()
+    ),
+)
+"""Parameters of one motor, in the group under its name."""
