@@ -21,14 +21,10 @@ from gray_box_observer.predictor.inputs import InputLayout
 from gray_box_observer.predictor.losses import Windows, stage_two_loss
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.normalisation import Normalisation
+from gray_box_observer.predictor.torch_network import TorchNetwork
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
-
-try:
-    from gray_box_observer.predictor.torch_network import TorchNetwork
-except ImportError:  # where the network has no module of its own yet
-    from gray_box_observer.predictor.trainer import _Network as TorchNetwork
 
 BLOCK = 33
 """Consecutive predictions in one term of the loss: 32 first differences."""
