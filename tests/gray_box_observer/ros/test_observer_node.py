@@ -330,13 +330,8 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in rig.predicted]
     assert stamps == sorted(set(stamps)), 'each stamp is predicted once'
     assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
-
-    def trained() -> bool:
-        rig.send(recording, [next(indices)])
-        return int(rig.values().get('training jobs done', 0)) >= 1
-
-    rig.peer.wait(trained, 'the first training job to be done')
     rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
+    assert int(rig.values()['training jobs done']) >= 1
 
 
 def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(rig, record):
