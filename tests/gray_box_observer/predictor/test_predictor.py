@@ -280,7 +280,8 @@ def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:
     told = Told(windows=0, settled=True)
-    one, some = predictor(thesis_box, told), samples(record('R[5,15]D[0.2,2]', 10.0))
+    one = predictor(thesis_box, told, rules=TrainingRules(residual=False))
+    some = samples(record('R[5,15]D[0.2,2]', 10.0))
     run(one, some)
     settled = told.jobs
     assert settled < 10
