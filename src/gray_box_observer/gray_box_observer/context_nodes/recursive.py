@@ -265,8 +265,10 @@ class RecursiveUpdate:
         changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
         if not np.any(changed):
             usable = suspects & held.belief.finite
-            self._belief = replace(belief, state=np.where(usable, held.belief.state, belief.state))
-            self._belief.covariance[:, 0, 0] += np.where(usable, held.belief.covariance[:, 0, 0], 0.0)
+            covariance = belief.covariance.copy()
+            covariance[:, 0, 0] += np.where(usable, held.belief.covariance[:, 0, 0], 0.0)
+            state = np.where(usable, held.belief.state, belief.state)
+            self._belief = replace(self._belief, state=state, covariance=covariance)
             return True
         if self._drifts(changed, samples):
             return True
