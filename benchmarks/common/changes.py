@@ -116,9 +116,10 @@ def learnt(build: Build, record: Record, stds: FloatArray | None = None) -> Floa
 def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
     """Let the last voltage of a recording go on; return the least ratio of each standard deviation to the one before.
 
-    The torque is that of the last true sample, which must have settled for that, in the same noise.
+    Before is two seconds into the hold: the transition that the recording ended in still tells of all parameters.
     """
-    before = np.sqrt(np.diagonal(estimator.covariance))
+    before = np.full(record.case.truth.size, np.nan)
+    begun = round(2.0 * record.case.rate_hz)
     random = np.random.default_rng([record.seed, 40])
     step_ns = round(1e9 / record.case.rate_hz)
     count = round(seconds * record.case.rate_hz)
@@ -131,6 +132,8 @@ def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
         estimator.rule.learn(
             Sample.of_one_motor(stamp, 1e-9 * step_ns, volt, steady[min(k, len(steady) - 1)] + noise[k])
         )
+        if k == begun:
+            before = np.sqrt(np.diagonal(estimator.covariance))
         if k % 1000 == 999 and k > count // 20:
             least = np.minimum(least, np.sqrt(np.diagonal(estimator.covariance)) / before)
     return least

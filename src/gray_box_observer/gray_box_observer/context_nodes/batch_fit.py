@@ -51,13 +51,17 @@ class Fit:
     Attributes:
         belief: at the last sample.
         ramp: shape (motor,): chi-square of one degree of freedom, how much a steady drift of what heats would explain.
+        left_out: shape (motor,): samples that do not fit, and kicks of the state.
     """
 
     belief: Belief
     ramp: Array
+    left_out: Array
 
 
-def batch_fit(white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> Fit:
+def batch_fit(
+    white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float, trusting: int = 2
+) -> Fit:
     """Fit the coordinates and the first state to a stretch.
 
     Args:
@@ -66,11 +70,13 @@ def batch_fit(white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior,
         start: shape (motor, coordinate): where the search begins.
         prior: decides what the data leave open.
         noise_floor: smallest noise that is believed, as a fraction of the current's size.
+        trusting: steps taken before any sample may be left out; more where the start may be far off, for then what does
+            not fit is what tells.
     """
     search = _Search(white_box, stretch, start, prior, noise_floor)
-    search.run()
+    search.run(trusting)
     if search.choose_gain():
-        search.run()
+        search.run(trusting)
     return search.result()
 
 
@@ -82,6 +88,7 @@ class _Search:
         self._prior = prior
         self._precision = np.linalg.inv(prior.covariance)
         self._stretch = stretch
+        self._restarts = np.sum(stretch.restart, axis=1)
         measured = stretch.state
         self._size = np.maximum(np.quantile(np.abs(measured), 0.9, axis=1), 1e-9)
         reach = CREDIBLE * self._size[:, None]
@@ -93,11 +100,11 @@ class _Search:
         self._gain = np.zeros(measured.shape[0])
         self._scale = np.full(measured.shape[0], np.inf)
 
-    def run(self) -> None:
+    def run(self, trusting: int) -> None:
         """Iterate until nothing moves."""
         best_scale, best_p, damping = np.full_like(self._scale, np.inf), self._p, 1.0
         for iteration in range(MAX_STEPS):
-            self._evaluate(robust=iteration > 1)
+            self._evaluate(robust=iteration >= trusting)
             worse = ~(self._scale <= 2.0 * best_scale)
             if np.any(worse) and iteration > 0:  # stepped too far: back, and shorter
                 damping *= 0.3
@@ -107,7 +114,7 @@ class _Search:
                 continue
             best_p = np.where((self._scale < best_scale)[:, None], self._p, best_p)
             best_scale = np.minimum(self._scale, best_scale)
-            if self._step(damping) < TOLERANCE and iteration > 2:
+            if self._step(damping) < TOLERANCE and iteration > trusting:
                 break
 
     def _evaluate(self, *, robust: bool) -> None:
@@ -185,7 +192,9 @@ class _Search:
         belief = Belief(
             self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
         )
-        return Fit(belief, self._ramp())
+        restarts = np.sum(self._stretch.restart, axis=1)
+        left_out = np.sum(self._valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
+        return Fit(belief, self._ramp(), left_out.astype(float))
 
     def _ramp(self) -> Array:
         """Score test of one further unknown: a drift, linear in time, of the coordinates that heat."""

@@ -13,12 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import Fit
+from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, Parameter
 
 SUSPICIOUS_BLOCKS = 2.0
 """So many blocks in a row of which most does not fit, and the motor has changed."""
 
+
+LEFT_OUT = 0.5
+"""Blocks' worth of samples, of the last ten or so, that may be left out before the motor is asked after."""
+
+LEFT_OUT_MEMORY = 0.9
+
+LOUDER = 1.1
+"""Factor of the noise beyond which a fit has not explained an outlier but drowned it."""
 
 CHANGE_EVIDENCE = 15.0
 """Log-likelihood that other parameters must bring over the old ones before a change is believed."""
@@ -112,6 +121,12 @@ def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Chan
 
 
 def evidence_for(stretch: Stretch, held: Fit, free: Fit) -> Array:
-    """Log-likelihood that a fit brings over another on the same stretch, shape (motor,)."""
-    evidence: Array = stretch.state.shape[1] * np.log(held.belief.noise / free.belief.noise)
-    return evidence
+    """Log-likelihood that a fit brings over another on the same stretch, shape (motor,).
+
+    A sample that a fit leaves out counts as one that lies just at the limit: what fits only without its transitions
+    does not fit. Nothing is gained by taking them in at the price of more noise.
+    """
+    gain: Array = stretch.state.shape[1] * np.log(held.belief.noise / free.belief.noise)
+    left_out = 0.5 * OUTLIER**2 * (held.left_out - free.left_out)
+    louder = free.belief.noise > LOUDER * held.belief.noise
+    return gain + np.where(louder, np.minimum(left_out, 0.0), left_out)

@@ -31,15 +31,19 @@ class Holds:
         parameters: of the white box; those that heat stay free.
         motors: number of motors.
         long_s: a longer hold is a long one.
+        speed_measured: whether speed is a signal, which has to be steady too.
     """
 
-    def __init__(self, parameters: tuple[Parameter, ...], motors: int, long_s: float) -> None:
+    def __init__(
+        self, parameters: tuple[Parameter, ...], motors: int, long_s: float, *, speed_measured: bool = False
+    ) -> None:
+        self._speed_measured = speed_measured
         self._free = np.array([True, *(p.heats for p in parameters)])  # the state and what heats
         self._long_s = long_s
         n = len(parameters)
         self._arrays = {
-            'level': np.full((2, motors), np.inf),
-            'largest': np.zeros((2, motors)),
+            'level': np.full(motors, np.inf),
+            'largest': np.zeros(motors),
             'held_s': np.zeros(motors),
             'settled': np.zeros(motors, dtype=bool),
             'p': np.ones((motors, n)),
@@ -55,14 +59,18 @@ class Holds:
             decay: shape (motor, k): what every interval leaves of a deviation.
         """
         held, moving = self._arrays, ~stretch.restart
-        signals = np.stack([stretch.voltage_v, stretch.speed_rad_s[:, 1:]])  # with measured speed, a load excites too
-        low = np.min(np.where(moving, signals, np.inf), axis=2)
-        high = np.max(np.where(moving, signals, -np.inf), axis=2)
-        held['largest'] = np.fmax(held['largest'], np.where(np.isfinite(low), np.fmax(-low, high), 0.0))
+        low, high = _range(stretch.voltage_v, moving)
+        held['largest'] = np.fmax(held['largest'], np.fmax(-low, high))
         away = np.fmax(high - held['level'], held['level'] - low)
-        same = np.all((away <= HOLD_TOLERANCE * held['largest']) | np.isnan(away), axis=0)
+        same = away <= HOLD_TOLERANCE * held['largest']
+        if self._speed_measured:  # then a load excites too
+            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
+            same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
         held['held_s'] = np.where(same, held['held_s'] + np.sum(stretch.interval_s, axis=1), 0.0)
-        held['level'] = np.where(same, held['level'], signals[..., -1])
+        held['level'] = np.where(same, held['level'], stretch.voltage_v[:, -1])
+        if not np.any(same):
+            held['settled'] = same
+            return belief
         with np.errstate(divide='ignore'):
             rate = np.min(np.where(moving, -np.log(decay), np.inf) / np.where(moving, stretch.interval_s, 1.0), axis=1)
         settled = same & (held['held_s'] * rate > SETTLED)
@@ -110,3 +118,9 @@ class Holds:
     def restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`state` gave."""
         self._arrays = dict(arrays)
+
+
+def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Smallest and largest value of every motor, each of shape (motor,); of nothing, what no level is near."""
+    low, high = np.where(moving, signal, np.inf).min(axis=1), np.where(moving, signal, -np.inf).max(axis=1)
+    return low, high

@@ -24,6 +24,9 @@ from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.blocks import Block
 from gray_box_observer.context_nodes.drift import (
     CHANGE_EVIDENCE,
+    LEFT_OUT,
+    LEFT_OUT_MEMORY,
+    MEMORIES_BLOCKS,
     SUSPICIOUS_BLOCKS,
     UNCHANGED,
     DriftTest,
@@ -100,11 +103,13 @@ class RecursiveUpdate:
         self._noise_count = 0
         self._suspicion = np.zeros(motors)
         self._since = np.zeros(motors, dtype=int)
+        self._left_out = np.zeros(motors)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._drift = DriftTest(motors, n, self._rules.drift_threshold)
         self._walk = walk.Walk.still(parameters, motors)
         self._anchor, self._anchored = self._belief, 0
-        self._holds = Holds(parameters, motors, self._rules.long_hold_s)
+        measured = white_box.speed_measured
+        self._holds = Holds(parameters, motors, self._rules.long_hold_s, speed_measured=measured)
         self._new = 0
         self._next_fit = self._rules.first_fit
         self._started = False
@@ -239,13 +244,17 @@ class RecursiveUpdate:
         fresh = np.where(self._suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
         self._since = np.where(lost, self._since + np.where(fresh > 0, fresh, valid.shape[1]), 0)
         sudden: NDArray[np.bool_] = self._suspicion >= SUSPICIOUS_BLOCKS
-        suspects = alarm | sudden
+        self._left_out = LEFT_OUT_MEMORY * self._left_out + np.mean(valid & ~block.kept, axis=1)
+        # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
+        misfit = (self._left_out > LEFT_OUT) & ~lost
+        suspects = alarm | sudden | misfit
         if not np.any(suspects):
             return False
         if np.any(sudden):
             samples = int(np.max(self._since[sudden]))
         else:
-            samples = max(self._rules.first_fit, int(np.max(memory[alarm]) * self._rules.block))
+            blocks_back = np.max(np.where(alarm, memory, MEMORIES_BLOCKS[0]))
+            samples = max(self._rules.first_fit, int(blocks_back * self._rules.block))
         return self._start_over(samples, suspects)
 
     def _start_over(self, samples: int, suspects: NDArray[np.bool_]) -> bool:
@@ -254,7 +263,7 @@ class RecursiveUpdate:
         stretch = Stretch.newest(self._white_box, self.replay, min(samples, len(self.replay)))
         known = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
         held = self._fit_from(stretch, known)
-        self._suspicion, self._since = 0.0 * self._suspicion, 0 * self._since
+        self._suspicion, self._since, self._left_out = 0.0 * self._suspicion, 0 * self._since, 0.0 * self._left_out
         self._drift.reset()
         found = []
         for change in changes(self._white_box.parameters, self._rules.drift_relative_std):
@@ -281,7 +290,7 @@ class RecursiveUpdate:
         return True
 
     def _fit_from(self, stretch: Stretch, prior: Prior) -> Fit:
-        return batch_fit(self._white_box, stretch, self._belief.p, prior, self._rules.noise_floor)
+        return batch_fit(self._white_box, stretch, self._belief.p, prior, self._rules.noise_floor, trusting=5)
 
     def _drifts(self, which: NDArray[np.bool_], jumped_before: int | None = None) -> bool:
         """Whether motors drift, by the samples since the anchor; then go on as is likeliest, and walk.
@@ -355,4 +364,4 @@ def _below(part: str, arrays: dict[str, Array]) -> dict[str, Array]:
 
 
 _PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count')
-_ARRAYS = ('suspicion', 'since', 'speed')
+_ARRAYS = ('suspicion', 'since', 'left_out', 'speed')
