@@ -75,13 +75,17 @@ class MotorObserver:
             self.alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, self._identified)
         if self.predictor is not None and prediction is not None:
             self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
+        return prediction, self.repeat(sample)
+
+    def repeat(self, sample: Sample) -> Estimate | None:
+        """Learn a sample, which has been predicted and scored; return the estimate where it has changed."""
         changed = self.context_nodes.learn(sample)
         self._foreseen = None
         if not changed:
-            return prediction, None
+            return None
         estimate = self.context_nodes.estimate()
         self._covariance = self._known(estimate)
-        return prediction, estimate
+        return estimate
 
     def _known(self, estimate: Estimate) -> Array:
         """Keep whether all is identified, which freezing does not undo; return the covariance."""

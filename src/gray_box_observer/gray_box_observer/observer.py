@@ -183,6 +183,7 @@ class Observer:
         for name, motor in made.items():  # all good: take over
             self._learn(name, self.pairing[name].flush())  # what still waited belongs to the old signal history
             self.pairing[name].restart(motor.delay.estimate.applied_s)
+            self.pairing[name].needs_speed = motor.white_box.speed_measured
             if name in self.motors:
                 self.motors[name].close()
             self.motors[name] = motor
@@ -200,9 +201,12 @@ class Observer:
             if motor not in self.motors:
                 measured = bool(np.isfinite(sample.speed_rad_s[0]))
                 self.motors[motor] = self._make(motor, measured)
+                pairing.needs_speed = self.motors[motor].white_box.speed_measured
             observer = self.motors[motor]
             if pairing.repeats(sample):  # it was predicted, scored and reported before
-                observer.context_nodes.learn(sample)
+                again = observer.repeat(sample)
+                if again is not None and results:
+                    results[-1] = replace(results[-1], estimate=again)
                 continue
             prediction, estimate = observer.step(sample)
             results.append(Result(motor, sample, prediction, estimate, observer.alarmed))
@@ -217,6 +221,5 @@ class Observer:
 
     def _make(self, motor: str, measured: bool) -> MotorObserver:
         made = motor_observer(self.configuration, self.configuration.motors[motor], self._training, measured=measured)
-        self.pairing[motor].needs_speed = made.white_box.speed_measured
         made.freeze(self._frozen)
         return made

@@ -96,3 +96,24 @@ def test_a_motor_that_keeps_still_is_given_no_freedom_to_drift(
         teach(nodes, samples_of(record('R[5,15]D[0.001,2]', 60.0, seed, torque_noise_relative=0.01)))
         assert not np.any(nodes.state()[1]['walk_rate'])
         assert nodes.alarms == 0
+
+
+def test_what_comes_while_frozen_is_never_learnt(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+) -> None:
+    excitation = 'R[5,15]D[0.001,2]'
+    good = list(samples_of(record(excitation, 30.0, 1, torque_noise_relative=0.01)))
+    bad = list(
+        samples_of(record(excitation, 30.0, 2, torque_noise_relative=0.01, schedule=('motor.resistance=2.0@0',)))
+    )
+    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    teach(nodes, good[:1000])
+    before = nodes.theta.copy()
+    nodes.freeze(True)
+    teach(nodes, bad[1:1501])
+    nodes.freeze(False)
+    teach(nodes, good[1000:1001])
+    np.testing.assert_array_equal(nodes.theta, before)
+    last = teach(nodes, good[1001:])[-1]
+    assert np.all(np.abs(last.value[0] - TRUTH) < 4.0 * last.std[0])
+    assert nodes.alarms == 0

@@ -62,8 +62,8 @@ class DriftTest:
 
     def reset(self) -> None:
         """Forget, after an alarm."""
-        self.score[:] = 0.0
-        self.information[:] = 0.0
+        self.score = np.zeros_like(self.score)
+        self.information = np.zeros_like(self.information)
 
     def take(self, sensitivity: Array, innovation: Array) -> tuple[NDArray[np.bool_], Array]:
         """Take one block.

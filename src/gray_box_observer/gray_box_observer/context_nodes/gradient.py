@@ -95,6 +95,7 @@ class GradientUpdate:
         self._new = 0
         self._stamp_ns = 0
         self._frozen = False
+        self._resumes = False
 
     @property
     def theta(self) -> Array:
@@ -107,7 +108,8 @@ class GradientUpdate:
         return {}
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; samples are remembered all the same."""
+        """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
+        self._resumes = self._frozen and not frozen
         self._frozen = frozen
 
     def estimate(self) -> Estimate:
@@ -119,15 +121,16 @@ class GradientUpdate:
 
     def learn(self, sample: Sample) -> bool:
         """Remember one sample; on every full batch of them, update. Tell whether the estimate has changed."""
-        self.replay.append(sample)
         self._stamp_ns = sample.stamp_ns
+        if self._frozen:
+            return False
+        self.replay.append(sample.beginning() if self._resumes else sample)
+        self._resumes = False
         self._new += 1
         rules = self._rules
         if self._new < rules.batch_size or len(self.replay) < 2 * (rules.window + 1):
             return False
         self._new = 0
-        if self._frozen:
-            return False
         newest = np.arange(len(self.replay) - rules.batch_size, len(self.replay))
         fresh = self._weighted_loss(*self._weigh(self._windows(newest)))[0]
         self._follow_drift(fresh)

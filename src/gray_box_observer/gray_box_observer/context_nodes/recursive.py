@@ -115,6 +115,7 @@ class RecursiveUpdate:
         self._started = False
         self._stamp_ns = 0
         self._frozen = False
+        self._resumes = False
         self._speed = np.zeros(motors)
         self.alarms = 0
         self.outliers = np.zeros(motors, dtype=int)
@@ -140,14 +141,11 @@ class RecursiveUpdate:
         }
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; samples are remembered all the same, and learning resumes where they stand."""
+        """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
         if frozen == self._frozen:
             return
-        if not frozen and len(self.replay):
-            self._belief = self._belief.restarted_at(self._white_box.state(self.replay.torque_nm(1)[:, -1]))
         self._frozen = frozen
-        self._new = 0
-        self._anchored = 0
+        self._resumes = not frozen
 
     def estimate(self) -> Estimate:
         """Return the present values with covariance and verdicts."""
@@ -163,10 +161,11 @@ class RecursiveUpdate:
         """Take one sample; update when a block is full. Tell whether the estimate has changed."""
         if self._white_box.speed_measured:  # a torque that came without its speed: the speed before holds on
             self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
-        self.replay.append(sample, self._speed)
         self._stamp_ns = sample.stamp_ns
         if self._frozen:
             return False
+        self.replay.append(sample.beginning() if self._resumes else sample, self._speed)
+        self._resumes = False
         self._new += 1
         fit = len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity
         fit = fit and not self._walk.walking  # a fit takes the parameters for constant
@@ -274,8 +273,9 @@ class RecursiveUpdate:
         changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
         if not np.any(changed):
             usable = suspects & held.belief.finite
+            units = (held.belief.noise * held.belief.current_a / (belief.noise * belief.current_a)) ** 2
             covariance = belief.covariance.copy()
-            covariance[:, 0, 0] += np.where(usable, held.belief.covariance[:, 0, 0], 0.0)
+            covariance[:, 0, 0] += np.where(usable, units * held.belief.covariance[:, 0, 0], 0.0)
             state = np.where(usable, held.belief.state, belief.state)
             self._belief = replace(self._belief, state=state, covariance=covariance)
             return True
@@ -363,5 +363,5 @@ def _below(part: str, arrays: dict[str, Array]) -> dict[str, Array]:
     return {name[len(part) + 1 :]: array for name, array in arrays.items() if name.startswith(f'{part}.')}
 
 
-_PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count')
+_PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count', 'resumes')
 _ARRAYS = ('suspicion', 'since', 'left_out', 'speed')

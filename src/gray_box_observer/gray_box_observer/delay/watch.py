@@ -261,6 +261,7 @@ class DelayWatch:
             'value_s': None if math.isnan(known.value_s) else known.value_s,
             'std_s': None if math.isnan(known.std_s) else known.std_s,
             'verdict': known.verdict.name,
+            'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
@@ -269,4 +270,6 @@ class DelayWatch:
             return
         value_s, std_s = (math.nan if plain[key] is None else float(plain[key]) for key in ('value_s', 'std_s'))
         verdict = DelayVerdict[plain['verdict']]
+        applied_std_s = plain.get('applied_std_s')
+        self._applied_std_s = math.inf if applied_std_s is None else float(applied_std_s)
         self.estimate = DelayEstimate(float(plain['applied_s']), self.estimate.asked, value_s, std_s, verdict)

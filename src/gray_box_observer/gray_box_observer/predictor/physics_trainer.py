@@ -67,7 +67,8 @@ class PhysicsTrainer:
         """
         told = self._teach(job)
         if job.get('residual'):
-            told |= self._residual.learn(self._running, histories(self._white_box, job))
+            first = int(job['number']) - job['interval_s'].shape[1]
+            told |= self._residual.learn(self._running, histories(self._white_box, job), first)
         return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
@@ -172,13 +173,13 @@ class _HeldOut:
 def histories(white_box: MotorWhiteBox, job: Message) -> list[tuple[Sequences, Array]]:
     """Cut the samples of a job where any motor's history began; return every stretch and its measured currents.
 
-    Shapes (motor, n), n of each stretch its own. What is too short to tell anything is left out.
+    Shapes (motor, n), n of each stretch its own.
     """
     intervals = job['interval_s']
     begins = np.flatnonzero(np.any(~(intervals > 0.0), axis=0))
     edges = np.unique([0, *begins.tolist(), intervals.shape[1]])
     pairs = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    return [_stretch(white_box, job, first, end) for first, end in pairs if end - first >= LENGTH]
+    return [_stretch(white_box, job, first, end) for first, end in pairs]
 
 
 def recent_sequences(white_box: MotorWhiteBox, job: Message) -> tuple[Sequences, Array] | None:

@@ -98,6 +98,7 @@ class Predictor:
         self.jobs_late = 0
         self.loss: float | None = None
         self._frozen = False
+        self._resumes = False
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
         self._settled: tuple[Array, OperatingRange] | None = None
@@ -180,12 +181,16 @@ class Predictor:
         self._previous_torque = sample.torque_nm
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
-        self.replay.append(sample, self._previous_speed)
+        if self._frozen:
+            return
+        self.replay.append(sample.beginning() if self._resumes else sample, self._previous_speed)
+        self._resumes = False
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume training; predictions go on with the network that runs."""
+        self._resumes = self._frozen and not frozen
         self._frozen = frozen
 
     def state(self) -> dict[str, Array]:
@@ -273,8 +278,6 @@ class Predictor:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
         newest = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
         self._seen = self._seen.grown(*(signal(self._rules.period) for signal in newest))
-        if self._frozen:
-            return
         if self._training.busy:
             result = self._training.collect()
             if result is None:
@@ -286,6 +289,8 @@ class Predictor:
         if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
         count = None if residual else self._rules.job_samples
+        if residual:
+            self._residual_asked = self.replay.total
         self._submit(
             {
                 'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
@@ -296,6 +301,7 @@ class Predictor:
                 'covariance': covariance.copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
+                'number': self.replay.total,
             }
         )
 
@@ -308,10 +314,7 @@ class Predictor:
         """Whether there is so much more to learn a residual from that it is worth a round."""
         if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
             return False
-        due = self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
-        if due:
-            self._residual_asked = self.replay.total
-        return due
+        return self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
 
     def _nothing_to_gain(self, theta: Array) -> bool:
         if self._settled is None:

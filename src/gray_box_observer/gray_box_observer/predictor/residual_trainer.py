@@ -40,12 +40,22 @@ FEWEST = 400
 SMALL = 1e-3
 """Residuals below this fraction of the current's spread are left to themselves."""
 
+SHORTEST = 24
+"""Samples of a signal history, at least, that tell anything."""
+
 LAGS = 16
 STRUCTURE = 64.0
 """Portmanteau statistic (Ljung and Box 1978) of LAGS lags that white noise passes once in ten million times."""
 
-BLOCKS = 24
+BLOCK = 64
+"""Samples of a block in time."""
+
 EVERY = 4
+"""One block in so many judges."""
+
+PARTS = 6
+"""Parts that the judging samples fall into, for what chance could do."""
+
 GAIN = 0.02
 """Least fraction by which the mean absolute error of the judging blocks must fall."""
 
@@ -63,9 +73,11 @@ STEPS = 150
 class _Run:
     """Signal histories one after another, with what the physics says of them; arrays of shape (motor, time).
 
-    ``anew`` has shape (time,): where a history begins.
+    ``number`` and ``anew`` have shape (time,): which sample it is, counted since the beginning, and where a history
+    begins.
     """
 
+    number: NDArray[np.int64]
     anew: NDArray[np.bool_]
     voltage_v: Array
     speed_rad_s: Array
@@ -90,13 +102,14 @@ class ResidualTrainer:
         self._best: list[Correction] = []
 
     def learn(
-        self, weights: Weights, measured: Sequence[tuple[Sequences, Array]], steps: int = STEPS
+        self, weights: Weights, measured: Sequence[tuple[Sequences, Array]], first: int = 0, steps: int = STEPS
     ) -> dict[str, Any]:
         """Run one round.
 
         Args:
             weights: of the network that knows the physics.
             measured: signal histories, each with its measured currents of shape (motor, time).
+            first: number of the first sample, counted since the beginning: it settles for good which samples judge.
             steps: training steps.
 
         Returns:
@@ -105,9 +118,10 @@ class ResidualTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
-        if sum(current_a.shape[1] for _, current_a in measured) < FEWEST:
+        lengths = [current_a.shape[1] for _, current_a in measured]
+        if sum(length for length in lengths if length >= SHORTEST) < FEWEST:
             return {}
-        run = _against_physics(weights, measured)
+        run = _against_physics(weights, measured, first)
         if self._pupil is None and not worth_learning(run.residual_a, run.predicted_a):
             return {}
         judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
@@ -147,7 +161,7 @@ class ResidualTrainer:
         size, limit_a = self._sizes
         blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
         inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
-        teaching = ~_judging(run.residual_a.shape[1])
+        teaching = ~judging(run.number)
         self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, run.anew, steps)
         support = np.zeros((BINS, BINS))
         at = cells(run.predicted_a / size[1])[:, teaching], cells(voltage / size[0])[:, teaching]
@@ -171,11 +185,11 @@ def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
 def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     """Return the correction with the share of it that the judging blocks bear out, and the error they are left with."""
     said = _said(replace(correction, share=1.0), run)
-    judging = _judging(run.residual_a.shape[1])
-    residual, said = run.residual_a[:, judging], said[:, judging]
+    judges = judging(run.number)
+    residual, said = run.residual_a[:, judges], said[:, judges]
     share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
     before, after = np.abs(residual), np.abs(residual - share * said)
-    parts = max(2, BLOCKS // EVERY)
+    parts = PARTS
     had, gains = (np.array([p.mean() for p in np.array_split(a, parts, axis=1)]) for a in (before, before - after))
     real = borne_out(had, gains)
     return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
@@ -217,19 +231,23 @@ def worth_learning(residual: Array, predicted: Array) -> bool:
     return bool(np.any(statistic > STRUCTURE))
 
 
-def _judging(samples: int) -> NDArray[np.bool_]:
-    """Samples that judge, shape (time,)."""
-    judging: NDArray[np.bool_] = (np.arange(samples) * BLOCKS // samples) % EVERY == EVERY - 1
-    return judging
+def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which samples judge, shape (time,), by their number since the beginning: no sample ever does both."""
+    judges: NDArray[np.bool_] = (number // BLOCK) % EVERY == EVERY - 1
+    return judges
 
 
-def _against_physics(weights: Weights, measured: Sequence[tuple[Sequences, Array]]) -> _Run:
+def _against_physics(weights: Weights, measured: Sequence[tuple[Sequences, Array]], first: int) -> _Run:
     parts = []
     for sequences, current_a in measured:
+        number = first + 1 + np.arange(current_a.shape[1])  # the first sample is where the history starts
+        first += 1 + current_a.shape[1]
+        if current_a.shape[1] < SHORTEST:
+            continue
         predicted, _ = free_run(weights, sequences)
-        anew = np.arange(current_a.shape[1]) == 0
+        anew = number == number[0]
         speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
-        parts.append((anew, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted))
+        parts.append((number, anew, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted))
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
 

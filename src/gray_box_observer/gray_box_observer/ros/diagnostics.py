@@ -124,6 +124,7 @@ def _values(motor: str, observer: Observer, intake: Intake, traffic: Traffic) ->
     if skill is not None and seen.predictor is not None:
         values.update({name: _text(value) for name, value in skill.to_dict().items()})
         values['training jobs done'] = str(seen.predictor.jobs_done)
+        values['learnt residual, rms [N m]'] = f'{seen.predictor.residual.size_nm[0]:.3g}'
         values['training jobs late'] = str(seen.predictor.jobs_late)
     return values
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class Sample:
     voltage_v: Array
     torque_nm: Array
     speed_rad_s: Array
+
+    def beginning(self) -> Sample:
+        """Return the sample as the first of a signal history: no interval leads to it."""
+        return replace(self, interval_s=np.zeros_like(self.interval_s))
 
     @classmethod
     def of_one_motor(

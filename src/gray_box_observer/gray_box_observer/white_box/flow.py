@@ -131,11 +131,7 @@ def flow(
 
 
 def _runge_kutta_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:
-    """One classical Runge-Kutta step of the state and of the variational equation; ``here`` is the rate at the start.
-
-    Not shared with :func:`gray_box_observer.white_box.dynamics.advance`, which runs once a sample and needs no
-    sensitivities.
-    """
+    """One classical Runge-Kutta step of the state and its variational equation; ``here`` is the rate at the start."""
     voltage_v, step_s = interval.voltage_v, interval.length_s
     half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + interval.end_speed_rad_s)
     k1, l1, m1 = here
