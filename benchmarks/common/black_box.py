@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from common.motion import FloatArray
 from gray_box_observer.predictor.network import Weights
@@ -98,10 +97,3 @@ class BlackBox:
                 (network(x[None])[0] - y)[j].abs() for x, y, j in zip(self._x, self._y, self._judging, strict=True)
             ]
         return float(torch.cat(missed).mean())
-
-
-def judging_blocks(lengths: Sequence[int], blocks: int, every: int) -> list[NDArray[np.bool_]]:
-    """Every so many-th of blocks in time of all recordings together, cut into the recordings again."""
-    total = sum(lengths)
-    judging = (np.arange(total) * blocks // total) % every == every - 1
-    return np.split(judging, np.cumsum(lengths)[:-1])

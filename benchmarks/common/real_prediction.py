@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from common.black_box import BlackBox, judging_blocks
+from common.black_box import BlackBox
 from common.motion import FloatArray
 from common.prediction import NoTraining
 from gray_box_observer import offline
@@ -26,7 +26,7 @@ from gray_box_observer.predictor import Predictor, TrainingRules
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.residual import Correction
-from gray_box_observer.predictor.residual_trainer import BLOCKS, EVERY, HIDDEN, STEPS
+from gray_box_observer.predictor.residual_trainer import HIDDEN, STEPS, judging
 from gray_box_observer.samples import Sample
 
 APART_NS = 20_000_000_000
@@ -188,7 +188,7 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
     trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
     network: dict[str, Any] = {}
     for _ in range(rounds):
-        told = trainer.train({**job, 'residual': True})
+        told = trainer.train({**job, 'residual': True, 'number': signals['voltage_v'].shape[1]})
         network |= {name: told[name] for name in told if isinstance(told[name], np.ndarray)}
     return network
 
@@ -212,9 +212,10 @@ def free_run(
 def black_box(histories: Sequence[Sequence[Sample]], hidden: int, steps: int, seed: int) -> BlackBox:
     """Teach a plain LSTM on the same histories with the same blocks held out."""
     parts = [series(history) for history in histories]
-    judging = judging_blocks([part['torque_nm'].size for part in parts], BLOCKS, EVERY)
+    sizes = [part['torque_nm'].size for part in parts]
+    held_out = np.split(judging(np.arange(sum(sizes))), np.cumsum(sizes)[:-1])
     inputs, torque_nm = [_inputs(part) for part in parts], [part['torque_nm'] for part in parts]
-    return BlackBox(inputs, torque_nm, judging, hidden=hidden, steps=steps, seed=seed)
+    return BlackBox(inputs, torque_nm, held_out, hidden=hidden, steps=steps, seed=seed)
 
 
 def _inputs(part: dict[str, FloatArray]) -> FloatArray:
