@@ -26,7 +26,7 @@ class Trainer(Protocol):
                 ``theta``, shape (motor, parameter), and ``covariance``, shape (motor, parameter, parameter): the
                 estimate; ``seen``: where the motors have run (:class:`OperatingRange`); ``residual``: whether a round
                 of learning the residual is due, and ``number``, how many samples there have been; ``start_*``, where
-                training shall go on from a saved network; ``start_learning_*``, what a result told under ``learning_*``.
+                training goes on from a saved network; ``start_learning_*``, what a result told under ``learning_*``.
 
         Returns:
             ``windows``: sequences learnt from; ``loss``, unless there were none; ``settled``: whether there is nothing
