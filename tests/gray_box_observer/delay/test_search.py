@@ -146,3 +146,8 @@ def test_a_search_changes_nothing_that_it_was_given(
     assert first == again
     for name, copy in copies.items():
         np.testing.assert_array_equal(getattr(signals, name), copy)
+
+
+def test_a_motor_at_rest_brings_no_evidence_of_a_delay() -> None:
+    nothing = Fitted(0.0, 0.0, 0.0, 0.0, 1.0)
+    assert evidence(nothing, nothing) == 0.0

@@ -234,7 +234,7 @@ def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
 def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    one = predictor(thesis_box, idle, rules=TrainingRules(period=500))
+    one = predictor(thesis_box, idle, rules=TrainingRules(period=500, residual=False))
     covariance = np.array([np.diag([1e-4, 1e-3, 0.1])])
     for s in samples(record('R[5,15]D[0.2,2]', 15.0)):
         one.learn(s, one.predict(s.interval_s, s.voltage_v, TRUTH), TRUTH, covariance)
@@ -314,3 +314,19 @@ def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_ta
     run(one, some[500:])
     np.testing.assert_array_equal(one.state()['output'], better.output)
     assert one.loss == 0.5
+
+
+def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_move(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording]
+) -> None:
+    told = Told(windows=0, settled=True)
+    one, some = predictor(thesis_box, told), samples(record('R[5,15]D[0.2,2]', 30.0))
+    rounds = []
+    submit = told.submit
+    told.submit = lambda job: (rounds.append(job) if job['residual'] else None, submit(job))[1]  # type: ignore[method-assign]
+    run(one, some[:1501])
+    run(one, some[1501:2901], np.array([[0.5, 1.3, 10.0]]))
+    assert [job['residual_anew'] for job in rounds] == [True, True]
+    before, after = (job['voltage_v'].shape[1] for job in rounds)
+    assert before <= 1200
+    assert 1000 <= after <= 1400  # nothing of the motor that it was

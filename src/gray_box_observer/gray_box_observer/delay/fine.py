@@ -227,4 +227,5 @@ class FineSearch:
 
 def evidence(best: Fitted, held: Fitted) -> float:
     """Log-likelihood that the best delay brings over the held one; correlated residuals count for fewer."""
-    return (held.loss_a2 - best.loss_a2) / (best.noise_a**2 * best.correlated)
+    scale = best.noise_a**2 * best.correlated
+    return (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0  # a motor at rest says nothing

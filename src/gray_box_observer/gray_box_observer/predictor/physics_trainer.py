@@ -66,6 +66,8 @@ class PhysicsTrainer:
             ImportError: there is something to learn, and no torch to learn it with.
         """
         told = self._teach(job)
+        if job.get('residual_anew'):
+            self._residual = ResidualTrainer(self._seed)
         if job.get('residual'):
             first = int(job['number']) - job['interval_s'].shape[1]
             told |= self._residual.learn(self._running, histories(self._white_box, job), first)

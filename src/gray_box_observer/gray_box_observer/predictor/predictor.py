@@ -88,7 +88,9 @@ class Predictor:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
         self.residual = ResidualForecaster(white_box, motors)
-        self._residual_asked = 0
+        self._residual_asked = self._residual_from = 0
+        self._residual_theta = np.zeros((0, 0))
+        self._residual_anew = True
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
@@ -202,6 +204,9 @@ class Predictor:
             'replay': self.replay.content(),
             'total': np.array(self.replay.total),
             'asked': np.array(self._residual_asked),
+            'residual_from': np.array(self._residual_from),
+            'residual_theta': self._residual_theta,
+            'residual_anew': np.array(self._residual_anew),
         }
         settled = {}
         if self._settled is not None:
@@ -230,6 +235,8 @@ class Predictor:
         if 'replay' in arrays:  # a network alone may be taken over too
             self.replay.refill(arrays['replay'])
             self.replay.total, self._residual_asked = int(arrays['total']), int(arrays['asked'])
+            self._residual_from, self._residual_theta = int(arrays['residual_from']), arrays['residual_theta'].copy()
+            self._residual_anew = bool(arrays['residual_anew'])
         self._settled = None
         if 'settled_theta' in arrays:
             self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
@@ -284,13 +291,15 @@ class Predictor:
                 self.jobs_late += 1
                 return
             self._adopt(result, theta)
+        self._watch_parameters(theta)
         residual = self._residual_due()
         idle = self._nothing_to_gain(theta) and not residual
         if self._training.resting or idle or len(self.replay) < self._rules.length:
             return
-        count = None if residual else self._rules.job_samples
+        count = self._residual_samples if residual else self._rules.job_samples
+        anew = residual and self._residual_anew
         if residual:
-            self._residual_asked = self.replay.total
+            self._residual_asked, self._residual_anew = self.replay.total, False
         self._submit(
             {
                 'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
@@ -301,6 +310,7 @@ class Predictor:
                 'covariance': covariance.copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
+                'residual_anew': anew,
                 'number': self.replay.total,
             }
         )
@@ -314,7 +324,21 @@ class Predictor:
         """Whether there is so much more to learn a residual from that it is worth a round."""
         if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
             return False
-        return self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, len(self.replay) // 3)
+        return self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, self._residual_samples // 3)
+
+    @property
+    def _residual_samples(self) -> int:
+        """Samples remembered since the parameters moved."""
+        return min(len(self.replay), self.replay.total - self._residual_from)
+
+    def _watch_parameters(self, theta: Array) -> None:
+        """Begin the residual anew where the parameters have moved: older samples are of another motor than these."""
+        before = self._residual_theta
+        if before.shape == theta.shape and np.all(np.abs(theta - before) <= MOVED * before):
+            return
+        self._residual_theta, self._residual_anew = theta.copy(), True
+        self._residual_from = self._residual_asked = self.replay.total
+        self.residual.correction = None
 
     def _nothing_to_gain(self, theta: Array) -> bool:
         if self._settled is None:
@@ -328,7 +352,8 @@ class Predictor:
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled = (theta, self._seen) if result.get('settled') else None
         self.loss = result.get('loss', self.loss)
-        self.residual.adopt(result)
+        if not self._residual_anew:  # else it was learnt of parameters that are no more
+            self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
 
