@@ -197,6 +197,17 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
         yield f'{name:<18}{"L/R":<20}{time_constant_s:>12.5g}{"":>10}  {"":<13}154 us [140, 171]'
 
 
+def without_measurements(benchmark: str, data: Path, *, asked: bool) -> int:
+    """Say that the logs are not there, an error only where somebody has named their folder; return the exit status."""
+    what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
+    if asked:
+        print(f'{benchmark}: error: {what}', file=sys.stderr)
+        return 2
+    print(f'{benchmark}: skipped: {what}; name their folder with --data', file=sys.stderr)
+    print(json.dumps({'benchmark': benchmark, 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
+    return 0
+
+
 def main() -> int:
     """Print two tables and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -206,13 +217,7 @@ def main() -> int:
     data = options.data or DEFAULT_DATA
     present, steps = ([case for case in found if case.path.is_file()] for found in (cases(data), step_cases(data)))
     if not present and not steps:
-        what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
-        if options.data is not None:
-            print(f'real_motors: error: {what}', file=sys.stderr)
-            return 2
-        print(f'real_motors: skipped: {what}; name their folder with --data', file=sys.stderr)
-        print(json.dumps({'benchmark': 'real_motors', 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
-        return 0
+        return without_measurements('real_motors', data, asked=options.data is not None)
     try:
         figures = [*parameters(present), *delays(steps)]
     except GrayBoxError as error:

@@ -12,7 +12,6 @@ sample of the log; parameters, delay, networks, their sizes and their stopping c
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -30,6 +29,7 @@ from real_motors import (
     WHEEL_RADIUS_M,
     cases,
     step_cases,
+    without_measurements,
 )
 from tqdm import tqdm
 
@@ -139,13 +139,7 @@ def main() -> int:
     data, seeds = options.data or DEFAULT_DATA, options.seeds or (1 if options.quick else 2)
     todo = [(group, task, seed) for group, task in tasks(data, options.quick) for seed in range(1, seeds + 1)]
     if not todo:
-        what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
-        if options.data is not None:
-            print(f'real_prediction: error: {what}', file=sys.stderr)
-            return 2
-        print(f'real_prediction: skipped: {what}; name their folder with --data', file=sys.stderr)
-        print(json.dumps({'benchmark': 'real_prediction', 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
-        return 0
+        return without_measurements('real_prediction', data, asked=options.data is not None)
     found: dict[str, list[Outcome]] = {}
     try:
         for group, task, seed in tqdm(todo, unit='run', disable=None):

@@ -11,6 +11,7 @@ import numpy as np
 
 from common.cases import SOLVER_STEPS_PER_SAMPLE, THESIS_MOTOR
 from common.motion import FloatArray
+from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.configuration import Configuration
@@ -26,19 +27,10 @@ from gray_box_observer.white_box import MotorWhiteBox
 
 NODES = ('inductance', 'resistance', 'hysteresis')
 
-TRAINING_SET = 'R[1,2]D[3,3]'
+SETS = tuple(TABLE_5_1.values())
+"""The eight sets of the thesis."""
 
-SETS = (
-    TRAINING_SET,
-    'R[5,15]D[3,3]',
-    'R[1,2]D[1,20]',
-    'R[5,15]D[1,20]',
-    'R[5,15]D[1,20]+sin',
-    'R[0,33]D[1,20]',
-    'R[5,15]D[0.001,2]',
-    'R[5,15]D[1,20]+noise',
-)
-"""The eight sets of the thesis (table 5.1)."""
+TRAINING_SET = SETS[0]
 
 SETTLED_S = 1.0
 """The score begins here."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer import checkpoint
@@ -20,17 +21,6 @@ BREAKS = 1200
 
 WITHIN = 10
 """Samples after which the alarm has to stand: a tenth of a second."""
-
-SETS = (
-    'R[1,2]D[3,3]',
-    'R[5,15]D[3,3]',
-    'R[1,2]D[1,20]',
-    'R[5,15]D[1,20]',
-    'R[5,15]D[1,20]+sin',
-    'R[0,33]D[1,20]',
-    'R[5,15]D[0.001,2]',
-    'R[5,15]D[1,20]+noise',
-)
 
 FAULTS = {
     'open brush': ('resistance=1000',),
@@ -105,7 +95,7 @@ def test_a_rotor_that_gets_stuck_raises_the_alarm_where_speed_is_not_measured() 
     assert alarm[BREAKS + 2 * WITHIN]
 
 
-@pytest.mark.parametrize('excitation', SETS)
+@pytest.mark.parametrize('excitation', TABLE_5_1.values())
 def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     record: Callable[..., Recording], excitation: str
 ) -> None:

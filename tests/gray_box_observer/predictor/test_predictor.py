@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import ConfigurationError
@@ -20,16 +21,6 @@ from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
-SETS = (
-    'R[1,2]D[3,3]',
-    'R[5,15]D[3,3]',
-    'R[1,2]D[1,20]',
-    'R[5,15]D[1,20]',
-    'R[5,15]D[1,20]+sin',
-    'R[0,33]D[1,20]',
-    'R[5,15]D[0.001,2]',
-    'R[5,15]D[1,20]+noise',
-)
 
 
 def predictor(box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingRules | None = None) -> Predictor:
@@ -52,7 +43,7 @@ def error(said: np.ndarray, true_nm: np.ndarray, skip: int = 100) -> float:
     return float(np.abs(said - true_nm)[skip:].mean() / true_nm.std())
 
 
-@pytest.mark.parametrize('excitation', SETS)
+@pytest.mark.parametrize('excitation', TABLE_5_1.values())
 def test_a_free_run_from_voltages_alone_is_right_within_a_hundredth_on_every_set_of_the_thesis(
     thesis_box: MotorWhiteBox,
     idle: Any,

@@ -99,11 +99,6 @@ class Change:
     directions: Array
     penalty: float = 0.0
 
-    @property
-    def single(self) -> bool:
-        """Whether one physical parameter alone changes."""
-        return self.directions.ndim == 1
-
 
 def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Change]:
     """List the ways in which a motor may have changed.

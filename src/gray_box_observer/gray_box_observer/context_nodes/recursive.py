@@ -224,6 +224,10 @@ class RecursiveUpdate:
             return
         if self._walk.walking:  # does it still walk, and how fast?
             self._drifts(self._walk.rate > 0.0)
+        self._anchor_here()
+
+    def _anchor_here(self) -> None:
+        """Reckon the likelihood of a drift from the present belief on."""
         self._anchor, self._anchored = self._belief, self.replay.total
 
     @property
@@ -286,7 +290,7 @@ class RecursiveUpdate:
         prior, fit, _ = found[best]
         self._prior = Prior(known.p, np.where(changed[:, None, None], prior.covariance, 2.0 * known.covariance))
         self._take(fit.belief, changed)
-        self._anchor, self._anchored = self._belief, self.replay.total
+        self._anchor_here()
         return True
 
     def _fit_from(self, stretch: Stretch, prior: Prior) -> Fit:
@@ -311,7 +315,7 @@ class RecursiveUpdate:
         self.alarms += int(np.sum(walking & ~before))
         if np.any(walking):
             self._take(after, walking)
-            self._anchor, self._anchored = self._belief, self.replay.total
+            self._anchor_here()
         return bool(np.any(walking))
 
     def _follow_noise(self, block: Block) -> None:
