@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -59,21 +60,22 @@ class Measured:
         return int(np.sum(~np.isfinite(self.prediction_ms[WARM_UP:])))
 
 
-def measure(rate_hz: float, turn_s: float, turns: int, seed: int) -> dict[str, Measured]:
+def measure(rate_hz: float, turn_s: float, turns: int, seed: int, block: int, realtime: bool = False) -> dict[str, Measured]:
     """Run everything at one rate."""
     own_domain()
+    start = partial(running, realtime=realtime)
     with tempfile.TemporaryDirectory() as folder:
         sent, heard = Path(folder) / 'sent.npz', Path(folder) / 'heard.npz'
-        block = Configuration.from_flat({})['recursive.block']
         in_namespace = [['--ros-args', '-r', f'__ns:=/{device}'] for device in DEVICES]
+        in_namespace[1] += ['-p', f'recursive.block:={block}']
         with (
-            running('common.live.relay', '--block', str(block), *in_namespace[0]) as relay,
-            running('gray_box_observer.ros.observer_node', *in_namespace[1]) as observer,
+            start('common.live.relay', '--block', str(block), *in_namespace[0]) as relay,
+            start('gray_box_observer.ros.observer_node', *in_namespace[1]) as observer,
         ):
-            with running('common.live.listener', '--out', str(heard)):
+            with start('common.live.listener', '--out', str(heard)):
                 arguments = ['--rate', str(rate_hz), '--turn', str(turn_s), '--turns', str(turns), '--seed', str(seed)]
                 pids = ['--watch', str(relay.pid), str(observer.pid)]
-                with running('common.live.source', *arguments, *pids, '--out', str(sent)) as source:
+                with start('common.live.source', *arguments, *pids, '--out', str(sent)) as source:
                     source.wait()
                 if source.returncode:
                     raise SystemExit(f'the source ended with {source.returncode}')
@@ -160,11 +162,14 @@ def main() -> int:
     parser.add_argument('--rate', type=float, action='append', help='only this rate; may be given again')
     parser.add_argument('--samples', type=int, default=30_000, help='samples that count, at most those of a minute')
     parser.add_argument('--seed', type=int, default=1)
+    default = Configuration.from_flat({})['recursive.block']
+    parser.add_argument('--block', type=int, default=default, help='samples to one estimate, of both devices')
+    parser.add_argument('--realtime', action='store_true', help='all at real-time priority, so that other programs count less')
     options = parser.parse_args()
     figures, rows = [], []
     for rate_hz, (turn_s, turns) in plan(options).items():
         print(f'{rate_hz:g} Hz: {2 * turns * turn_s:.0f} s', file=sys.stderr, flush=True)
-        measured = measure(rate_hz, turn_s, int(turns), options.seed)
+        measured = measure(rate_hz, turn_s, int(turns), options.seed, options.block, options.realtime)
         figures += figures_of(rate_hz, measured, counts=not options.quick)
         rows += rows_of(rate_hz, measured)
     kinds = [f'{kind} p{100 * q:g}' for kind in ('prediction', 'estimate') for q in QUANTILES]

@@ -7,6 +7,7 @@ them now and then, so that it takes little of the machine and its own queue does
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import time
 from array import array
@@ -64,6 +65,8 @@ def main() -> int:
                 topic.type, full_name(device, topic, name), lambda _: None, DEEP, raw=True
             )
             heard[f'{device}_{name}'] = Heard(subscription, name == 'prediction')
+    # Of the middleware's threads, which take the times, some may be urgent; fetching never is.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     while not ended:
         time.sleep(FETCH_S)
         for one in heard.values():

@@ -14,6 +14,7 @@ import psutil
 
 BENCHMARKS = Path(__file__).resolve().parents[2]
 END_S = 10.0
+PRIORITY = 10
 
 
 def own_domain() -> None:
@@ -23,19 +24,25 @@ def own_domain() -> None:
 
 
 @contextmanager
-def running(module: str, *arguments: str, **parameters: object) -> Iterator[subprocess.Popen[str]]:
+def running(
+    module: str, *arguments: str, realtime: bool = False, **parameters: object
+) -> Iterator[subprocess.Popen[str]]:
     """Run a module as a process, end it and wait for its end.
 
     Args:
         module: what ``python -m`` is given; one of ``common`` does too.
         arguments: of the command line.
+        realtime: before every other program of the machine; needs the right to.
         parameters: of the node, ``sample_rate_hz=100.0``.
     """
     command = [sys.executable, '-m', module, *arguments]
     if parameters:
         command += ['--ros-args', *(word for name, value in parameters.items() for word in ('-p', f'{name}:={value}'))]
     path = os.pathsep.join([str(BENCHMARKS), *filter(None, [os.environ.get('PYTHONPATH')])])
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env={**os.environ, 'PYTHONPATH': path}, text=True)
+    environment = {**os.environ, 'PYTHONPATH': path}
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment, text=True)
+    if realtime:  # its threads are yet to come and inherit it
+        os.sched_setscheduler(process.pid, os.SCHED_RR, os.sched_param(PRIORITY))
     try:
         yield process
     finally:
