@@ -41,6 +41,7 @@ _STARTUP_ERRORS = (
     rclpy_implementation.UnknownROSArgsError,
 )
 _SLICE_S = 1.0
+_SWITCH_S = 0.0005
 _PATIENCE_S = 1.0
 """A second interrupt this long after the first means that the user will not wait for a clean end."""
 
@@ -151,6 +152,8 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> N
     # What was made at the start lives to the end: a full collection that walks over it takes tens of milliseconds.
     gc.collect()
     gc.freeze()
+    # A thread in the background that computes would keep a callback waiting for ten times as long.
+    sys.setswitchinterval(_SWITCH_S)
     try:
         while not stop.requested:
             # Sliced: the events executor of rclpy 7.1 runs hot and deaf when it spins without a time-out.
