@@ -56,7 +56,7 @@ _PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
   topics                replay only these, as [/a, /b]
   clock                 publish /clock with the recorded time; it jumps back when a loop begins again
   wait_for_subscribers  begin when voltage and torque (if replayed, else every topic) have so many readers
-  wait_timeout_s        and give up after this time
+  wait_timeout_s        give up waiting for them after this time
 
 topics are renamed as everywhere in ROS: --ros-args -r /motor/torque:=/other
 """
