@@ -24,6 +24,11 @@ UNIT_OF_SUFFIX = {'_s': 's', '_hz': 'Hz', '_bytes': 'bytes', '_per_s': '1/s'}
 OF_EVERY_NODE = ('/rosout', '/parameter_events')
 OF_A_MANAGED_NODE = ('transition_event',)
 
+PARAMETERS_OF_EVERY_NODE = ('use_sim_time', 'start_type_description_service')
+
+QOS_OVERRIDES = 'qos_overrides.'
+"""What the parameters begin with by which ROS lets the quality of service of a topic be changed."""
+
 SERVICES = {
     'gray_box_observer/reset': 'Forget everything learnt and start from the initial values.',
     'gray_box_observer/save': 'Write what was learnt to the checkpoint (`checkpoint.path`), all or nothing.',
@@ -88,8 +93,8 @@ def unit_of(name: str, description: str) -> str:
 PARAMETER_HEAD = ('parameter', 'type', 'unit', 'default', 'range', 'live', 'what it does')
 
 
-def observer_rows(specs: Iterable[ParameterSpec], prefix: str = '') -> Iterator[list[str]]:
-    """Rows of the parameters that `gray_box_observer/parameters.py` declares."""
+def spec_rows(specs: Iterable[ParameterSpec], prefix: str = '') -> Iterator[list[str]]:
+    """Rows of the parameters that are declared by a specification."""
     for spec in specs:
         allowed = ', '.join(f'`{choice}`' for choice in spec.choices) or range_text(spec.minimum, spec.maximum)
         kind = ' or '.join((ros_type(spec.default), *(f'`{word}`' for word in spec.words)))
@@ -121,7 +126,7 @@ def declared_rows(node: str, seen: Seen, help_text: str) -> Iterator[list[str]]:
     """Rows of the parameters that a node declares by itself; where a descriptor says nothing, its help does."""
     told = {name: ' '.join(text.split()) for name, text in _HELP.findall(help_text)}
     for name, (default, descriptor) in seen.declared.items():
-        if name in ('use_sim_time', 'start_type_description_service'):
+        if name in PARAMETERS_OF_EVERY_NODE or name.startswith(QOS_OVERRIDES):
             continue
         said = (descriptor.description if descriptor is not None else '') or told.get(name, '')
         if not said:
@@ -137,8 +142,29 @@ _HELP = re.compile(r'^ {2}(\w[\w.]*) +(.+(?:\n {4,}\S.*)*)$', re.MULTILINE)
 
 
 def sentence(text: str) -> str:
-    """A description with a capital and a full stop."""
-    return f'{text[0].upper()}{text[1:].rstrip(".")}.'
+    """A description with a full stop, and with a capital unless it begins with a value such as `rotor:`."""
+    first = text.split(maxsplit=1)[0]
+    return f'{text if first.endswith((",", ":")) else text[0].upper() + text[1:]}'.rstrip('.') + '.'
+
+
+def override_lines(seen: Seen) -> list[str]:
+    """By which parameters the quality of service of a node's topics can be changed; none where it cannot."""
+    names = [name.removeprefix(QOS_OVERRIDES) for name in seen.declared if name.startswith(QOS_OVERRIDES)]
+    if not names:
+        return []
+    policies = sorted({name.rpartition('.')[2] for name in names})
+    ends = sorted({name.rpartition('.')[0].rpartition('.')[2] for name in names})
+    return [
+        f'Quality of service, of each topic by its full name: `{QOS_OVERRIDES}<topic>.<{"|".join(ends)}>.<policy>`, '
+        f'where policy is {", ".join(f"`{policy}`" for policy in policies)}; read when the topic is opened.',
+        '',
+    ]
+
+
+def undeclared(seen: Seen, specs: Iterable[ParameterSpec]) -> set[str]:
+    """What a node declares beside the given parameters."""
+    known = {spec.name for spec in specs} | set(PARAMETERS_OF_EVERY_NODE)
+    return {name for name in seen.declared if name not in known and not name.startswith(QOS_OVERRIDES)}
 
 
 def topic_lines(node: str, seen: Seen, modules: Sequence[ModuleType]) -> list[str]:
@@ -189,8 +215,10 @@ def option_lines(parser: argparse.ArgumentParser) -> list[str]:
     rows = []
     for action in parser._actions:
         metavar = action.metavar if isinstance(action.metavar, str) else ''
-        shown = ', '.join(f'`{flag}{f" {metavar}" if metavar else ""}`' for flag in action.option_strings)
+        if action.choices is not None:
+            metavar = '{' + ','.join(str(choice) for choice in action.choices) + '}'
         many = f'{metavar} ...' if action.nargs in ('*', '+') else metavar
+        shown = ', '.join(f'`{flag}{f" {many}" if many else ""}`' for flag in action.option_strings)
         rows.append([shown or f'`{many}`', sentence(' '.join((action.help or '').split()))])
     return table(('option', ''), rows)
 

@@ -10,23 +10,27 @@ import argparse
 import difflib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 
 from api_sources import ROOT, Seen, look_at_nodes, parser_of
 from api_tables import (
     OF_A_MANAGED_NODE,
     OF_EVERY_NODE,
     PARAMETER_HEAD,
+    PARAMETERS_OF_EVERY_NODE,
     SERVICES,
     PageError,
     declared_rows,
     launch_lines,
-    observer_rows,
     option_lines,
+    override_lines,
     sentence,
     service_lines,
     simulator_rows,
+    spec_rows,
     table,
     topic_lines,
+    undeclared,
     value_text,
 )
 
@@ -34,8 +38,8 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
 from gray_box_observer import identify
-from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
-from gray_box_observer.ros import observer_node, player_node, recorder_node, running
+from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
+from gray_box_observer.ros import observer_node, player_arguments, recorder_node, running
 from gray_box_observer.ros import topics as observed_topics
 
 PAGE = ROOT / 'docs' / 'API.md'
@@ -84,32 +88,45 @@ def page() -> str:
     lines += topic_lines('gray_box_observer', observer, [observed_topics])
     lines += service_lines('gray_box_observer', observer, managed)
     lines += ['### Parameters', '', 'The same file serves `identify --params`.', '']
-    lines += table(PARAMETER_HEAD, observer_rows(OBSERVER_PARAMETERS))
+    lines += table(PARAMETER_HEAD, spec_rows(OBSERVER_PARAMETERS))
     lines += ['Of each motor, in a group under its name:', '']
-    lines += table(PARAMETER_HEAD, observer_rows(MOTOR_PARAMETERS, '<motor>.'))
+    lines += table(PARAMETER_HEAD, spec_rows(MOTOR_PARAMETERS, '<motor>.'))
+    of_motor = [replace(spec, name=f'motor.{spec.name}') for spec in MOTOR_PARAMETERS]
+    complain_of_others('observer', observer, [*OBSERVER_PARAMETERS, *of_motor])
+    lines += override_lines(observer)
     lines += ['## identify', '', 'Package `gray_box_observer`; needs no ROS.', '']
     lines += option_lines(identify._parser())
-    for name, node, module in (('recorder', 'bag_recorder', recorder_node), ('player', 'bag_player', player_node)):
-        parser = module.make_parser()
-        lines += [
-            f'## {name}',
-            '',
-            f'Package `gray_box_observer`, node `{node}`. {" ".join(parser.description.split())}',
-            '',
-        ]
-        lines += option_lines(parser)
-        lines += ['### Topics', '', TOPICS_OF_A_BAG[name], '']
-        lines += service_lines(node, nodes[node], every)
-        rows = declared_rows(node, nodes[node], parser.epilog or '')
-        lines += ['### Parameters', '', 'Read once, at the start.', '', *table(PARAMETER_HEAD, rows)]
+    lines += bag_lines('recorder', 'bag_recorder', recorder_node.make_parser(), nodes['bag_recorder'], every)
+    lines += bag_lines('player', 'bag_player', player_arguments.make_parser(), nodes['bag_player'], every)
     lines += simulator_lines(nodes['motor_sim'], every)
     lines += launch_lines(ROOT / 'src')
     lines += ['## Of every node', '', 'Topics: ' + ', '.join(f'`{name}`' for name in OF_EVERY_NODE) + '.']
     lines += ['Services: ' + ', '.join(f'`~/{name}`' for name in sorted(every)) + '.']
-    lines += ['Parameters: `use_sim_time`, `start_type_description_service`.', '']
+    lines += ['Parameters: ' + ', '.join(f'`{name}`' for name in PARAMETERS_OF_EVERY_NODE) + '.', '']
     lines += ['The observer, as a managed node, also has ' + ', '.join(f'`~/{n}`' for n in sorted(managed - every))]
     lines += ['and publishes ' + ', '.join(f'`~/{name}`' for name in OF_A_MANAGED_NODE) + '.']
     return '\n'.join(lines) + '\n'
+
+
+def bag_lines(name: str, node: str, parser: argparse.ArgumentParser, seen: Seen, every: set[str]) -> list[str]:
+    """The section of a node that records or replays."""
+    said = ' '.join((parser.description or '').split())
+    lines = [f'## {name}', '', f'Package `gray_box_observer`, node `{node}`. {said}', '', *option_lines(parser)]
+    lines += ['### Topics', '', TOPICS_OF_A_BAG[name], '', *service_lines(node, seen, every)]
+    if name == 'player':
+        complain_of_others(name, seen, player_arguments.PLAYER_PARAMETERS)
+        rows = spec_rows(player_arguments.PLAYER_PARAMETERS)
+    else:
+        rows = declared_rows(node, seen, parser.epilog or '')
+    lines += ['### Parameters', '', 'Read once, at the start.', '', *table(PARAMETER_HEAD, rows)]
+    return lines + override_lines(seen)
+
+
+def complain_of_others(name: str, seen: Seen, specs: Sequence[ParameterSpec]) -> None:
+    """Raise a `PageError` where a node declares a parameter that is not specified."""
+    strange = undeclared(seen, specs)
+    if strange:
+        raise PageError(f'{name} declares {", ".join(sorted(strange))} without a specification')
 
 
 def simulator_lines(seen: Seen, every: set[str]) -> list[str]:
