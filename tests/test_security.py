@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -124,11 +125,11 @@ def superfluous(used: set[Right], grants: set[Right]) -> list[Right]:
     return sorted(grant for grant in grants if not any(matches(right, grant) for right in used))
 
 
-def start_simulator(peer: Any, folder: Path) -> None:
-    peer.start('dc_motor_sim.ros.motor_sim', publish_clock=True)
+def start_simulator(peer: Any, folder: Path) -> subprocess.Popen[str]:
+    return peer.start('dc_motor_sim.ros.motor_sim', publish_clock=True)
 
 
-def start_observer(peer: Any, folder: Path) -> None:
+def start_observer(peer: Any, folder: Path) -> subprocess.Popen[str]:
     """The observer with everything that takes a right: all context nodes, a horizon, simulated time."""
     nodes = ', '.join(sorted(TERMS, key=lambda name: name != 'inductance'))
     (folder / 'all.yaml').write_text(
@@ -136,10 +137,10 @@ def start_observer(peer: Any, folder: Path) -> None:
         f'    motors: [left, right]\n    left: {{speed_source: measured, context_nodes: [{nodes}]}}\n',
         encoding='utf-8',
     )
-    peer.start('gray_box_observer.ros.observer_node', '--ros-args', '--params-file', str(folder / 'all.yaml'))
+    return peer.start('gray_box_observer.ros.observer_node', '--ros-args', '--params-file', str(folder / 'all.yaml'))
 
 
-def start_recorder(peer: Any, folder: Path) -> None:
+def start_recorder(peer: Any, folder: Path) -> subprocess.Popen[str]:
     """The recorder in simulated time, beside publishers of everything that it records without being asked."""
     clock = peer.node.create_publisher(Clock, '/clock', simulated.CLOCK_QOS)
     ticks = itertools.count(1)
@@ -149,15 +150,15 @@ def start_recorder(peer: Any, folder: Path) -> None:
     command = simulated.VOLTAGE_COMMAND
     peer.node.create_publisher(command.type, command.name, command.qos)
     peer.node.create_publisher(JointState, '/gray_box_observer/predicted_torque', observed.SIGNAL_QOS)
-    peer.start('gray_box_observer.ros.recorder_node', '-o', str(folder / 'bag'), use_sim_time=True)
+    return peer.start('gray_box_observer.ros.recorder_node', '-o', str(folder / 'bag'), use_sim_time=True)
 
 
-def start_player(peer: Any, folder: Path) -> None:
+def start_player(peer: Any, folder: Path) -> subprocess.Popen[str]:
     bag = str(ROOT / 'bags' / 'moderate')
-    peer.start('gray_box_observer.ros.player_node', bag, paused=True, clock=True)
+    return peer.start('gray_box_observer.ros.player_node', bag, paused=True, clock=True)
 
 
-NODES: dict[str, Callable[[Any, Path], None]] = {
+NODES: dict[str, Callable[[Any, Path], subprocess.Popen[str]]] = {
     'motor_sim': start_simulator,
     'gray_box_observer': start_observer,
     'bag_recorder': start_recorder,
@@ -223,3 +224,20 @@ def test_a_policy_grants_what_the_running_node_takes_and_nothing_else(node: str,
         ) from None
     peer.call(ListParameters, f'/{node}/list_parameters')  # it has come to answer: everything is made
     assert missing(taken(peer.node, node), grants) == []
+
+
+@pytest.mark.system
+@pytest.mark.parametrize('node', NODES)
+def test_a_node_without_its_keys_ends_with_one_line_that_names_the_folder(
+    node: str, peer: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    variables = {'KEYSTORE': str(tmp_path), 'ENABLE': 'true', 'STRATEGY': 'Enforce'}
+    for name, value in variables.items():
+        monkeypatch.setenv(f'ROS_SECURITY_{name}', value)
+    monkeypatch.setenv('ROS_SECURITY_ENCLAVE_OVERRIDE', f'/{node}')
+    process = NODES[node](peer, tmp_path)
+    code, _, said = peer.end(process, None)
+    lines = [line for line in said.splitlines() if 'error:' in line]
+    assert code == 2
+    assert len(lines) == 1 and f'{tmp_path}/enclaves/{node}' in lines[0], said
+    assert '.cpp:' not in lines[0]

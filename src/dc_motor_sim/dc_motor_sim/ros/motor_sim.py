@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import time
@@ -287,7 +288,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _fail(error: object, status: int = 2) -> int:
-    print(f'motor_sim: error: {" ".join(str(error).split())}', file=sys.stderr)
+    """Say in one line what is wrong, without the place in the middleware's source that raised it."""
+    said = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
+    print(f'motor_sim: error: {said}', file=sys.stderr)
     rclpy.try_shutdown()
     return status
 
