@@ -23,6 +23,7 @@ from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.ros.diagnoser import Diagnoser
 from gray_box_observer.ros.inputs import Inputs
+from gray_box_observer.ros.life_cycle import survive_impossible_transitions
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.ros.parameters import LiveParameters, declare
 from gray_box_observer.ros.qos import unused_overrides
@@ -63,6 +64,7 @@ class ObserverNode(LifecycleNode):
             lambda: diagnoser.tell(self._state, self._observer, self._intake),
             clock=self._steady,
         )
+        survive_impossible_transitions(self)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/save', self._save)
         self.create_service(Trigger, '~/load', self._load)
@@ -133,6 +135,8 @@ class ObserverNode(LifecycleNode):
         try:
             action()
             result = entities()
+            self._state = state
+            self._arrived()
         except GrayBoxError as error:
             self._reason = f'could not {verb}: {error}'
             self.get_logger().error(self._reason)
@@ -141,8 +145,6 @@ class ObserverNode(LifecycleNode):
             self._reason = f'could not {verb}: {traceback.format_exc()}'
             self.get_logger().error(self._reason)
             return Transition.ERROR
-        self._state = state
-        self._arrived()
         return result
 
     def _arrived(self) -> None:
