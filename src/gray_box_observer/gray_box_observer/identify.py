@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import errno
 import json
-import math
 import os
 import shlex
 import sys
@@ -21,10 +20,9 @@ from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor import InlineTraining
-from gray_box_observer.predictor.alarm import REMEDY
-from gray_box_observer.samples import Rejection
 
 if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
     from gray_box_observer.report.collector import Collector
@@ -92,18 +90,7 @@ def _run(options: argparse.Namespace) -> None:
     collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
         outcome = offline.run(options.bags, configuration, training, collector, update)
-    unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
-    outcome.warnings += [f'no usable sample of motor {name}; it is not in the result' for name in unseen]
-    for name, counts in outcome.intake.rejected.items():
-        if counts:
-            outcome.warnings.append(f'{counts.total()} messages of {name} could not be read')
-    complaints = [delay.complaint(name) for name, delay in outcome.observer.delays().items()]
-    outcome.warnings += [
-        f'motor {name}: alarm at {times_s[0]:.2f} s, {len(times_s)} in all: {REMEDY}'
-        for name, times_s in outcome.alarms_s.items()
-    ]
-    outcome.warnings += [complaint for complaint in complaints if complaint is not None]
-    for warning in outcome.warnings:
+    for warning in warnings_of(outcome):
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)
     if options.json:
@@ -196,41 +183,6 @@ def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
             total += bag.message_count
     with tqdm(total=total, unit=' messages', file=sys.stderr, leave=False) as bar:
         yield bar.update
-
-
-def describe(outcome: offline.Outcome) -> dict[str, Any]:
-    """Return the result as plain values: what ``--json`` writes."""
-    motors: dict[str, dict[str, Any]] = {}
-    delays = outcome.observer.delays()
-    for name, estimate in outcome.observer.estimates().items():
-        pairing = outcome.observer.pairing[name]
-        rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
-        skill = outcome.observer.skill(name)
-        motors[name] = {
-            'samples': pairing.used,
-            'duration_s': round(outcome.duration_s[name], 6),
-            'rejected': rejected,
-            'parameters': {
-                p.name: {
-                    'value': float(estimate.value[0, j]),
-                    'std': float(estimate.std[0, j]),
-                    'unit': p.unit,
-                    'verdict': estimate.verdicts[0][j].value,
-                }
-                for j, p in enumerate(estimate.parameters)
-            },
-            'covariance': estimate.covariance[0].tolist(),
-            'predictor': None if skill is None else skill.to_dict(),
-            'alarms': None,
-        }
-        if outcome.observer.motors[name].alarm is not None:
-            times_s = [round(time_s, 6) for time_s in outcome.alarms_s.get(name, [])]
-            motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
-        delay = delays[name]
-        if delay.asked or delay.complaint(name) is not None:
-            found = [None if math.isnan(number) else number for number in (delay.value_s, delay.std_s)]
-            motors[name]['delay_s'] = {'value': found[0], 'std': found[1], 'applied': delay.applied_s}
-    return {'motors': motors, 'digest': outcome.digest}
 
 
 def _write_report(
