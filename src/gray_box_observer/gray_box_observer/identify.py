@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import errno
-import json
-import os
 import shlex
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -16,12 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gray_box_observer import offline
+from gray_box_observer.archive import command as archive
 from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
 
 if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
@@ -31,17 +29,19 @@ EXIT_USER_ERROR = 2
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; the result is the exit code: 0 when it ran to the end, 2 for input it cannot use."""
+    """Run the command; the result is the exit code.
+
+    0 when it ran to the end, 2 for input it cannot use, 3 where every bag was read by itself and some gave nothing.
+    """
     options = _parser().parse_args(None if args is None else list(args)[1:])
     try:
-        _run(options)
+        return _run(options)
     except GrayBoxError as error:
         print(f'identify: error: {" ".join(str(error).split())}', file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         print('identify: interrupted; nothing was written', file=sys.stderr)
-        return 130
-    return 0
+        return archive.EXIT_INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -71,21 +71,26 @@ def _parser() -> argparse.ArgumentParser:
         metavar='FILE.yaml',
         help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
     )
+    archive.add_options(parser)
     return parser
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     if not options.bags:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
-    for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
-        if target is not None:
-            _refuse_unwritable(target, makes_folders=target is options.report)
+    by_itself = archive.is_asked(options)
     configuration = Configuration.from_yaml(options.params) if options.params else None
+    if not by_itself:
+        for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
+            if target is not None:
+                refuse_unwritable(target, makes_folders=target is options.report)
     mapping = _convert(options) if options.from_csv else None
     if configuration is None:
         configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
+    if by_itself:
+        return archive.run(options, configuration)
     training = None if options.skip_predictor else InlineTraining
     collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
@@ -94,32 +99,12 @@ def _run(options: argparse.Namespace) -> None:
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)
     if options.json:
-        _write_json(result, options.json)
+        write_json(result, options.json)
     if collector is not None:
         _write_report(options, outcome, result, collector)
     if options.json != '-':
         _print_table(result, sys.stdout)
-
-
-def _refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
-    """Say before the work, not after it, that a result could not be written.
-
-    Raises:
-        GrayBoxError: The file, or the folder it would be made in, takes nothing.
-    """
-    try:
-        if target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_file():
-            target.open('ab').close()
-        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
-            folder = target.parent
-            while makes_folders and not folder.exists():
-                folder = folder.parent
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
+    return 0
 
 
 def _collector(options: argparse.Namespace) -> Collector:
@@ -211,17 +196,6 @@ def _write_report(
         ),
         options.report,
     )
-
-
-def _write_json(result: dict[str, Any], target: str) -> None:
-    text = json.dumps(result, indent=2, allow_nan=False)
-    if target == '-':
-        print(text)
-        return
-    try:
-        Path(target).write_text(text + '\n', encoding='utf-8')
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
 
 
 def _print_table(result: dict[str, Any], stream: TextIO) -> None:
