@@ -9,6 +9,7 @@ import asyncio
 import hashlib
 import logging
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
 DEFAULT_RETRIES = 2
+_ADDRESS = re.compile(r'((tcp|tls|wss?)://)?[^/\s]+:\d{1,5}')
 
 
 def require_dask() -> None:
@@ -89,6 +91,8 @@ class DaskEngine:
     def _connect(self, stack: ExitStack) -> Client:
         from distributed import Client
 
+        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
+            raise GrayBoxError(f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786')
         address = self._own_cluster(stack) if self.scheduler is None else self.scheduler
         try:
             client: Client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
