@@ -92,7 +92,9 @@ class DaskEngine:
         from distributed import Client
 
         if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
-            raise GrayBoxError(f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786')
+            raise GrayBoxError(
+                f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786'
+            )
         address = self._own_cluster(stack) if self.scheduler is None else self.scheduler
         try:
             client: Client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
@@ -114,7 +116,7 @@ class DaskEngine:
                 threads_per_worker=1,
                 processes=True,
                 host='127.0.0.1',
-                dashboard_address=None,
+                dashboard_address='127.0.0.1:0',
                 local_directory=folder,
                 silence_logs=logging.CRITICAL,  # what becomes of a bag is told in its row
                 scheduler_kwargs={'allowed_failures': self.retries},
