@@ -12,9 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gray_box_observer import offline
-from gray_box_observer.archive import command as archive
-from gray_box_observer.bag.csv_log import csv_to_bag
-from gray_box_observer.bag.csv_mapping import CsvMapping
+from gray_box_observer.archive import options as archive
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.describe import describe, warnings_of
@@ -22,7 +20,8 @@ from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
 
-if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
+if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
+    from gray_box_observer.bag.csv_mapping import CsvMapping
     from gray_box_observer.report.collector import Collector
 
 EXIT_USER_ERROR = 2
@@ -90,7 +89,9 @@ def _run(options: argparse.Namespace) -> int:
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     if by_itself:
-        return archive.run(options, configuration)
+        from gray_box_observer.archive import command
+
+        return command.run(options, configuration)
     training = None if options.skip_predictor else InlineTraining
     collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
@@ -130,6 +131,9 @@ def _collector(options: argparse.Namespace) -> Collector:
 
 def _convert(options: argparse.Namespace) -> CsvMapping:
     """Make the bag of a CSV log; return what its columns were taken for."""
+    from gray_box_observer.bag.csv_log import csv_to_bag
+    from gray_box_observer.bag.csv_mapping import CsvMapping
+
     if len(options.bags) != 1 or not options.columns:
         raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
     words = options.columns

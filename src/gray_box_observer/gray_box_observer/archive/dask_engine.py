@@ -22,6 +22,7 @@ import numpy as np
 
 import gray_box_observer
 from gray_box_observer.archive.bag_work import BagResult
+from gray_box_observer.archive.options import DEFAULT_RETRIES
 from gray_box_observer.archive.serial_engine import Work
 from gray_box_observer.errors import GrayBoxError
 
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
-DEFAULT_RETRIES = 2
 _ADDRESS = re.compile(r'((tcp|tls|wss?)://)?[^/\s]+:\d{1,5}')
 
 

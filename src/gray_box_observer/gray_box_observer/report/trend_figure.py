@@ -34,7 +34,7 @@ def date_of(time_ns: int) -> str:
 def trend_figure(trend: ParameterTrend) -> Figure:
     """Draw every estimate with its one-sigma error bar, by verdict, and the line through the identified ones."""
     scale = trend_scale(trend)
-    data = [_marks(trend, verdict, scale) for verdict in dict.fromkeys(trend.verdict)]
+    data = [_marks(trend, verdict, scale) for verdict in sorted(set(trend.verdict), key=_first_identified)]
     drift = trend.drift()
     if drift is not None:
         data.append(_drift_line(trend, drift, scale))
@@ -49,6 +49,10 @@ def trend_figure(trend: ParameterTrend) -> Figure:
         {'label': 'Full', 'layout': {'yaxis.range': full}},
     ]
     return Figure(data, layout, [views], f'Error bars: ± 1 {SIGMA}, as stated at the end of each bag.')
+
+
+def _first_identified(verdict: str) -> tuple[bool, str]:
+    return verdict != 'identified', verdict
 
 
 def _marks(trend: ParameterTrend, verdict: str, scale: Scale) -> Trace:

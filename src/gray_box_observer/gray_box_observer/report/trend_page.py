@@ -85,7 +85,10 @@ def _card(trend: ParameterTrend) -> str:
 
 def _motor(index: int, motor: MotorTrend, figures: dict[str, Figure]) -> str:
     """Return the section of one motor and add its figures to `figures`."""
-    parts = [f'<section class="motor" id="motor-{index}"><h2>{escape(motor.name)}</h2><div class="grid">']
+    parts = [
+        f'<section class="motor" id="motor-{index}"><h2>{escape(motor.name)}</h2>',
+        '<h3>Estimates over time</h3><div class="grid">',
+    ]
     for number, trend in enumerate(motor.parameters):
         key = f'motor-{index}-parameter-{number}'
         figures[key] = trend_figure(trend)
