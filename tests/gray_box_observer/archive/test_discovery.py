@@ -21,6 +21,11 @@ def test_folders_are_looked_through_and_a_folder_with_metadata_is_one_bag(tmp_pa
     assert find_bags([tmp_path]) == [tmp_path / 'z.mcap', tmp_path / 'a/deep/c.mcap', tmp_path / 'b']
 
 
+def test_what_a_killed_recorder_left_is_one_bag(tmp_path: Path) -> None:
+    make(tmp_path, 'run/run_0.mcap', 'run/run_1.mcap', 'day/run_0.mcap', 'day/run_1.mcap')
+    assert find_bags([tmp_path]) == [tmp_path / 'day/run_0.mcap', tmp_path / 'day/run_1.mcap', tmp_path / 'run']
+
+
 def test_a_bag_is_itself_and_is_read_once_however_often_it_is_named(tmp_path: Path) -> None:
     make(tmp_path, 'b/metadata.yaml', 'b/b_0.mcap', 'run.bag')
     named = [tmp_path / 'b', tmp_path, tmp_path / 'run.bag', tmp_path / 'x' / '..' / 'b']

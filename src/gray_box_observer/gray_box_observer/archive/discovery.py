@@ -13,9 +13,9 @@ from gray_box_observer.errors import BagError
 def find_bags(places: Iterable[Path]) -> list[Path]:
     """Return every bag at the places, as absolute paths, each once.
 
-    A file is taken for a bag whatever it is called, a folder with ``metadata.yaml`` is one. Any other folder is looked
-    through, in the order of names: every folder with ``metadata.yaml`` and every other ``.mcap`` file in it is a bag.
-    Hidden folders are left out, and so is what links to another folder.
+    A file is taken for a bag whatever it is called. A folder is one if it has ``metadata.yaml``, or, after a recorder
+    was killed, the first file of a recording (``NAME/NAME_0.mcap``). Any other folder is looked through, in order of
+    names; an ``.mcap`` file in it is a bag too. Hidden folders are left out, and so is what links to another folder.
 
     Args:
         places: bags, and folders of bags.
@@ -39,7 +39,7 @@ def _bags_at(place: Path) -> Iterator[Path]:
         yield place
         return
     for folder, below, files in os.walk(place, onerror=_refuse):
-        if METADATA_NAME in files:
+        if METADATA_NAME in files or f'{Path(folder).name}_0.mcap' in files:
             below.clear()
             yield Path(folder)
             continue
