@@ -107,8 +107,10 @@ class DaskEngine:
 
     def _own_cluster(self, stack: ExitStack) -> Any:
         """Start a cluster that only this machine can reach; its processes end with the stack."""
+        import dask
         from distributed import LocalCluster
 
+        stack.enter_context(dask.config.set({'distributed.worker.profile.enabled': False}))  # costs some percent
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='identify-', ignore_cleanup_errors=True))
         return stack.enter_context(
             LocalCluster(
