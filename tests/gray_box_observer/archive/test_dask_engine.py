@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -81,6 +82,21 @@ def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, para
         results[index] = result
     assert results == dict(SerialEngine().run(work, bags))
     assert all(result.error is None for result in results.values())
+
+
+@pytest.mark.timeout(300)
+def test_workers_leave_an_interruption_to_the_command() -> None:
+    def work(bag: Path) -> BagResult:
+        return BagResult(str(bag), digest=str(os.getpid()))
+
+    before = children()
+    found = []
+    for _, result in DaskEngine(workers=1).run(work, [Path(f'/archive/{k}') for k in range(4)]):
+        for pid in children() - before - _trackers():
+            os.kill(pid, signal.SIGINT)
+        found.append(result.digest)
+    assert len(found) == 4
+    assert len(set(found)) == 1
 
 
 @pytest.mark.timeout(300)

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gray_box_observer
+from gray_box_observer.archive import worker_setup
 from gray_box_observer.archive.bag_work import BagResult
 from gray_box_observer.archive.options import DEFAULT_RETRIES
 from gray_box_observer.archive.serial_engine import Work
@@ -120,6 +121,7 @@ class DaskEngine:
                 host='127.0.0.1',
                 dashboard_address='127.0.0.1:0',
                 local_directory=folder,
+                preload=[worker_setup.__name__],
                 silence_logs=logging.CRITICAL,  # what becomes of a bag is told in its row
                 scheduler_kwargs={'allowed_failures': self.retries},
             )
