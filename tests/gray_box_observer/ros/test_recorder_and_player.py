@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -23,6 +25,7 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.ros import recorder_node
+from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS
 from gray_box_observer.ros.running import Stop
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
@@ -258,7 +261,7 @@ def test_latched_messages_are_replayed_latched(peer, tmp_path):
         (PLAYER, ['{tmp}/none'], 'no such bag'),
         (PLAYER, ['{tmp}/text.mcap'], 'is no MCAP file'),
         (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate is 'fast', expected a number"),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate must be of type float, got 'fast'"),
         (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
         (
             PLAYER,
@@ -286,6 +289,22 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arg
 def test_help_names_every_parameter(peer, module):
     code, out, _ = peer.end(peer.start(module, '--help'), None)
     assert code == 0
-    source = Path(sys.modules[RECORDER].__file__).with_name(f'{module.rpartition(".")[2]}.py').read_text()
+    source = Path(sys.modules[RECORDER].__file__).read_text()
     declared = {part.split("'")[1] for part in source.split('self._number(')[1:] if part.startswith("'")}
+    if module == PLAYER:
+        declared = {spec.name for spec in PLAYER_PARAMETERS}
     assert declared and all(name in out for name in declared)
+
+
+def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_path):
+    player = peer.start(PLAYER, str(make_bag(tmp_path / 'bag', [0.0, 1.0])), paused='true')
+    change = SetParameters.Request(parameters=[Parameter('rate', value=2.0).to_parameter_msg()])
+    answer = peer.call(SetParameters, '/bag_player/set_parameters', change)
+    assert not answer.results[0].successful and 'read-only' in answer.results[0].reason
+    assert peer.end(player)[0] == 0
+
+
+def test_the_defaults_of_the_player_are_those_that_it_accepts():
+    for spec in PLAYER_PARAMETERS:
+        assert spec.check(spec.default) == spec.default
+        assert spec.description.endswith('.')
