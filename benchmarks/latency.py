@@ -60,7 +60,9 @@ class Measured:
         return int(np.sum(~np.isfinite(self.prediction_ms[WARM_UP:])))
 
 
-def measure(rate_hz: float, turn_s: float, turns: int, seed: int, block: int, realtime: bool = False) -> dict[str, Measured]:
+def measure(
+    rate_hz: float, turn_s: float, turns: int, seed: int, block: int, realtime: bool = False
+) -> dict[str, Measured]:
     """Run everything at one rate."""
     own_domain()
     start = partial(running, realtime=realtime)
@@ -71,15 +73,15 @@ def measure(rate_hz: float, turn_s: float, turns: int, seed: int, block: int, re
         with (
             start('common.live.relay', '--block', str(block), *in_namespace[0]) as relay,
             start('gray_box_observer.ros.observer_node', *in_namespace[1]) as observer,
+            start('common.live.listener', '--out', str(heard)),
         ):
-            with start('common.live.listener', '--out', str(heard)):
-                arguments = ['--rate', str(rate_hz), '--turn', str(turn_s), '--turns', str(turns), '--seed', str(seed)]
-                pids = ['--watch', str(relay.pid), str(observer.pid)]
-                with start('common.live.source', *arguments, *pids, '--out', str(sent)) as source:
-                    source.wait()
-                if source.returncode:
-                    raise SystemExit(f'the source ended with {source.returncode}')
-                time.sleep(1.0)  # what is under way arrives
+            arguments = ['--rate', str(rate_hz), '--turn', str(turn_s), '--turns', str(turns), '--seed', str(seed)]
+            pids = ['--watch', str(relay.pid), str(observer.pid)]
+            with start('common.live.source', *arguments, *pids, '--out', str(sent)) as source:
+                source.wait()
+            if source.returncode:
+                raise SystemExit(f'the source ended with {source.returncode}')
+            time.sleep(1.0)  # what is under way arrives
         return gathered(sent, heard, turn_s, turns)
 
 
@@ -115,7 +117,9 @@ def paired_ratio(measured: dict[str, Measured]) -> float:
     relay, observer = (measured[device] for device in DEVICES)
     ratios = []
     for turn in np.unique(relay.turn[WARM_UP:]):
-        both = [np.nanquantile(one.prediction_ms[WARM_UP:][one.turn[WARM_UP:] == turn], 0.99) for one in (relay, observer)]
+        both = [
+            np.nanquantile(one.prediction_ms[WARM_UP:][one.turn[WARM_UP:] == turn], 0.99) for one in (relay, observer)
+        ]
         ratios.append(both[1] / both[0])
     return float(np.median(ratios))
 
@@ -152,7 +156,10 @@ def plan(options: argparse.Namespace) -> dict[float, tuple[float, int]]:
     """Length of a turn in s and turns of each device, by rate."""
     rates = options.rate or ([GOAL_RATE_HZ, 2000.0] if options.quick else list(RATES_HZ))
     counted = 6000 if options.quick else options.samples
-    return {rate: (turn_s := max(1.0, 2000.0 / rate), -(-(WARM_UP + min(counted, 60 * rate)) // (turn_s * rate))) for rate in rates}
+    return {
+        rate: (turn_s := max(1.0, 2000.0 / rate), -(-(WARM_UP + min(counted, 60 * rate)) // (turn_s * rate)))
+        for rate in rates
+    }
 
 
 def main() -> int:
@@ -164,7 +171,9 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     default = Configuration.from_flat({})['recursive.block']
     parser.add_argument('--block', type=int, default=default, help='samples to one estimate, of both devices')
-    parser.add_argument('--realtime', action='store_true', help='all at real-time priority, so that other programs count less')
+    parser.add_argument(
+        '--realtime', action='store_true', help='all at real-time priority, so that other programs count less'
+    )
     options = parser.parse_args()
     figures, rows = [], []
     for rate_hz, (turn_s, turns) in plan(options).items():

@@ -57,7 +57,9 @@ class Source(Node):
     def __init__(self) -> None:
         super().__init__('source')
         self._senders = {
-            device: [self.create_publisher(t.type, full_name(device, t), t.qos) for t in (topics.VOLTAGE, topics.TORQUE)]
+            device: [
+                self.create_publisher(t.type, full_name(device, t), t.qos) for t in (topics.VOLTAGE, topics.TORQUE)
+            ]
             for device in DEVICES
         }
         self._data, self._at = template()

@@ -22,8 +22,7 @@ HEADER_BYTES = 4
 
 def estimate_topics() -> dict[str, topics.Topic]:
     """Topics of one estimate by short name, in the order in which they are published."""
-    named = {name: topics.PARAMETER for name in PARAMETERS}
-    return {**named, 'covariance': topics.COVARIANCE, LAST: topics.IDENTIFIED}
+    return {**dict.fromkeys(PARAMETERS, topics.PARAMETER), 'covariance': topics.COVARIANCE, LAST: topics.IDENTIFIED}
 
 
 def full_name(device: str, topic: topics.Topic, parameter: str = '') -> str:
