@@ -59,16 +59,16 @@ class Robot:
                 self.network.on(host, command), env=environment, stdout=log, stderr=log, start_new_session=True
             )
 
-    def listen(self, depth: int | None = None, **parameters: object) -> None:
+    def listen(self, depth: int, **parameters: object) -> None:
         """Start observer and recorder, and wait until the one hears the other."""
-        self.start('recorder', 'gray_box_observer.ros.recorder_node', '-o', str(self.bag), queue_depth=depth or 5000)
+        self.start('recorder', 'gray_box_observer.ros.recorder_node', '-o', str(self.bag), queue_depth=max(depth, 5000))
         self.start('observer', 'gray_box_observer.ros.observer_node', **overrides('subscription', depth), **parameters)
         self.wait(lambda: self.diagnostics(), 'the observer to be recorded')
 
-    def simulate(self, duration_s: float, depth: int | None = None) -> None:
+    def simulate(self, rate_hz: float, duration_s: float, depth: int) -> None:
         """Let the motor run once both others listen; 0 s: until the end."""
         self.start(
-            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=RATE_HZ, duration_s=duration_s,
+            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=rate_hz, duration_s=duration_s,
             wait_for_subscribers=2, excitation='R[1,5]D[0.05,0.5]', torque_noise_relative=0.01,
             **overrides('publisher', depth),
         )  # fmt: skip
@@ -82,13 +82,13 @@ class Robot:
             assert time.monotonic() < until_s, f'waited {PATIENCE_S} s for {what}'
             time.sleep(0.4)
 
-    def recorded_s(self) -> float:
-        """Length of what is in the bag of the torque so far."""
+    def recorded(self) -> int:
+        """Torques in the bag so far."""
         try:
             with BagReader(self.bag) as bag:
-                return sum(1 for _ in bag.messages([SIGNALS[1]])) / RATE_HZ
+                return sum(1 for _ in bag.messages([SIGNALS[1]]))
         except BagError:  # not begun yet
-            return 0.0
+            return 0
 
     def stamps_ns(self, topic: str) -> np.ndarray:
         """Stamps of the messages of a topic in the bag, which may still be written."""
@@ -130,9 +130,20 @@ class Robot:
         return (self._logs / f'{host}.log').read_text()
 
 
-def overrides(end: str, depth: int | None) -> dict[str, int]:
+def overrides(end: str, depth: int) -> dict[str, int]:
     """Parameters that give both signals a deeper history."""
-    return {} if depth is None else {f'qos_overrides./{name[1:]}.{end}.depth': depth for name in SIGNALS}
+    return {f'qos_overrides./{name[1:]}.{end}.depth': depth for name in SIGNALS}
+
+
+def cut_off(robot: Robot, after: int, samples: int, at_most: int = sys.maxsize) -> None:
+    """Cut the observer off once so many samples are in the bag, for as long as it takes to record some more."""
+    robot.wait(lambda: robot.recorded() >= after, 'samples to flow')
+    robot.network.pull_plug('observer')
+    before = robot.network.bytes_to('observer')
+    until = min(robot.recorded() + samples, at_most)
+    robot.wait(lambda: robot.recorded() >= until, 'the outage to last')
+    assert robot.network.bytes_to('observer') == before
+    robot.network.plug_in_again('observer')
 
 
 @pytest.fixture
@@ -149,15 +160,9 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 def test_with_deep_histories_nothing_is_lost_on_three_hosts_even_where_a_link_goes_down(robot):
     # After an outage a topic is delivered at a time; torque that comes first waits for its voltage that long.
     robot.listen(DEPTH, hold_s=2.0 * OUTAGE_S + BEFORE_S)
-    robot.simulate(DURATION_S, DEPTH)
-    robot.wait(lambda: robot.recorded_s() >= BEFORE_S, 'samples to flow')
-    robot.network.pull_plug('observer')
-    before = robot.network.bytes_to('observer')
-    outage_ends_s = min(robot.recorded_s() + OUTAGE_S, DURATION_S)
-    robot.wait(lambda: robot.recorded_s() >= outage_ends_s, 'the outage to last')
-    assert robot.network.bytes_to('observer') == before
-    robot.network.plug_in_again('observer')
-    robot.wait(lambda: robot.recorded_s() >= DURATION_S, 'the simulation to end')
+    robot.simulate(RATE_HZ, DURATION_S, DEPTH)
+    cut_off(robot, round(BEFORE_S * RATE_HZ), round(OUTAGE_S * RATE_HZ), COUNT)
+    robot.wait(lambda: robot.recorded() >= COUNT, 'the simulation to end')
     robot.wait(lambda: robot.diagnostics().get('samples used') == str(COUNT), 'the observer to have used every sample')
     facts = robot.diagnostics()
     robot.end()
@@ -172,16 +177,13 @@ def test_with_deep_histories_nothing_is_lost_on_three_hosts_even_where_a_link_go
         assert value == pytest.approx(TRUTH[name], rel=0.02), name
 
 
-def test_with_histories_of_a_second_a_longer_outage_is_a_gap_that_is_counted_and_everything_goes_on(robot):
-    robot.listen(hold_s=2.0 * OUTAGE_S + BEFORE_S)
-    robot.simulate(0.0)
-    robot.wait(lambda: robot.recorded_s() >= BEFORE_S, 'samples to flow')
-    robot.network.pull_plug('observer')
-    outage_ends_s = robot.recorded_s() + OUTAGE_S + 1.0
-    robot.wait(lambda: robot.recorded_s() >= outage_ends_s, 'the outage to last')
+def test_an_outage_longer_than_the_histories_is_a_gap_that_is_counted_and_everything_goes_on(robot):
+    rate_hz, depth = 200.0, 100  # half a second
+    robot.listen(depth)
+    robot.simulate(rate_hz, 0.0, depth)
+    cut_off(robot, 200, 300)
     before = int(robot.diagnostics()['samples used'])
-    robot.network.plug_in_again('observer')
-    robot.wait(lambda: int(robot.diagnostics()['samples used']) > before + RATE_HZ, 'the observer to go on')
+    robot.wait(lambda: int(robot.diagnostics()['samples used']) > before + 2 * depth, 'the observer to go on')
     facts = robot.diagnostics()
     robot.end()
     assert int(facts['samples used']) < len(robot.stamps_ns(SIGNALS[1]))
