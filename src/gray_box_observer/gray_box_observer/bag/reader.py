@@ -18,6 +18,7 @@ from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
 from gray_box_observer.bag.contents import Loss, TopicInfo
+from gray_box_observer.bag.losses import UNFINISHED, Losses
 from gray_box_observer.bag.mcap_content import (
     RawMessage,
     Unreadable,
@@ -25,9 +26,9 @@ from gray_box_observer.bag.mcap_content import (
     parse_messages,
     read_records,
 )
-from gray_box_observer.bag.mcap_layout import Damage, Layout, Piece, walk
-from gray_box_observer.bag.mcap_records import MAGIC, Channel, Definitions
-from gray_box_observer.bag.metadata import bag_files
+from gray_box_observer.bag.mcap_layout import Layout, Piece, walk
+from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, Channel, Definitions
+from gray_box_observer.bag.metadata import ListedFile, list_files
 from gray_box_observer.errors import BagError
 
 _LOG_TIME = itemgetter(4)
@@ -37,6 +38,8 @@ _LOG_TIME = itemgetter(4)
 class _File:
     path: Path
     layout: Layout
+    listed_count: int | None
+    """Messages according to ``metadata.yaml``."""
 
 
 class BagReader:
@@ -53,10 +56,11 @@ class BagReader:
         self.path = Path(path)
         self._opened: tuple[Path, BinaryIO] | None = None
         self._is_closed = False
-        self._damages: dict[tuple[Path, int], Damage] = {}
-        self._undecodable: dict[str, tuple[int, str]] = {}
+        self._losses = Losses()
         try:
-            self._files = [self._look_at(file) for file in bag_files(self.path)]
+            listing = list_files(self.path)
+            self._losses.of_bag += listing.complaints
+            self._files = self._open_files(listing.files)
             self._account()
         except BaseException:
             self.close()
@@ -100,14 +104,7 @@ class BagReader:
     @property
     def lost(self) -> Loss | None:
         """What could not be read so far, or None; ask again once all messages have been read."""
-        several = len(self._files) > 1
-        reasons, byte_count = [], 0
-        for (path, _), damage in sorted(self._damages.items()):
-            reasons.append(f'{path.name}: {damage.what}' if several else damage.what)
-            byte_count += damage.byte_count
-        for topic, (count, reason) in self._undecodable.items():
-            reasons.append(f'{count} messages of {topic} could not be decoded ({reason})')
-        return Loss(tuple(reasons), byte_count) if reasons else None
+        return self._losses.total(with_names=len(self._files) > 1)
 
     def messages(self, topics: Collection[str] | None = None, start_ns: int | None = None) -> Iterator[RawMessage]:
         """Every message in the order of log times; messages of equal time in the order of the files.
@@ -162,8 +159,7 @@ class BagReader:
                 content = decoder(message.data)
             except Exception as error:  # whatever a foreign decoder makes of foreign bytes
                 reason = ' '.join(str(error).split()) or type(error).__name__
-                count = self._undecodable.get(message.topic, (0, ''))[0]
-                self._undecodable[message.topic] = (count + 1, reason)
+                self._losses.undecodable(message.topic, reason)
                 continue
             yield message, content
 
@@ -192,7 +188,21 @@ class BagReader:
             self._opened = (path, stream)
         return self._opened[1]
 
-    def _look_at(self, path: Path) -> _File:
+    def _open_files(self, listed: Collection[ListedFile]) -> list[_File]:
+        """Look at every file; one that cannot be used costs only itself, as long as another can be."""
+        files: list[_File] = []
+        refused: list[BagError] = []
+        for entry in listed:
+            try:
+                files.append(_File(entry.path, self._look_at(entry.path), entry.message_count))
+            except BagError as error:
+                refused.append(error)
+        if refused and not files:
+            raise refused[0]
+        self._losses.of_bag += [str(error) for error in refused]
+        return files
+
+    def _look_at(self, path: Path) -> Layout:
         try:
             size = path.stat().st_size
             if not size:
@@ -200,7 +210,7 @@ class BagReader:
             stream = self._stream(path)
             if stream.read(len(MAGIC)) != MAGIC:
                 raise BagError(f"{path} is no MCAP file; another kind of bag can be converted with 'ros2 bag convert'")
-            return _File(path, walk(stream, size))
+            return walk(stream, size)
         except OSError as error:
             raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None
 
@@ -220,7 +230,7 @@ class BagReader:
             raise BagError(f'{file.path}: cannot be read: {error.strerror or error}') from None
         found, left, orphans = parse_messages(records, channels, wanted)
         if piece.is_cut:
-            self._damage(file, piece, left, 'the file ends in the middle of a chunk')
+            self._damage(file, piece, left + END_BYTES, 'the file ends in the middle of a chunk')
         elif left:
             self._damage(file, piece, left, f'a malformed record in the chunk at byte {piece.offset}')
         elif orphans:
@@ -228,7 +238,7 @@ class BagReader:
         return found
 
     def _damage(self, file: _File, piece: Piece, byte_count: int, what: str) -> None:
-        self._damages.setdefault((file.path, piece.offset), Damage(piece.offset, byte_count, what))
+        self._losses.damage(file.path, piece.offset, byte_count, what)
 
     def _account(self) -> None:
         """Find topics, counts and times: from the summaries where they can be believed, else by reading."""
@@ -236,17 +246,12 @@ class BagReader:
         declared: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []
         for file in self._files:
-            if file.layout.statistics is None:
-                spans += self._count_by_reading(file, counts)
-            elif file.layout.statistics.message_count:
-                statistics = file.layout.statistics
-                spans.append((statistics.start_ns, statistics.end_ns))
-                for number, count in statistics.channel_message_counts.items():
-                    if number in file.layout.channels:
-                        topic = file.layout.channels[number].topic
-                        counts[topic] = counts.get(topic, 0) + count
+            found = self._count(file, spans)
+            for topic, count in found.items():
+                counts[topic] = counts.get(topic, 0) + count
             for channel in file.layout.channels.values():
                 declared.setdefault(channel.topic, channel)
+            self._compare(file, sum(found.values()))
         self._message_count = sum(counts.values())
         if not spans or not self._message_count:
             reason = f': {self.lost}' if self.lost is not None else ''
@@ -256,6 +261,31 @@ class BagReader:
             name: TopicInfo(c.type_name, counts.get(name, 0), c.schema_text, c.encoding, c.qos_profiles, c.type_hash)
             for name, c in declared.items()
         }
+
+    def _count(self, file: _File, spans: list[tuple[int, int]]) -> dict[str, int]:
+        """The messages of one file by topic; their first and last times are added to the spans."""
+        statistics, counts = file.layout.statistics, dict[str, int]()
+        if statistics is None:
+            spans += self._count_by_reading(file, counts)
+        elif statistics.message_count:
+            spans.append((statistics.start_ns, statistics.end_ns))
+            for number, count in statistics.channel_message_counts.items():
+                if number in file.layout.channels:
+                    topic = file.layout.channels[number].topic
+                    counts[topic] = counts.get(topic, 0) + count
+        return counts
+
+    def _compare(self, file: _File, found: int) -> None:
+        """Say where a file holds less than it should, and where it was never finished."""
+        size, expected = file.layout.size, file.layout.expected
+        if expected is not None and found < expected.message_count:
+            what = f'{expected.message_count - found} of {expected.message_count} messages cannot be read'
+            self._losses.damage(file.path, size, 0, what)
+        if file.layout.is_unfinished:
+            self._losses.damage(file.path, size, 0, UNFINISHED)
+        elif file.listed_count is not None and found < file.listed_count and not self._losses.has_damage(file.path):
+            what = f'it holds {found} messages, but {file.listed_count} according to metadata.yaml'
+            self._losses.damage(file.path, size, 0, what)
 
     def _count_by_reading(self, file: _File, counts: dict[str, int]) -> list[tuple[int, int]]:
         """Count the messages of a file without a summary, and put the true times of its pieces in place."""
@@ -275,27 +305,8 @@ class BagReader:
                 times = [message.log_time_ns for message in found]
                 pieces.append(replace(piece, start_ns=min(times), end_ns=max(times)))
         layout.pieces = pieces
-        self._note_walk(file)
+        self._losses.of_layout(file.path, layout)
         return [(piece.start_ns, piece.end_ns) for piece in pieces]
-
-    def _note_walk(self, file: _File) -> None:
-        """Take over what the walk found wrong, and say how far the file goes."""
-        layout = file.layout
-        for damage in layout.damages:
-            self._damages.setdefault((file.path, damage.offset), damage)
-        if not layout.is_finished and not any(d.offset for (p, _), d in self._damages.items() if p == file.path):
-            what = 'the file ends without an end mark, so its last messages may be missing'
-            self._damages[file.path, layout.size] = Damage(layout.size, 0, what)
-        start_ns = min((piece.start_ns for piece in layout.pieces), default=0)
-        for key, damage in list(self._damages.items()):
-            if key[0] == file.path and damage.what.startswith(_END):
-                reached = [piece.end_ns for piece in layout.pieces if piece.offset <= damage.offset]
-                after_s = (max(reached) - start_ns) * 1e-9 if reached else 0.0
-                what = damage.what.replace(_END, f'{_END} after {after_s:.1f} s', 1)
-                self._damages[key] = replace(damage, what=what)
-
-
-_END = 'the file ends'
 
 
 def _take_before(waiting: dict[int, list[RawMessage]], limit: int | None) -> Iterator[RawMessage]:
