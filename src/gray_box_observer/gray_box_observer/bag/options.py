@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from gray_box_observer.bag.mcap_file import COMPRESSIONS
 from gray_box_observer.errors import BagError
@@ -12,6 +13,18 @@ FLUSH_PERIOD_S = 0.5
 """Half of the second that a killed recorder may lose: the rest is for what waits in queues."""
 
 _LEVELS = {'none': (0, 0), 'lz4': (0, 16), 'zstd': (-7, 22)}
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    'none': {},
+    'fastwrite': {},
+    'zstd_fast': {'compression': 'zstd', 'compression_level': -5},
+    'zstd_small': {'compression': 'zstd', 'compression_level': 19, 'chunk_bytes': 4 << 20},
+}
+"""Options by the names that rosbag2's MCAP storage gives them.
+
+Chunks and their checksums stay: without them a damaged or killed bag could not be read. So ``fastwrite``, which leaves
+them out in rosbag2, is the same as ``none`` here.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,14 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from gray_box_observer.bag.options import FLUSH_PERIOD_S, PRESETS, BagOptions
 from gray_box_observer.bag.schemas import schema_text, share_lookup
-from gray_box_observer.bag.writer import BagOptions, BagWriter
+from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.errors import BagError, ConfigurationError
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import needs_weaker, subscription_profile, to_mapping
 from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.recorder_arguments import given_options, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_recorder'
@@ -33,21 +34,6 @@ _FLUSH_CHECK_S = 0.25
 _TTY_PERIOD_S = 1.0
 _LOG_PERIOD_S = 10.0
 _LEFT_OUT_OF_ALL = ('/parameter_events', '/rosout')
-_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
-Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and /diagnostics.
-SIGINT and SIGTERM finish the bag."""
-_PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
-  topics               topics to record, as [/a, /b]
-  output               folder to make; default rosbag2_<date and time>
-  all                  record every topic, except /parameter_events and /rosout
-  include_ros_internals  with all: these two as well
-  duration_s           end after this time; 0: when interrupted
-  compression          '' or zstd
-  max_file_bytes       begin a new file when one is this large; 0: never
-  max_file_duration_s  begin a new file when one spans this time; 0: never
-  flush_period_s       at most this much is lost if the recorder is killed
-  queue_depth          messages that may wait per topic
-"""
 
 
 @dataclass(slots=True)
@@ -67,13 +53,21 @@ class BagRecorder(Node):
         topics: Topics to record in addition to the parameter ``topics``.
         output: Folder to make; empty for the parameter ``output``.
         all_topics: Whether to record every topic.
+        given: What the command line says of how to write, by the names of the parameters; it precedes them.
 
     Raises:
         BagError: The folder exists or cannot be made.
         ConfigurationError: A parameter is out of its range.
     """
 
-    def __init__(self, stop: Stop, topics: Sequence[str] = (), output: str = '', all_topics: bool = False) -> None:
+    def __init__(
+        self,
+        stop: Stop,
+        topics: Sequence[str] = (),
+        output: str = '',
+        all_topics: bool = False,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
         names = [*topics, *(name for name in self._parameter('topics', ['']) if name)]
@@ -85,15 +79,7 @@ class BagRecorder(Node):
             raise ConfigurationError(f'queue_depth is {self._depth}, expected at least 1')
         duration_s = self._number('duration_s', 0.0)
         folder = output or self._parameter('output', '') or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
-        self._writer = BagWriter(
-            Path(folder).expanduser(),
-            BagOptions(
-                compression=self._parameter('compression', ''),
-                flush_period_s=self._number('flush_period_s', 1.0),
-                max_file_bytes=int(self._number('max_file_bytes', 0)),
-                max_file_duration_s=self._number('max_file_duration_s', 0.0),
-            ),
-        )
+        self._writer = BagWriter(Path(folder).expanduser(), self._options(given or {}))
         self._lookup = share_lookup()
         self._recorded: dict[str, _Recorded] = {}
         self._refused: set[str] = set()
@@ -125,6 +111,24 @@ class BagRecorder(Node):
         if sys.stderr.isatty():
             print(file=sys.stderr)
         self.get_logger().info(f'{self._writer.folder}: {self._summary()}')
+
+    def _options(self, given: Mapping[str, Any]) -> BagOptions:
+        """How to write: what the command line says, else the parameters."""
+        values = {
+            'compression': self._parameter('compression', 'none'),
+            'storage_preset_profile': self._parameter('storage_preset_profile', 'none'),
+            'flush_period_s': self._number('flush_period_s', FLUSH_PERIOD_S),
+            'max_file_bytes': self._number('max_file_bytes', 0),
+            'max_file_duration_s': self._number('max_file_duration_s', 0.0),
+            **given,
+        }
+        preset = values.pop('storage_preset_profile')
+        if preset not in PRESETS:
+            raise ConfigurationError(f'storage_preset_profile is {preset!r}, expected one of {", ".join(PRESETS)}')
+        if PRESETS[preset] and values['compression'] != 'none':
+            raise ConfigurationError(f'storage_preset_profile {preset} sets the compression; leave compression out')
+        values['max_file_bytes'] = int(values['max_file_bytes'])
+        return BagOptions(**{**values, **PRESETS[preset]})
 
     def _parameter(self, name: str, default: Any) -> Any:
         return self.declare_parameter(name, default).value
@@ -247,26 +251,12 @@ class BagRecorder(Node):
             self.get_logger().info(self._summary())
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        prog='recorder',
-        description=_DESCRIPTION,
-        epilog=_PARAMETERS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument('topics', nargs='*', metavar='TOPIC', help='topic to record')
-    parser.add_argument('-o', '--output', default='', metavar='FOLDER', help='folder to make')
-    parser.add_argument('-a', '--all', action='store_true', help='record every topic')
-    return parser
-
-
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder; the result is the exit code."""
     options = parse_arguments(make_parser(), args)
     # The events executor of rclpy 7.1 fails on callbacks that take the message info.
     return run_node(
-        lambda stop: BagRecorder(stop, options.topics, options.output, options.all),
+        lambda stop: BagRecorder(stop, options.topics, options.output, options.all, given_options(options)),
         args,
         name='recorder',
         executor_factory=SingleThreadedExecutor,
