@@ -43,10 +43,11 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
-    """One file of a bag, with the number of its messages if ``metadata.yaml`` tells."""
+    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log time of the first."""
 
     path: Path
     message_count: int | None = None
+    start_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +143,7 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     mode = _word(information.get('compression_mode') or '').lower()
     if mode not in ("''", "'none'"):
         raise BagError(f"{folder} is compressed by {mode}; expected none or compressed chunks; use 'ros2 bag convert'")
-    counts = _message_counts(information)
+    told = _told_of_files(information)
     # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the bag.
     paths = [folder / PurePosixPath(name).name for name in dict.fromkeys(_names(information))]
     missing = [path.name for path in paths if not path.is_file()]
@@ -151,19 +152,24 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
         complaint += f', and {len(missing) - 1} more'
     if len(missing) == len(paths):
         raise BagError(complaint)
-    files = tuple(ListedFile(path, counts.get(path.name)) for path in paths if path.is_file())
+    files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.is_file())
     return Listing(files, (complaint,) if missing else ())
 
 
-def _message_counts(information: Mapping[str, Any]) -> dict[str, int]:
-    """What the metadata tells of the files by name, as far as it makes sense."""
+def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
+    """Number of messages and starting time of each file by its name, as far as the metadata makes sense."""
     entries = information.get('files')
-    found = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
-    return {
-        PurePosixPath(entry['path']).name: entry['message_count']
-        for entry in found
-        if isinstance(entry.get('path'), str) and type(entry.get('message_count')) is int
-    }
+    told: dict[str, tuple[int | None, int | None]] = {}
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and isinstance(entry.get('path'), str):
+            start = entry.get('starting_time')
+            start_ns = start.get('nanoseconds_since_epoch') if isinstance(start, dict) else None
+            told[PurePosixPath(entry['path']).name] = (_whole(entry.get('message_count')), _whole(start_ns))
+    return told
+
+
+def _whole(value: object) -> int | None:
+    return value if type(value) is int else None
 
 
 def _word(value: object) -> str:

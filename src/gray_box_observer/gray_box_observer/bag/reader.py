@@ -6,8 +6,11 @@ Messages come in the order of their log times. What cannot be read is left out a
 
 from __future__ import annotations
 
+import io
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -38,8 +41,7 @@ _LOG_TIME = itemgetter(4)
 class _File:
     path: Path
     layout: Layout
-    listed_count: int | None
-    """Messages according to ``metadata.yaml``."""
+    listed: ListedFile
 
 
 class BagReader:
@@ -169,7 +171,8 @@ class BagReader:
         schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
         encoding = self._topics[message.topic].encoding
         try:
-            decoder = DecoderFactory().decoder_for(encoding, schema)
+            with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the parser prints what it refuses
+                decoder = DecoderFactory().decoder_for(encoding, schema)
         except Exception as error:  # whatever a foreign parser makes of a foreign text
             reason = ' '.join(f'{message.type_name} cannot be understood: {error}'.split())
             raise BagError(f'{self.path}: the definition of {reason}') from None
@@ -194,7 +197,7 @@ class BagReader:
         refused: list[BagError] = []
         for entry in listed:
             try:
-                files.append(_File(entry.path, self._look_at(entry.path), entry.message_count))
+                files.append(_File(entry.path, self._look_at(entry.path), entry))
             except BagError as error:
                 refused.append(error)
         if refused and not files:
@@ -242,17 +245,16 @@ class BagReader:
 
     def _account(self) -> None:
         """Find topics, counts and times: from the summaries where they can be believed, else by reading."""
-        counts: dict[str, int] = {}
+        counts: Counter[str] = Counter()
         declared: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []
         for file in self._files:
             found = self._count(file, spans)
-            for topic, count in found.items():
-                counts[topic] = counts.get(topic, 0) + count
+            counts.update(found)
             for channel in file.layout.channels.values():
                 declared.setdefault(channel.topic, channel)
-            self._compare(file, sum(found.values()))
-        self._message_count = sum(counts.values())
+            self._compare(file, found.total())
+        self._message_count = counts.total()
         if not spans or not self._message_count:
             reason = f': {self.lost}' if self.lost is not None else ''
             raise BagError(f'{self.path}: no message in this bag{reason}')
@@ -262,9 +264,9 @@ class BagReader:
             for name, c in declared.items()
         }
 
-    def _count(self, file: _File, spans: list[tuple[int, int]]) -> dict[str, int]:
+    def _count(self, file: _File, spans: list[tuple[int, int]]) -> Counter[str]:
         """The messages of one file by topic; their first and last times are added to the spans."""
-        statistics, counts = file.layout.statistics, dict[str, int]()
+        statistics, counts = file.layout.statistics, Counter[str]()
         if statistics is None:
             spans += self._count_by_reading(file, counts)
         elif statistics.message_count:
@@ -272,22 +274,29 @@ class BagReader:
             for number, count in statistics.channel_message_counts.items():
                 if number in file.layout.channels:
                     topic = file.layout.channels[number].topic
-                    counts[topic] = counts.get(topic, 0) + count
+                    counts[topic] += count
         return counts
 
     def _compare(self, file: _File, found: int) -> None:
-        """Say where a file holds less than it should, and where it was never finished."""
-        size, expected = file.layout.size, file.layout.expected
+        """Say where a file holds something else than it should, and where it was never finished."""
+        layout, listed = file.layout, file.listed
+        expected = layout.expected
         if expected is not None and found < expected.message_count:
             what = f'{expected.message_count - found} of {expected.message_count} messages cannot be read'
-            self._losses.damage(file.path, size, 0, what)
-        if file.layout.is_unfinished:
-            self._losses.damage(file.path, size, 0, UNFINISHED)
-        elif file.listed_count is not None and found < file.listed_count and not self._losses.has_damage(file.path):
-            what = f'it holds {found} messages, but {file.listed_count} according to metadata.yaml'
-            self._losses.damage(file.path, size, 0, what)
+            self._losses.damage(file.path, layout.size, 0, what)
+        elif expected is not None and found > expected.message_count:
+            what = f'{found} messages are there, but only {expected.message_count} according to its summary'
+            self._losses.damage(file.path, layout.size, 0, what)
+        if layout.is_unfinished:
+            self._losses.damage(file.path, layout.size, 0, UNFINISHED)
+        elif not self._losses.has_damage(file.path):
+            if listed.message_count is not None and found < listed.message_count:
+                what = f'it holds {found} messages, but {listed.message_count} according to metadata.yaml'
+                self._losses.damage(file.path, layout.size, 0, what)
+            elif expected is not None and listed.message_count and listed.start_ns not in (None, expected.start_ns):
+                self._losses.damage(file.path, layout.size, 0, 'it does not begin when it should by metadata.yaml')
 
-    def _count_by_reading(self, file: _File, counts: dict[str, int]) -> list[tuple[int, int]]:
+    def _count_by_reading(self, file: _File, counts: Counter[str]) -> list[tuple[int, int]]:
         """Count the messages of a file without a summary, and put the true times of its pieces in place."""
         layout, definitions = file.layout, Definitions()
         for piece in layout.pieces:
@@ -296,17 +305,33 @@ class BagReader:
             except (Unreadable, OSError):
                 continue  # the second look below says so
         layout.channels = definitions.channels | layout.channels
-        pieces = []
+        held: dict[Piece, Counter[str]] = {}
         for piece in layout.pieces:
             found = self._read(file, piece, None)
-            for message in found:
-                counts[message.topic] = counts.get(message.topic, 0) + 1
             if found:
                 times = [message.log_time_ns for message in found]
-                pieces.append(replace(piece, start_ns=min(times), end_ns=max(times)))
-        layout.pieces = pieces
+                true = replace(piece, start_ns=min(times), end_ns=max(times))
+                held[true] = Counter(message.topic for message in found)
+        self._leave_out_strangers(file, held)
+        layout.pieces = list(held)
+        for topics in held.values():
+            counts.update(topics)
         self._losses.of_layout(file.path, layout)
-        return [(piece.start_ns, piece.end_ns) for piece in pieces]
+        return [(piece.start_ns, piece.end_ns) for piece in held]
+
+    def _leave_out_strangers(self, file: _File, held: dict[Piece, Counter[str]]) -> None:
+        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells of.
+
+        One wrong byte makes any record into such a message, and no checksum covers it.
+        """
+        expected = file.layout.expected
+        loose = {piece: counts.total() for piece, counts in held.items() if not piece.is_chunk}
+        in_chunks = sum(counts.total() for piece, counts in held.items() if piece.is_chunk)
+        if expected is not None and in_chunks == expected.message_count > 0:
+            for piece, count in loose.items():
+                what = f'{count} messages outside the chunks at byte {piece.offset} that the summary does not know'
+                self._damage(file, piece, piece.length, what)
+                del held[piece]
 
 
 def _take_before(waiting: dict[int, list[RawMessage]], limit: int | None) -> Iterator[RawMessage]:
