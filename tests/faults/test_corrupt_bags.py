@@ -1,4 +1,4 @@
-"""A small, always equal share of the campaign of `corrupt_bags`; `python tests/faults/corrupt_bags.py` runs all of it."""
+"""A small, always equal share of the campaign of `corrupt_bags`, which runs all of it as a command."""
 
 from __future__ import annotations
 
