@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import errno
 import json
 import math
-import os
 import shlex
+import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -17,11 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gray_box_observer import offline
+from gray_box_observer.bag.carried import carried_by
 from gray_box_observer.bag.csv_log import csv_to_bag
 from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import Configuration, read_parameter_file
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.identify_options import configure, read_mapping, refuse_unwritable
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.samples import Rejection
@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs='+',
         metavar='KEY=VALUE',
         help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
-        'torque_constant=0.05 speed=w; or one YAML file with the same keys',
+        'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
         '--truth',
@@ -81,11 +81,25 @@ def _run(options: argparse.Namespace) -> None:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
-            _refuse_unwritable(target, makes_folders=target is options.report)
-    configuration = Configuration.from_yaml(options.params) if options.params else None
-    mapping = _convert(options) if options.from_csv else None
-    if configuration is None:
-        configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
+            refuse_unwritable(target, makes_folders=target is options.report)
+    given = read_parameter_file(options.params) if options.params else {}
+    if not options.from_csv:
+        _identify(options, configure(given, carried_by(options.bags), 'the bag'))
+        return
+    if len(options.bags) != 1 or not options.columns:
+        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    mapping = read_mapping(options.columns)
+    configuration = configure(given, mapping.parameters(), '--columns')
+    _convert(options, mapping)
+    try:
+        _identify(options, configuration)
+    except BaseException:  # the next try must not find the folder in its way
+        shutil.rmtree(options.bags[0], ignore_errors=True)
+        raise
+
+
+def _identify(options: argparse.Namespace, configuration: Configuration) -> None:
+    """Run the observer over the bags, and say what it found."""
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
     training = None if options.skip_predictor else InlineTraining
@@ -114,27 +128,6 @@ def _run(options: argparse.Namespace) -> None:
         _print_table(result, sys.stdout)
 
 
-def _refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
-    """Say before the work, not after it, that a result could not be written.
-
-    Raises:
-        GrayBoxError: The file, or the folder it would be made in, takes nothing.
-    """
-    try:
-        if target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_file():
-            target.open('ab').close()
-        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
-            folder = target.parent
-            while makes_folders and not folder.exists():
-                folder = folder.parent
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
-
-
 def _collector(options: argparse.Namespace) -> Collector:
     """Make what the report is collected by, with the truth that was named or lies with the bag."""
     from gray_box_observer.report import require_plotly
@@ -156,13 +149,8 @@ def _collector(options: argparse.Namespace) -> Collector:
     return Collector(truth)
 
 
-def _convert(options: argparse.Namespace) -> CsvMapping:
-    """Make the bag of a CSV log; return what its columns were taken for."""
-    if len(options.bags) != 1 or not options.columns:
-        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
-    words = options.columns
-    is_file = len(words) == 1 and '=' not in words[0]
-    mapping = CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)
+def _convert(options: argparse.Namespace, mapping: CsvMapping) -> None:
+    """Make the bag of a CSV log."""
     summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
     left_out = summary.filtered_rows + summary.unordered_rows
     print(
@@ -170,16 +158,6 @@ def _convert(options: argparse.Namespace) -> CsvMapping:
         f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}',
         file=sys.stderr,
     )
-    return mapping
-
-
-def _constants(mapping: CsvMapping) -> dict[str, Any]:
-    """Configure the motors of a log as far as its mapping tells: names, and Kt where torque was made from current."""
-    constants: dict[str, Any] = {'motors': list(mapping.motors)}
-    for name, columns in mapping.motors.items():
-        if columns.torque_constant is not None:
-            constants[f'{name}.torque_constant'] = columns.torque_constant
-    return constants
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -52,10 +52,17 @@ class ListedFile:
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """The files of a bag in their order, and what is wrong with the folder; each complaint is one line."""
+    """The files of a bag in their order.
+
+    Attributes:
+        files: Those that are there.
+        complaints: What is wrong with the folder; each is one line.
+        custom_data: Free texts that travel with the bag.
+    """
 
     files: tuple[ListedFile, ...]
     complaints: tuple[str, ...] = ()
+    custom_data: Mapping[str, str] = field(default_factory=dict)
 
 
 def list_files(path: Path) -> Listing:
@@ -153,7 +160,10 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     if len(missing) == len(paths):
         raise BagError(complaint)
     files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.is_file())
-    return Listing(files, (complaint,) if missing else ())
+    custom = information.get('custom_data')
+    texts = custom.items() if isinstance(custom, dict) else ()
+    custom_data = {key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)}
+    return Listing(files, (complaint,) if missing else (), custom_data)
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
