@@ -191,3 +191,30 @@ def test_whatever_the_writer_was_doing_everything_before_is_read(tmp_path, monke
         shutil.rmtree(torn)
     assert state == files, 'every change of the disk was noted'
     assert count > 100
+
+
+@pytest.mark.parametrize('compression', KINDS)
+def test_a_writer_that_splits_all_the_time_can_be_killed_at_any_moment(tmp_path, compression):
+    script = """
+        import os, sys
+        from gray_box_observer.bag.writer import BagOptions, BagWriter
+        writer = BagWriter(sys.argv[1], BagOptions(compression=sys.argv[2], max_file_bytes=1500, flush_period_s=0.0))
+        writer.add_topic('/t', 'std_msgs/msg/UInt32', 'uint32 data', [])
+        for index in range(10**6):
+            writer.write('/t', b'\\0\\1\\0\\0' + index.to_bytes(4, 'little') * 50, index, 0)
+            os.write(1, index.to_bytes(4, 'little'))
+    """
+    draw = random.Random(compression)
+    for number in range(6):
+        folder = tmp_path / str(number)
+        command = [sys.executable, '-c', textwrap.dedent(script), str(folder), compression]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE)
+        try:
+            kept = child.stdout.read(4 * draw.randrange(1, 300))  # a moment that the child's progress decides
+        finally:
+            child.kill()
+            kept += child.communicate(timeout=30)[0]
+        kept = kept[: len(kept) // 4 * 4]
+        found = [int.from_bytes(data[4:8], 'little') for data in ours(folder)]
+        assert found == list(range(len(found)))
+        assert len(found) > int.from_bytes(kept[-4:], 'little'), 'what was written is there'

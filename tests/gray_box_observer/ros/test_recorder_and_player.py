@@ -306,6 +306,30 @@ def test_latched_messages_are_replayed_latched(peer, tmp_path):
     assert peer.end(player)[0] == 0
 
 
+def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_name_is_left_out(peer, tmp_path):
+    text = schema_text(TYPE_NAME, built_in_lookup)
+    writer = BagWriter(tmp_path / 'bag')
+    for topic, type_name in (('/good', TYPE_NAME), ('/b\x01d', TYPE_NAME), ('/odd', 'sensor_msgs/msg/Joint\x01tate')):
+        writer.add_topic(topic, type_name, text)
+        writer.write(topic, encode_joint_state(1, ['motor'], effort=[4.0]), 10**9, 10**9)
+        writer.flush()
+    writer.write('/good', encode_joint_state(1, ['motor'], effort=[5.0]), 10**9, 10**9)
+    writer.close()
+    path = tmp_path / 'bag' / 'bag_0.mcap'
+    with path.open('rb') as stream:
+        last = make_reader(stream).get_summary().chunk_indexes[-1]
+    content = bytearray(path.read_bytes())
+    content[last.chunk_start_offset + 80] ^= 1
+    path.write_bytes(content)
+    heard = peer.listen(JointState, '/good', SIGNAL_QOS)
+    code, _, said = peer.end(peer.start(PLAYER, str(tmp_path / 'bag'), rate=0, wait_for_subscribers=1), None)
+    assert code == 0
+    peer.wait(lambda: heard, 'the first message')
+    assert [message.effort[0] for message in heard] == [4.0]
+    for part in ("'/b\\x01d' is not replayed: Invalid topic name", 'is not installed here', 'wrong checksum'):
+        assert part in said
+
+
 @pytest.mark.parametrize(
     ('module', 'arguments', 'message'),
     [

@@ -12,6 +12,7 @@ from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException, NoTypeSupportImportedException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -165,7 +166,10 @@ class BagPlayer(Node):
                 continue
             recorded = parse_qos_text(there[name].qos_profiles)
             depth = _DEPTH if self._plan.rate > 0 else _BURST
-            publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            try:
+                publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            except (NameValidationException, NoTypeSupportImportedException) as error:  # a damaged bag
+                self.get_logger().warning(f'{name!r} is not replayed: {" ".join(str(error).split())}')
         if not publishers:
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers
