@@ -140,6 +140,16 @@ def test_files_are_numbered_and_the_metadata_lists_the_times_and_counts_that_are
     assert information['duration'] == {'nanoseconds': 990_000_000}
 
 
+@pytest.mark.parametrize('name', ['ran: [a, \'b\'] # "c"', '1e3', 'fährt', '-', 'true', '{}\n  files: []'])
+def test_a_folder_of_any_name_is_listed_as_it_is_called(make_bag, name):
+    folder = make_bag(5, name=name)
+    information = yaml.safe_load((folder / 'metadata.yaml').read_text(encoding='utf-8'))['rosbag2_bagfile_information']
+    assert information['relative_file_paths'] == [f'{name}_0.mcap']
+    assert [entry['path'] for entry in information['files']] == [f'{name}_0.mcap']
+    with BagReader(folder) as bag:
+        assert (bag.message_count, bag.lost) == (10, None)
+
+
 def test_an_existing_folder_is_never_touched(tmp_path):
     (tmp_path / 'run').mkdir()
     (tmp_path / 'run' / 'precious').write_text('data')

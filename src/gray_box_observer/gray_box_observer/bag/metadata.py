@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -15,6 +17,7 @@ METADATA_NAME = 'metadata.yaml'
 METADATA_VERSION = 9
 """What rosbag2 of ROS 2 Jazzy writes."""
 
+_PLAIN_NAME = re.compile(r'[A-Za-z_][\w.-]*\.mcap', re.ASCII)
 _LARGEST_METADATA_BYTES = 16 << 20
 _NEVER_NS = (1 << 63) - 1
 """The starting time that rosbag2 gives to a bag without messages."""
@@ -225,22 +228,35 @@ def metadata_text(
         ],
         'compression_format': '',
         'compression_mode': '',
-        'relative_file_paths': [file.path for file in files],
-        'files': [
-            {
-                'path': file.path,
-                **_span(
-                    file.start_ns if file.message_count else _NEVER_NS,
-                    file.end_ns if file.message_count else _NEVER_NS,
-                ),
-                'message_count': file.message_count,
-            }
-            for file in files
-        ],
+        'relative_file_paths': [],
+        'files': [],
         'custom_data': dict(custom_data) if custom_data else None,
         'ros_distro': ros_distro,
     }
-    return _dump({'rosbag2_bagfile_information': information})
+    text = _dump({'rosbag2_bagfile_information': information})
+    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
+    names = [_scalar(file.path) for file in files]
+    lists = {
+        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
+        'files': ''.join(map(_file_text, names, files)),
+    }
+    for key, items in lists.items():
+        if items:
+            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
+    return text
+
+
+def _file_text(name: str, file: FileRecord) -> str:
+    start_ns, end_ns = (file.start_ns, file.end_ns) if file.message_count else (_NEVER_NS, _NEVER_NS)
+    return (
+        f'  - path: {name}\n    duration:\n      nanoseconds: {end_ns - start_ns}\n'
+        f'    starting_time:\n      nanoseconds_since_epoch: {start_ns}\n    message_count: {file.message_count}\n'
+    )
+
+
+def _scalar(name: str) -> str:
+    """The name of a file as it stands in YAML: quoted where it has to be."""
+    return name if _PLAIN_NAME.fullmatch(name) else json.dumps(name)
 
 
 def qos_text(qos_profiles: Sequence[Mapping[str, Any]]) -> str:
