@@ -9,7 +9,10 @@ from gray_box_observer.bag.contents import Loss
 from gray_box_observer.bag.mcap_layout import Damage, Layout
 
 _END = 'the file ends'
-UNFINISHED = 'it was never finished: its recorder was killed, or still records; its last messages may be missing'
+UNFINISHED = (
+    'it was never finished: its recorder was killed or refused by the disk, or still records; '
+    'its last messages may be missing'
+)
 
 
 class Losses:

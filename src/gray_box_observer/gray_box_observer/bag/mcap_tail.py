@@ -29,9 +29,10 @@ from mcap.records import (
 from gray_box_observer.bag.mcap_records import MAGIC, UNFINISHED
 
 LARGEST_PROVISIONAL_BYTES = 1 << 20
-"""A provisional end with a longer index than this has none: it is written with every chunk, and would only grow.
+"""Where the index is longer than this, a provisional end has none: it is written with every chunk, and would only grow.
 
-Two hours of ten topics at two chunks a second; whoever records longer and wants more splits the recording.
+That is after fifty minutes of ten topics at two chunks a second. Whoever records longer in one file leaves, if killed,
+one that every reader can scan and none can seek in.
 """
 
 
