@@ -125,10 +125,11 @@ def test_every_executable_stands_where_ros_looks_for_it_and_starts_with_this_pyt
 
 
 @pytest.mark.parametrize('package', PACKAGES)
-def test_launch_files_configuration_and_manifest_are_installed(package: str):
+def test_what_goes_into_the_share_folder_is_installed(package: str):
     share = install_prefix(package) / 'share' / package
-    wanted = [path for folder in ('launch', 'config') for path in (ROOT / 'src' / package / folder).glob('*.*')]
-    assert any(path.name.endswith('.launch.py') for path in wanted)
+    folders = ('launch', 'config', 'security', 'layouts')
+    wanted = [path for folder in folders for path in (ROOT / 'src' / package / folder).glob('*.*')]
+    assert {'launch', 'config', 'security'} <= {path.parent.name for path in wanted}
     for path in wanted:
         installed = share / path.parent.name / path.name
         assert installed.read_bytes() == path.read_bytes(), installed

@@ -15,6 +15,8 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.yaml'))]),
         (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
+        (f'share/{PACKAGE}/layouts', [str(path) for path in sorted(Path('layouts').iterdir())]),
+        (f'share/{PACKAGE}/security', [str(path) for path in sorted(Path('security').glob('*.policy.xml'))]),
     ],
     package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html', 'predictor/*.safetensors']},
     install_requires=['setuptools', 'numpy', 'PyYAML'],

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import resource
 import signal
-import sys
 import time
 from pathlib import Path
 
 import pytest
 import rclpy
 from mcap.reader import make_reader
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -25,6 +26,8 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.ros import recorder_node
+from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS
+from gray_box_observer.ros.recorder_arguments import RECORDER_PARAMETERS
 from gray_box_observer.ros.running import Stop
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
@@ -338,7 +341,7 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
         (PLAYER, ['{tmp}/text.mcap'], 'is no MCAP file'),
         (PLAYER, ['{tmp}/damaged'], 'no message in this bag: '),
         (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate is 'fast', expected a number"),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate must be of type float, got 'fast'"),
         (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
         (
             PLAYER,
@@ -347,11 +350,11 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
         ),
         (RECORDER, ['-o', '{tmp}/bag'], 'exists already and is not overwritten'),
         (RECORDER, ['-o', '{tmp}/bag/metadata.yaml/new'], 'metadata.yaml/new: cannot be made: Not a directory'),
-        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'], 'expected one of none, lz4, zstd'),
+        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'], 'must be one of none, lz4, zstd'),
         (
             RECORDER,
             ['-o', '{tmp}/new', '--ros-args', '-p', 'storage_preset_profile:=x'],
-            'expected one of none, fastwrite',
+            'must be one of none, fastwrite',
         ),
         (
             RECORDER,
@@ -366,9 +369,9 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
             ],
             'sets the compression; leave compression out',
         ),
-        (RECORDER, ['-o', '{tmp}/new', '--max-bag-size', '-1'], 'max_file_bytes is -1, expected 0 or more'),
+        (RECORDER, ['-o', '{tmp}/new', '--max-bag-size', '-1'], 'max_file_bytes must be between 0 and '),
         (RECORDER, ['-o', '{tmp}/new', '-d', 'long'], "argument -d/--max-bag-duration: invalid float value: 'long'"),
-        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'duration_s:=-1'], 'duration_s is -1'),
+        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'duration_s:=-1'], 'duration_s must be between 0'),
         (RECORDER, ['not a topic'], 'error: '),
         (RECORDER, ['--frobnicate'], 'unrecognized arguments: --frobnicate'),
     ],
@@ -389,6 +392,19 @@ def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arg
 def test_help_names_every_parameter(peer, module):
     code, out, _ = peer.end(peer.start(module, '--help'), None)
     assert code == 0
-    source = Path(sys.modules[RECORDER].__file__).with_name(f'{module.rpartition(".")[2]}.py').read_text()
-    declared = {part.split("'")[1] for part in source.split('self._number(')[1:] if part.startswith("'")}
-    assert declared and all(name in out for name in declared)
+    specs = PLAYER_PARAMETERS if module == PLAYER else RECORDER_PARAMETERS
+    assert all(f'\n  {spec.name} ' in out for spec in specs)
+
+
+def test_a_parameter_of_the_player_cannot_be_changed_while_it_runs(peer, tmp_path):
+    player = peer.start(PLAYER, str(make_bag(tmp_path / 'bag', [0.0, 1.0])), paused='true')
+    change = SetParameters.Request(parameters=[Parameter('rate', value=2.0).to_parameter_msg()])
+    answer = peer.call(SetParameters, '/bag_player/set_parameters', change)
+    assert not answer.results[0].successful and 'read-only' in answer.results[0].reason
+    assert peer.end(player)[0] == 0
+
+
+def test_the_defaults_of_player_and_recorder_are_those_that_they_accept():
+    for spec in (*PLAYER_PARAMETERS, *RECORDER_PARAMETERS):
+        assert spec.check(spec.default) == spec.default
+        assert spec.description.endswith('.')

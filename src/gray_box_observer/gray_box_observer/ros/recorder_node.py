@@ -9,21 +9,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-from gray_box_observer.bag.options import FLUSH_PERIOD_S, PRESETS, BagOptions
+from gray_box_observer.bag.options import PRESETS, BagOptions
 from gray_box_observer.bag.schemas import schema_text, share_lookup
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.errors import BagError, ConfigurationError
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import needs_weaker, subscription_profile, to_mapping
+from gray_box_observer.ros.listed_parameters import declare
 from gray_box_observer.ros.message_types import message_class
-from gray_box_observer.ros.recorder_arguments import given_options, make_parser
+from gray_box_observer.ros.recorder_arguments import RECORDER_PARAMETERS, by_command_line, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_recorder'
@@ -53,7 +53,7 @@ class BagRecorder(Node):
         topics: Topics to record in addition to the parameter ``topics``.
         output: Folder to make; empty for the parameter ``output``.
         all_topics: Whether to record every topic.
-        given: What the command line says of how to write, by the names of the parameters; it precedes them.
+        preceding: What the command line says of how to write, by the names of the parameters that it precedes.
 
     Raises:
         BagError: The folder exists or cannot be made.
@@ -66,20 +66,18 @@ class BagRecorder(Node):
         topics: Sequence[str] = (),
         output: str = '',
         all_topics: bool = False,
-        given: Mapping[str, Any] | None = None,
+        preceding: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        names = [*topics, *(name for name in self._parameter('topics', ['']) if name)]
+        values = declare(self, RECORDER_PARAMETERS, preceding)
+        names = [*topics, *(name for name in values['topics'] if name)]
         self._wanted = {self.resolve_topic_name(name) for name in names}
-        self._is_all = self._parameter('all', False) or all_topics
-        self._with_internals = self._parameter('include_ros_internals', False)
-        self._depth = int(self._number('queue_depth', 5000))
-        if self._depth < 1:
-            raise ConfigurationError(f'queue_depth is {self._depth}, expected at least 1')
-        duration_s = self._number('duration_s', 0.0)
-        folder = output or self._parameter('output', '') or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
-        self._writer = BagWriter(Path(folder).expanduser(), self._options(given or {}))
+        self._is_all = values['all'] or all_topics
+        self._with_internals = values['include_ros_internals']
+        self._depth = values['queue_depth']
+        folder = output or values['output'] or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
+        self._writer = BagWriter(Path(folder).expanduser(), _options(values))
         self._lookup = share_lookup()
         self._recorded: dict[str, _Recorded] = {}
         self._refused: set[str] = set()
@@ -94,8 +92,8 @@ class BagRecorder(Node):
         self.create_timer(_POLL_S, self._guarded(self._discover))
         self.create_timer(_FLUSH_CHECK_S, self._guarded(self._writer.flush_if_due))
         self.create_timer(_TTY_PERIOD_S if sys.stderr.isatty() else _LOG_PERIOD_S, self._report)
-        if duration_s > 0:
-            self.create_timer(duration_s, self._stop)
+        if values['duration_s'] > 0:
+            self.create_timer(values['duration_s'], self._stop)
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def close(self) -> None:
@@ -111,35 +109,6 @@ class BagRecorder(Node):
         if sys.stderr.isatty():
             print(file=sys.stderr)
         self.get_logger().info(f'{self._writer.folder}: {self._summary()}')
-
-    def _options(self, given: Mapping[str, Any]) -> BagOptions:
-        """How to write: what the command line says, else the parameters."""
-        values = {
-            'compression': self._parameter('compression', 'none'),
-            'storage_preset_profile': self._parameter('storage_preset_profile', 'none'),
-            'flush_period_s': self._number('flush_period_s', FLUSH_PERIOD_S),
-            'max_file_bytes': self._number('max_file_bytes', 0),
-            'max_file_duration_s': self._number('max_file_duration_s', 0.0),
-            **given,
-        }
-        preset = values.pop('storage_preset_profile')
-        if preset not in PRESETS:
-            raise ConfigurationError(f'storage_preset_profile is {preset!r}, expected one of {", ".join(PRESETS)}')
-        if PRESETS[preset] and values['compression'] != 'none':
-            raise ConfigurationError(f'storage_preset_profile {preset} sets the compression; leave compression out')
-        values['max_file_bytes'] = int(values['max_file_bytes'])
-        return BagOptions(**{**values, **PRESETS[preset]})
-
-    def _parameter(self, name: str, default: Any) -> Any:
-        return self.declare_parameter(name, default).value
-
-    def _number(self, name: str, default: float) -> float:
-        """A number that may be written with or without a point."""
-        descriptor = ParameterDescriptor(dynamic_typing=True)
-        value = self.declare_parameter(name, default, descriptor).value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1e18:
-            raise ConfigurationError(f'{name} is {value!r}, expected a number of 0 or more')
-        return float(value)
 
     def _guarded(self, action: Callable[[], None]) -> Callable[[], None]:
         """Turn an error of the bag into the end of the node; after it nothing more can be recorded."""
@@ -251,12 +220,27 @@ class BagRecorder(Node):
             self.get_logger().info(self._summary())
 
 
+def _options(values: Mapping[str, Any]) -> BagOptions:
+    """How to write, by the values of the parameters.
+
+    Raises:
+        ConfigurationError: Both a preset and a compression are given.
+    """
+    preset = PRESETS[values['storage_preset_profile']]
+    if preset and values['compression'] != 'none':
+        raise ConfigurationError(
+            f'storage_preset_profile {values["storage_preset_profile"]} sets the compression; leave compression out'
+        )
+    names = ('compression', 'flush_period_s', 'max_file_bytes', 'max_file_duration_s')
+    return BagOptions(**{**{name: values[name] for name in names}, **preset})
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run the recorder; the result is the exit code."""
     options = parse_arguments(make_parser(), args)
     # The events executor of rclpy 7.1 fails on callbacks that take the message info.
     return run_node(
-        lambda stop: BagRecorder(stop, options.topics, options.output, options.all, given_options(options)),
+        lambda stop: BagRecorder(stop, options.topics, options.output, options.all, by_command_line(options)),
         args,
         name='recorder',
         executor_factory=SingleThreadedExecutor,
