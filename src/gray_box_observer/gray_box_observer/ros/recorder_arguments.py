@@ -32,7 +32,7 @@ RECORDER_PARAMETERS: tuple[ParameterSpec, ...] = (
         "The same by the names of rosbag2's MCAP storage; fastwrite is as none, for chunks and checksums stay.",
         choices=tuple(PRESETS),
     ),
-    ParameterSpec('max_file_bytes', 0, 'Begin a new file when one is this large; 0: never.', 0, 1 << 62),
+    ParameterSpec('max_file_bytes', 0, 'Begin a new file when one is this large; 0: never.', 0, 10**15),
     ParameterSpec('max_file_duration_s', 0.0, 'Begin a new file when one spans this time; 0: never.', 0.0, 1e9),
     ParameterSpec(
         'flush_period_s',
