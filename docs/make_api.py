@@ -38,6 +38,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
 from gray_box_observer import identify
+from gray_box_observer.archive import options
 from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
 from gray_box_observer.ros import observer_node, player_arguments, recorder_arguments, running
 from gray_box_observer.ros import topics as observed_topics
@@ -62,7 +63,8 @@ An executable of `gray_box_observer` ends with
 | --- | --- |
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
-| 130 | `identify` was interrupted; a node was interrupted a second time while it was closing |
+| {options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
+| {options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
 
 Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, and with 1 when the plant
 could not be simulated on.

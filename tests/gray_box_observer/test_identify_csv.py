@@ -135,6 +135,13 @@ def test_an_interrupted_run_leaves_no_folder_behind(
     assert not (tmp_path / 'bag').exists()
 
 
+def test_a_log_is_no_archive(identify: Run, log: Path, tmp_path: Path) -> None:
+    code, _, said = identify(tmp_path / 'bag', '--from-csv', log, *columns(), '--each')
+    assert code == 2
+    assert '--from-csv makes one bag' in said
+    assert not (tmp_path / 'bag').exists()
+
+
 def test_a_folder_that_was_there_before_is_left_alone(identify: Run, log: Path, tmp_path: Path) -> None:
     (tmp_path / 'bag').mkdir()
     (tmp_path / 'bag' / 'precious').touch()

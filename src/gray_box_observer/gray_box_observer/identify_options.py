@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from gray_box_observer.bag.csv_mapping import CsvMapping
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
+
+if TYPE_CHECKING:  # only logs need it
+    from gray_box_observer.bag.csv_mapping import CsvMapping
 
 
 def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) -> Configuration:
@@ -49,30 +47,7 @@ def read_mapping(words: Sequence[str]) -> CsvMapping:
     Raises:
         BagError: They say nothing that can be used.
     """
+    from gray_box_observer.bag.csv_mapping import CsvMapping
+
     is_file = len(words) == 1 and '=' not in words[0]
     return CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)
-
-
-def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
-    """Say before the work, not after it, that a result could not be written.
-
-    Args:
-        target: Where the result is to go.
-        makes_folders: Whether folders that are missing on the way are made.
-
-    Raises:
-        GrayBoxError: The file, or the folder it would be made in, takes nothing.
-    """
-    try:
-        if target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_file():
-            target.open('ab').close()
-        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
-            folder = target.parent
-            while makes_folders and not folder.exists():
-                folder = folder.parent
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
