@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,10 +14,12 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from gray_box_observer import offline
 from gray_box_observer.archive import options as archive
+from gray_box_observer.bag.carried import carried_by
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import Configuration, read_parameter_file
 from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.identify_options import configure, read_mapping
 from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
 
@@ -62,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs='+',
         metavar='KEY=VALUE',
         help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
-        'torque_constant=0.05 speed=w; or one YAML file with the same keys',
+        'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
         '--truth',
@@ -77,21 +80,47 @@ def _parser() -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     if not options.bags:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
-    by_itself = archive.is_asked(options)
-    configuration = Configuration.from_yaml(options.params) if options.params else None
-    if not by_itself:
-        for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
-            if target is not None:
-                refuse_unwritable(target, makes_folders=target is options.report)
-    mapping = _convert(options) if options.from_csv else None
-    if configuration is None:
-        configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
-    for name in configuration.unknown:
-        print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
-    if by_itself:
+    if archive.is_asked(options):
+        if options.from_csv:
+            raise GrayBoxError('--from-csv makes one bag; --each, --table and --engine are for bags that are there')
         from gray_box_observer.archive import command
 
+        configuration = Configuration.from_yaml(options.params) if options.params else Configuration.from_flat({})
+        _warn_of_unknown(configuration)
         return command.run(options, configuration)
+    for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
+        if target is not None:
+            refuse_unwritable(target, makes_folders=target is options.report)
+    given = read_parameter_file(options.params) if options.params else {}
+    if options.from_csv:
+        _identify_log(options, given)
+    else:
+        _identify(options, configure(given, carried_by(options.bags), 'the bag'))
+    return 0
+
+
+def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> None:
+    """Make the bag of a CSV log and run the observer over it; a run that fails leaves no bag behind."""
+    if len(options.bags) != 1 or not options.columns:
+        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    mapping = read_mapping(options.columns)
+    configuration = configure(given, mapping.parameters(), '--columns')
+    _convert(options, mapping)
+    try:
+        _identify(options, configuration)
+    except BaseException:  # the next try must not find the folder in its way
+        shutil.rmtree(options.bags[0], ignore_errors=True)
+        raise
+
+
+def _warn_of_unknown(configuration: Configuration) -> None:
+    for name in configuration.unknown:
+        print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
+
+
+def _identify(options: argparse.Namespace, configuration: Configuration) -> None:
+    """Run the observer over the bags, and say what it found."""
+    _warn_of_unknown(configuration)
     training = None if options.skip_predictor else InlineTraining
     collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
@@ -105,7 +134,6 @@ def _run(options: argparse.Namespace) -> int:
         _write_report(options, outcome, result, collector)
     if options.json != '-':
         _print_table(result, sys.stdout)
-    return 0
 
 
 def _collector(options: argparse.Namespace) -> Collector:
@@ -129,16 +157,10 @@ def _collector(options: argparse.Namespace) -> Collector:
     return Collector(truth)
 
 
-def _convert(options: argparse.Namespace) -> CsvMapping:
-    """Make the bag of a CSV log; return what its columns were taken for."""
+def _convert(options: argparse.Namespace, mapping: CsvMapping) -> None:
+    """Make the bag of a CSV log."""
     from gray_box_observer.bag.csv_log import csv_to_bag
-    from gray_box_observer.bag.csv_mapping import CsvMapping
 
-    if len(options.bags) != 1 or not options.columns:
-        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
-    words = options.columns
-    is_file = len(words) == 1 and '=' not in words[0]
-    mapping = CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)
     summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
     left_out = summary.filtered_rows + summary.unordered_rows
     print(
@@ -146,16 +168,6 @@ def _convert(options: argparse.Namespace) -> CsvMapping:
         f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}',
         file=sys.stderr,
     )
-    return mapping
-
-
-def _constants(mapping: CsvMapping) -> dict[str, Any]:
-    """Configure the motors of a log as far as its mapping tells: names, and Kt where torque was made from current."""
-    constants: dict[str, Any] = {'motors': list(mapping.motors)}
-    for name, columns in mapping.motors.items():
-        if columns.torque_constant is not None:
-            constants[f'{name}.torque_constant'] = columns.torque_constant
-    return constants
 
 
 @contextmanager
