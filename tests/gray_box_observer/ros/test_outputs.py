@@ -19,6 +19,7 @@ class Node:
         self.sent = []
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
+        """Make one that only remembers."""
         return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)))
 
 
