@@ -122,25 +122,6 @@ def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iter
         ]
 
 
-def declared_rows(node: str, seen: Seen, help_text: str) -> Iterator[list[str]]:
-    """Rows of the parameters that a node declares by itself; where a descriptor says nothing, its help does."""
-    told = {name: ' '.join(text.split()) for name, text in _HELP.findall(help_text)}
-    for name, (default, descriptor) in seen.declared.items():
-        if name in PARAMETERS_OF_EVERY_NODE or name.startswith(QOS_OVERRIDES):
-            continue
-        said = (descriptor.description if descriptor is not None else '') or told.get(name, '')
-        if not said:
-            raise PageError(f'parameter {name} of {node} is described neither by a descriptor nor by --help')
-        ranges = [] if descriptor is None else [*descriptor.floating_point_range, *descriptor.integer_range]
-        allowed = range_text(ranges[0].from_value, ranges[0].to_value) if ranges else ''
-        numeric = isinstance(default, (int, float)) and not isinstance(default, bool)
-        unit = unit_of(name, said) if numeric else ''
-        yield [f'`{name}`', ros_type(default), unit, value_text(default), allowed, 'no', sentence(said)]
-
-
-_HELP = re.compile(r'^ {2}(\w[\w.]*) +(.+(?:\n {4,}\S.*)*)$', re.MULTILINE)
-
-
 def sentence(text: str) -> str:
     """A description with a full stop, and with a capital unless it begins with a value such as `rotor:`."""
     first = text.split(maxsplit=1)[0]

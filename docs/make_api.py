@@ -11,6 +11,7 @@ import difflib
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from types import ModuleType
 
 from api_sources import ROOT, Seen, look_at_nodes, parser_of
 from api_tables import (
@@ -20,7 +21,6 @@ from api_tables import (
     PARAMETERS_OF_EVERY_NODE,
     SERVICES,
     PageError,
-    declared_rows,
     launch_lines,
     option_lines,
     override_lines,
@@ -38,8 +38,9 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
 from gray_box_observer import identify
+from gray_box_observer.archive import options
 from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
-from gray_box_observer.ros import observer_node, player_arguments, recorder_node, running
+from gray_box_observer.ros import observer_node, player_arguments, recorder_arguments, running
 from gray_box_observer.ros import topics as observed_topics
 
 PAGE = ROOT / 'docs' / 'API.md'
@@ -62,7 +63,8 @@ An executable of `gray_box_observer` ends with
 | --- | --- |
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
-| 130 | `identify` was interrupted; a node was interrupted a second time while it was closing |
+| {options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
+| {options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
 
 Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, and with 1 when the plant
 could not be simulated on.
@@ -96,8 +98,9 @@ def page() -> str:
     lines += override_lines(observer)
     lines += ['## identify', '', 'Package `gray_box_observer`; needs no ROS.', '']
     lines += option_lines(identify._parser())
-    lines += bag_lines('recorder', 'bag_recorder', recorder_node.make_parser(), nodes['bag_recorder'], every)
-    lines += bag_lines('player', 'bag_player', player_arguments.make_parser(), nodes['bag_player'], every)
+    of_recorder, of_player = recorder_arguments.RECORDER_PARAMETERS, player_arguments.PLAYER_PARAMETERS
+    lines += bag_lines('recorder', recorder_arguments, of_recorder, nodes['bag_recorder'], every)
+    lines += bag_lines('player', player_arguments, of_player, nodes['bag_player'], every)
     lines += simulator_lines(nodes['motor_sim'], every)
     lines += launch_lines(ROOT / 'src')
     lines += ['## Of every node', '', 'Topics: ' + ', '.join(f'`{name}`' for name in OF_EVERY_NODE) + '.']
@@ -108,17 +111,16 @@ def page() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def bag_lines(name: str, node: str, parser: argparse.ArgumentParser, seen: Seen, every: set[str]) -> list[str]:
+def bag_lines(
+    name: str, arguments: ModuleType, specs: Sequence[ParameterSpec], seen: Seen, every: set[str]
+) -> list[str]:
     """The section of a node that records or replays."""
+    parser, node = arguments.make_parser(), f'bag_{name}'
     said = ' '.join((parser.description or '').split())
     lines = [f'## {name}', '', f'Package `gray_box_observer`, node `{node}`. {said}', '', *option_lines(parser)]
     lines += ['### Topics', '', TOPICS_OF_A_BAG[name], '', *service_lines(node, seen, every)]
-    if name == 'player':
-        complain_of_others(name, seen, player_arguments.PLAYER_PARAMETERS)
-        rows = spec_rows(player_arguments.PLAYER_PARAMETERS)
-    else:
-        rows = declared_rows(node, seen, parser.epilog or '')
-    lines += ['### Parameters', '', 'Read once, at the start.', '', *table(PARAMETER_HEAD, rows)]
+    complain_of_others(name, seen, specs)
+    lines += ['### Parameters', '', 'Read once, at the start.', '', *table(PARAMETER_HEAD, spec_rows(specs))]
     return lines + override_lines(seen)
 
 

@@ -95,12 +95,13 @@ find_python() {
 # --- the virtual environment ----------------------------------------------------------------------------------------
 
 requirement_files() {
+    local always="$requirements/runtime.txt $requirements/archive.txt $requirements/dev.txt"
     if [ "$ros" = wheels ]; then
-        echo "$requirements/ros.txt $requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+        echo "$requirements/ros.txt $requirements/build.txt $always"
     elif "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
-        echo "$requirements/runtime.txt $requirements/dev.txt"
+        echo "$always"
     else
-        echo "$requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+        echo "$requirements/build.txt $always"
     fi
 }
 

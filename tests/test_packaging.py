@@ -16,9 +16,10 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ('dc_motor_sim', 'gray_box_observer')
 
 ROSDEP_KEYS = {'numpy': 'python3-numpy', 'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
-WITHOUT_ROSDEP_KEY = {name: name for name in ('torch', 'safetensors', 'mcap', 'lz4', 'zstandard', 'plotly')} | {
-    'mcap_ros2': 'mcap-ros2-support'
-}
+WITHOUT_ROSDEP_KEY = {
+    name: name
+    for name in ('torch', 'safetensors', 'mcap', 'lz4', 'zstandard', 'plotly', 'dask', 'distributed', 'pyarrow')
+} | {'mcap_ros2': 'mcap-ros2-support'}
 
 BLOCKED_IMPORT = """
 import importlib, re, sys

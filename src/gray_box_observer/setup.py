@@ -20,7 +20,7 @@ setup(
     ],
     package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html', 'predictor/*.safetensors']},
     install_requires=['setuptools', 'numpy', 'PyYAML'],
-    extras_require={'test': ['pytest']},
+    extras_require={'archive': ['distributed', 'pyarrow'], 'test': ['pytest']},
     zip_safe=False,
     maintainer='Gray-box observer maintainers',
     maintainer_email='maintainers@gray-box-observer.example',

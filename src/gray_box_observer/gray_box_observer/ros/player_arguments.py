@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import textwrap
-from typing import Any
-
-from rclpy.node import Node
 
 from gray_box_observer.parameters import ParameterSpec
-from gray_box_observer.ros.parameters import describe
+from gray_box_observer.ros.listed_parameters import help_text
 
 _DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
 was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
@@ -46,38 +42,14 @@ PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
 can follow."""
 
 
-def declare(node: Node) -> dict[str, Any]:
-    """Declare every parameter and return the values by name.
-
-    Raises:
-        ConfigurationError: a value of the wrong type or out of its range.
-    """
-    given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
-    values = {spec.name: spec.check(given.get(spec.name, spec.default)) for spec in PLAYER_PARAMETERS}
-    for spec in PLAYER_PARAMETERS:  # rclpy refuses 1 for 1.0, so what was checked is declared
-        node.declare_parameter(spec.name, values[spec.name], describe(spec), ignore_override=True)
-    return values
-
-
 def make_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog='player',
         description=_DESCRIPTION,
-        epilog=f'parameters (--ros-args -p NAME:=VALUE):\n{_parameters_text()}\n\n'
+        epilog=f'{help_text(PLAYER_PARAMETERS)}\n\n'
         'topics are renamed as everywhere in ROS: --ros-args -r /motor/torque:=/other',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('bag', nargs='?', default='', metavar='BAG', help='rosbag2 folder or .mcap file')
     return parser
-
-
-def _parameters_text() -> str:
-    width = max(len(spec.name) for spec in PLAYER_PARAMETERS) + 4
-    lines = [
-        textwrap.fill(
-            spec.description, 110, initial_indent=f'  {spec.name}'.ljust(width), subsequent_indent=' ' * width
-        )
-        for spec in PLAYER_PARAMETERS
-    ]
-    return '\n'.join(lines)

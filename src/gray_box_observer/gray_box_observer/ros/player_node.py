@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException, NoTypeSupportImportedException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,8 +24,9 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError, ConfigurationError, GrayBoxError
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import publisher_profile
+from gray_box_observer.ros.listed_parameters import declare
 from gray_box_observer.ros.message_types import message_class
-from gray_box_observer.ros.player_arguments import declare, make_parser
+from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_player'
@@ -68,7 +70,7 @@ class BagPlayer(Node):
     def __init__(self, stop: Stop, bag: str = '') -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        given = declare(self)
+        given = declare(self, PLAYER_PARAMETERS)
         path, is_paused = given['bag'], given['paused']
         topics = [name for name in given['topics'] if name]
         self._plan = _Plan(**{field.name: given[field.name] for field in fields(_Plan)})
@@ -128,7 +130,10 @@ class BagPlayer(Node):
                 continue
             recorded = parse_qos_text(there[name].qos_profiles)
             depth = _DEPTH if self._plan.rate > 0 else _BURST
-            publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            try:
+                publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            except (NameValidationException, NoTypeSupportImportedException) as error:  # a damaged bag
+                self.get_logger().warning(f'{name!r} is not replayed: {" ".join(str(error).split())}')
         if not publishers:
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers
