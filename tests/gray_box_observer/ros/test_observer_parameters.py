@@ -145,3 +145,36 @@ def test_a_horizon_that_the_variant_does_not_have_is_refused_while_it_runs_too(r
     successful, reason = set_one(rig, 'horizon_s', 1.0)
     assert not successful
     assert 'horizon_s must be 0 with variant main' in reason
+
+
+HOSTILE = [
+    Parameter(name='gap_s'),  # of no type: asks for it to be deleted
+    Parameter(name='checkpoint.path'),
+    Parameter(name='freeze'),
+    Parameter(name='motor', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
+    Parameter(name='größe.🤖', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
+    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0])),
+    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=-1e300)),
+    Parameter(name='alarm.learn', value=ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=-(2**63))),
+    *(
+        Parameter(name='checkpoint.path', value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text))
+        for text in ('a' * 5000, 'a/' * 5000 + 'b', '~root/x/..', '/', '.', ' /../x')
+    ),
+]
+
+
+def test_nothing_that_is_set_from_outside_ends_the_node(rig, record):
+    rig.start()
+    before = rig.call(GetParameters, 'get_parameters', names=sorted(SPECS)).values
+    for parameter in HOSTILE:
+        for kind, service in (
+            (SetParameters, 'set_parameters'),
+            (SetParametersAtomically, 'set_parameters_atomically'),
+        ):
+            answer = rig.call(kind, service, parameters=[parameter])
+            results = answer.results if kind is SetParameters else [answer.result]
+            assert [result.successful for result in results] == [False], parameter
+            assert results[0].reason, parameter
+    assert rig.call(GetParameters, 'get_parameters', names=sorted(SPECS)).values == before
+    rig.send(record(EXCITATION, 8.0), range(100))
+    rig.wait_for(samples_used=100)
