@@ -336,15 +336,17 @@ def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recordin
 
 def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Callable[..., Recording]) -> None:
     lagging = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.001, speed_mode='rotor')
-    one, other = observer(InlineTraining, **HARD), observer(InlineTraining, **HARD)
-    feed(one, lagging, 0, 1810)
+    options = {**HARD, 'training.replay_capacity': 1024, 'training.segments': 2}
+    one, other = observer(InlineTraining, **options), observer(InlineTraining, **options)
+    feed(one, lagging, 0, 2210)
     save(one, tmp_path / 'c')
     load(other, tmp_path / 'c')
     one.pairing['motor'].restart()
     for o in (one, other):
-        feed(o, lagging, 1810, 3000)
+        feed(o, lagging, 2210, 3000)
     on, again = (o.motors['motor'].state()[1] for o in (one, other))
     assert 'network/learning_residual_size' in on, 'there was something to learn'
+    assert 'network/schedule_segments' in on, 'and older samples to learn it from'
     assert on.keys() == again.keys()
     for name, array in on.items():
         assert array.tobytes() == again[name].tobytes(), name

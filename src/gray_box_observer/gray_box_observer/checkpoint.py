@@ -25,7 +25,7 @@ from gray_box_observer.white_box.base import Array
 
 FORMAT = 'gray_box_observer checkpoint'
 
-VERSION = 2
+VERSION = 3
 
 _LENGTH = struct.Struct('<Q')
 """What a safetensors file begins with: the length of its header."""

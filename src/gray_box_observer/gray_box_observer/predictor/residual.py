@@ -29,6 +29,9 @@ REACH = 1.5
 FEW = 5.0
 """Samples in a cell at which half of the correction is used there."""
 
+WARM = 64
+"""Samples that fill the network's memory, whatever it held before: what it says counts behind them."""
+
 PREFIX = 'residual_'
 
 
