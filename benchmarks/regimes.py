@@ -133,8 +133,8 @@ def main() -> int:
     seeds = options.seeds or (1 if options.quick else 3)
     motors = MOTORS[:1] if options.quick else MOTORS
     home_s, away_s = (300.0, 600.0) if options.quick else (600.0, 3600.0)
-    # a round of learning is due after a thousand samples at the earliest, so jobs need not come more often
-    kept = TrainingRules(period=1000, replay_capacity=1100 if options.quick else 6000)
+    # a round of learning is due after a thousand samples at the earliest: jobs need not come every hundred
+    kept = TrainingRules(period=500, replay_capacity=1100 if options.quick else 6000)
     bar = tqdm(total=2 * seeds * len(motors), unit='run', disable=None)
     rows, figures = [], []
     for motor in motors:

@@ -135,7 +135,7 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
     loud = Weights.initial(INPUTS, 4, 0)
     support = np.zeros((BINS, BINS))
     support[BINS // 2 :, BINS // 2 :] = 1000.0
-    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support)
+    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support, 0.01)
     readout, current, voltage = np.array([1e6, -1e6, 1e6]), np.array([1.0, 1.0, -1.0]), np.array([5.0, 5.0, -5.0])
     said = learnt.current(readout, current, voltage)
     np.testing.assert_allclose(said, [0.3, -0.3, 0.0], rtol=0.01)
@@ -144,9 +144,9 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
 
 
 def test_arrays_give_the_same_correction_back() -> None:
-    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)))
+    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)), 0.02)
     again = Correction.of({**learnt.arrays(), 'input': np.zeros(1)})
     assert again is not None
-    assert (again.limit_a, again.share) == (0.3, 0.7)
+    assert (again.limit_a, again.share, again.interval_s) == (0.3, 0.7, 0.02)
     np.testing.assert_array_equal(again.weights.recurrent, learnt.weights.recurrent)
     assert Correction.of({}) is None

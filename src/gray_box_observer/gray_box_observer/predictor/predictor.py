@@ -126,7 +126,10 @@ class Predictor:
         return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
     def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
-        """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
+        """Forecast the torque after a planned voltage has been held for a while; changes nothing.
+
+        The physics goes there in one step; what was learnt beside it follows at the pace at which it was learnt, in a
+        bounded number of steps however long the horizon is (:meth:`Correction.instants_s`).
 
         Args:
             horizon_s: how long, counted from the last sample or from what ``since`` tells.
@@ -140,7 +143,7 @@ class Predictor:
         Raises:
             ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
         """
-        if self._rules.variant is not Variant.PHYSICS:
+        if not isinstance(self._forecaster, RelaxingForecaster):
             raise ConfigurationError(
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
             )
@@ -149,7 +152,12 @@ class Predictor:
             return np.full(self._motors, np.nan)
         if since is not None and since.memory is not None:
             question = replace(question, origin=(_physics_of(since), since.memory))
-        return self._forecaster.forecast(question)[0]
+        torque_nm = self._forecaster.forecast(question)[0]
+        learnt = self.residual.correction
+        if learnt is None or not self.residual.speaks:
+            return torque_nm
+        path_nm = self._forecaster.path(question, learnt.instants_s(horizon_s))
+        return torque_nm + self.residual.along(question, path_nm, None if since is None else since.residual_memory)
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
         """Score what was predicted, remember the sample, and start or finish a training job when one is due.

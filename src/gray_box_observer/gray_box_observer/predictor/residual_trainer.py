@@ -80,6 +80,7 @@ class _Run:
     number: NDArray[np.int64]
     anew: NDArray[np.bool_]
     heard: NDArray[np.bool_]
+    interval_s: Array
     voltage_v: Array
     speed_rad_s: Array
     current_a: Array
@@ -157,7 +158,8 @@ class ResidualTrainer:
         if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
             self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed)
         size, limit_a = self._sizes
-        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
+        pace_s = float(np.median(run.interval_s))
+        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)), pace_s)
         inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
         teaching = ~judging(run.number) & run.heard
         self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, run.anew, steps)
@@ -243,7 +245,7 @@ def _against_physics(weights: Weights, measured: Sequence[History]) -> _Run:
         anew = number == number[0]
         heard = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
         speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
-        signals = sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted
+        signals = sequences.interval_s, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted
         parts.append((number, anew, heard, *signals))
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
