@@ -32,6 +32,9 @@ FEW = 5.0
 WARM = 64
 """Samples that fill the network's memory, whatever it held before: what it says counts behind them."""
 
+ASKED = 32
+"""Times, at most, that it is asked on the way to a forecast: there is time for it at a thousand samples a second."""
+
 PREFIX = 'residual_'
 
 
@@ -84,11 +87,11 @@ class Correction:
         return cls(Weights.of(own), own['size'], limit_a, share, own['support'], interval_s)
 
     def instants_s(self, horizon_s: float) -> Array:
-        """Return when it is asked on the way through a horizon: at its own pace, at most WARM times, and at the end.
+        """Return when it is asked on the way through a horizon: at its own pace, at most ASKED times, and at the end.
 
-        What it says follows from the last WARM samples (:data:`WARM`), so of a longer way the beginning is left out.
+        What it says follows from the last samples, so of a longer way the beginning is left out.
         """
-        covered_s = min(horizon_s, WARM * self.interval_s)
+        covered_s = min(horizon_s, ASKED * self.interval_s)
         count = max(1, round(covered_s / self.interval_s))
         before_end: Array = np.arange(count, dtype=float)[::-1]
         return horizon_s - covered_s / count * before_end
