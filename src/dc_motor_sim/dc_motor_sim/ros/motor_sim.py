@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import signal
 import sys
 import time
@@ -26,7 +28,7 @@ from sensor_msgs.msg import JointState
 
 from dc_motor_sim.errors import SimulationError
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.ros import parameters, topics
+from dc_motor_sim.ros import discovery, parameters, topics
 from dc_motor_sim.simulation import Sample
 from dc_motor_sim.stamps import NANOSECONDS_PER_SECOND, to_nanoseconds, to_seconds
 
@@ -254,12 +256,16 @@ def main(args: Sequence[str] | None = None) -> int:
     # rclpy's own handlers would shut the context down under the last samples.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
+    kept_here = discovery.default_range(os.environ)
+    os.environ.update(kept_here)
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(args=argv)
         if unknown:
             return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
         node = MotorSim()
+        if kept_here:
+            node.get_logger().info(discovery.OPENED_BY)
     except (SimulationError, ParameterException, RuntimeError) as error:
         return _fail(error)
     executor = SingleThreadedExecutor()
@@ -282,7 +288,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _fail(error: object, status: int = 2) -> int:
-    print(f'motor_sim: error: {" ".join(str(error).split())}', file=sys.stderr)
+    """Say in one line what is wrong, without the place in the middleware's source that raised it."""
+    said = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
+    print(f'motor_sim: error: {said}', file=sys.stderr)
     rclpy.try_shutdown()
     return status
 

@@ -29,6 +29,7 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.ros import discovery
 
 EXIT_DONE = 0
 EXIT_USER_ERROR = 2
@@ -126,10 +127,14 @@ def run_node(
         0 after a clean end, 2 after an error the user must act on.
     """
     stop = Stop()
+    kept_here = discovery.default_range(os.environ)
+    os.environ.update(kept_here)
     with _signals_to(stop):
         try:
             rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
             node = make_node(stop)
+            if kept_here:
+                node.get_logger().info(discovery.OPENED_BY)
         except GrayBoxError as error:
             return _fail(name, error)
         except _STARTUP_ERRORS as error:
