@@ -195,11 +195,17 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
     seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])
-    job = {**signals, 'theta': estimate.value, 'covariance': estimate.covariance, 'seen': seen.to_dict()}
+    job = {
+        **signals,
+        'number': np.arange(signals['voltage_v'].shape[1]),
+        'theta': estimate.value,
+        'covariance': estimate.covariance,
+        'seen': seen.to_dict(),
+    }
     trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
     network: dict[str, Any] = {}
     for _ in range(rounds):
-        told = trainer.train({**job, 'residual': True, 'number': signals['voltage_v'].shape[1]})
+        told = trainer.train({**job, 'residual': True})
         network |= {name: told[name] for name in told if isinstance(told[name], np.ndarray)}
     return network
 

@@ -10,14 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.residual import WARM
 from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
 from gray_box_observer.white_box.base import Array
 
 LENGTH = 512
 """Samples of a window. Long: the network streams without end and must not have learnt to count on a blank start."""
-
-WARM = 64
-"""Samples at its beginning that only fill the memory."""
 
 WINDOWS = 8
 """Windows of a step."""
