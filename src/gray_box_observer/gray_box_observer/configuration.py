@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ class Configuration:
         Raises:
             ConfigurationError: a value out of range, or motors that fit no white box.
         """
-        rest = {name: value for name, value in given.items() if name not in FOREIGN_PARAMETERS}
+        rest = {name: value for name, value in given.items() if not _is_foreign(name)}
         values = {spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS}
         names = values['motors']
         if (
@@ -95,6 +95,11 @@ class Configuration:
         ):
             raise ConfigurationError(
                 f'motors must be distinct names that can stand in a topic (letters, digits, _), got {names!r}'
+            )
+        if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
+            raise ConfigurationError(
+                'parameter verdict.identified_relative_std must not be above verdict.excited_relative_std, got '
+                f'{values["verdict.identified_relative_std"]} and {values["verdict.excited_relative_std"]}'
             )
         for small, large in FITS_TWICE:
             if 2 * values[small] > values[large]:
@@ -110,6 +115,17 @@ class Configuration:
             _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}
         return cls(values, motors, tuple(sorted(rest)))
+
+    def changed(self, given: Mapping[str, Any]) -> Configuration:
+        """Return the configuration with some values changed, by their dotted names; others than ours are passed over.
+
+        Raises:
+            ConfigurationError: as in :meth:`from_flat`.
+        """
+        flat = dict(self.values)
+        for name, motor in self.motors.items():
+            flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
+        return replace(self.from_flat(flat | {k: v for k, v in given.items() if k in flat}), unknown=self.unknown)
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
@@ -147,6 +163,13 @@ FITS_TWICE = (
 
 FOREIGN_PARAMETERS = frozenset({'use_sim_time', 'start_type_description_service'})
 """Parameters that rclpy declares itself."""
+
+FOREIGN_GROUPS = ('qos_overrides.',)
+"""Groups of parameters that rclpy declares itself."""
+
+
+def _is_foreign(name: str) -> bool:
+    return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:

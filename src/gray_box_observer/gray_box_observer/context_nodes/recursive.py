@@ -92,7 +92,7 @@ class RecursiveUpdate:
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
-        self._verdict_rules = verdict_rules or VerdictRules()
+        self.verdict_rules = verdict_rules or VerdictRules()
         parameters = white_box.parameters
         self._lower = np.array([p.lower for p in parameters])
         self._upper = np.array([p.upper for p in parameters])
@@ -154,7 +154,7 @@ class RecursiveUpdate:
         covariance = by_relative @ self._belief.posterior @ np.swapaxes(by_relative, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        verdicts = self._verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
+        verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
