@@ -14,11 +14,13 @@ class Account:
     Attributes:
         delivered: messages handed to the middleware.
         lost: messages that the middleware says it has lost on the way.
-        undecodable: messages whose bytes were none; the middleware throws them away.
+        undecodable: bytes that were no message any more; the middleware throws them away before anybody can count.
         used: samples used.
         refused: messages of the motor that were refused, by reason.
         unreadable: messages that held no value that could be read.
         strangers: messages that spoke of no motor that was asked for.
+        taken: voltages that came into force.
+        waiting: torques that waited for their voltage at the end.
         unexplained: messages that nobody accounts for; 0, or something was lost in silence.
     """
 
@@ -33,15 +35,22 @@ class Account:
     waiting: int = 0
     unexplained: int = 0
 
-    def close(self, delivered: Mapping[str, int], undecodable: int, facts: Mapping[str, str]) -> None:
-        """Add the account of one observer, from the last diagnostics of its life."""
-        lost = int(facts['messages lost on the way'])
-        gap = sum(delivered.values()) - undecodable - lost
-        self.delivered += sum(delivered.values())
+    def close(self, delivered: int, damaged: int, facts: Mapping[str, str]) -> None:
+        """Add the account of one observer, from the last diagnostics of its life.
+
+        Args:
+            delivered: messages handed to the middleware for it.
+            damaged: how many of them were damaged bytes; some of these can be read all the same.
+            facts: the diagnostics.
+        """
+        missing = delivered - received(facts)
+        undecodable = min(max(missing, 0), damaged)
+        self.delivered += delivered
         self.undecodable += undecodable
-        self.lost += lost
+        self.lost += int(facts['messages lost on the way'])
+        self.unexplained += abs(missing - undecodable)
         for signal in ('voltage', 'torque'):
-            received = int(facts[f'{signal} topic: messages'])
+            arrived = int(facts[f'{signal} topic: messages'])
             unreadable = int(facts[f'{signal} topic: unreadable'])
             strangers = int(facts[f'{signal} topic: of no motor here'])
             of_motor = int(facts[f'{signal} messages'])
@@ -49,8 +58,7 @@ class Account:
             self.unreadable += unreadable
             self.strangers += strangers
             self.refused += refused
-            self.unexplained += abs(received - unreadable - strangers - of_motor)
-            gap -= received
+            self.unexplained += abs(arrived - unreadable - strangers - of_motor)
             if signal == 'torque':
                 used, waiting = int(facts['samples used']), int(facts['samples waiting for voltage'])
                 self.used += used
@@ -60,7 +68,6 @@ class Account:
                 taken = int(facts['voltages taken'])
                 self.taken += taken
                 self.unexplained += abs(of_motor - taken - refused.total())
-        self.unexplained += abs(gap)
 
 
 def reasons(text: str) -> Counter[str]:
