@@ -24,6 +24,7 @@ from pathlib import Path
 from figures import Figure, growth, tell
 from node_balance import Account, received
 from observer_process import QUEUE, SIMULATOR, TOPICS, Bench
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from stream_faults import FaultRules, StreamFaults
 from tqdm import tqdm
@@ -57,12 +58,12 @@ class Proxy:
         self._bench = bench
         self._faults = faults
         self._random = random.Random(seed)
-        self._waiting: dict[str, deque[bytes]] = {name: deque() for name in TOPICS}
+        self._waiting: dict[str, deque[bytes]] = {}
+        self._subscriptions: list[Subscription] = []
+        self._simulators = 0
         self._decode = JointStateDecoder()
         self._paused = False
         self.damaged = 0
-        for name in self._waiting:
-            bench.node.create_subscription(JointState, f'/driver/{name}', partial(self._hear, name), QUEUE, raw=True)
         self.start_simulator()
 
     def start_simulator(self) -> None:
@@ -76,25 +77,31 @@ class Proxy:
             'seed': self._random.randrange(2**31),
             'wait_for_subscribers': 1,
         }
-        topics = (f'motor/{name}:=/driver/{name}' for name in TOPICS)
-        self._simulator = self._bench.start(SIMULATOR, parameters, *topics)
+        self._simulators += 1
+        remaps = []
+        for name in TOPICS:  # topics of its own: what the one before had sent may still come
+            topic, queue = f'/driver_{self._simulators}/{name}', deque[bytes]()
+            callback = partial(_keep, queue)
+            self._waiting[name] = queue
+            self._subscriptions.append(self._bench.node.create_subscription(JointState, topic, callback, QUEUE, raw=True))
+            remaps.append(f'motor/{name}:={topic}')
+        self._simulator = self._bench.start(SIMULATOR, parameters, *remaps)
 
     def restart_simulator(self) -> None:
         """Kill the simulator and start another; what waits here of the old one is forgotten."""
         self._resume()
         self._bench.kill(self._simulator)
-        for queue in self._waiting.values():
-            queue.clear()
+        for subscription in self._subscriptions:
+            self._bench.node.destroy_subscription(subscription)
+        self._subscriptions.clear()
         self.start_simulator()
 
     def pump(self, most: int, *, clean: bool = False) -> int:
         """Pass on messages as long as few are on their way; return how many were taken from the simulator."""
         room = min(most, WINDOW - (self._bench.sent - received(self._bench.facts)))
         taken = 0
-        # in step: the two topics reach us, but not each other, in the order in which they were sent
-        while taken < room and all(self._waiting.values()):
-            for name, queue in self._waiting.items():
-                message = self._decode(queue.popleft())
+        while taken < room and (sample := self._sample()) is not None:
+            for name, message in sample:
                 taken += 1
                 if clean:
                     self._bench.send(name, message)
@@ -104,13 +111,25 @@ class Proxy:
         self._throttle()
         return taken
 
+    def _sample(self) -> list[tuple[str, JointStateView]] | None:
+        """Take the voltage and the torque of one stamp; None where they have not both come.
+
+        DDS keeps the order of each topic only, and the first messages may have missed us on one of them.
+        """
+        while all(self._waiting.values()):
+            heads = [(name, self._decode(queue[0])) for name, queue in self._waiting.items()]
+            oldest_ns = min(message.stamp_ns for _, message in heads)
+            for name, message in heads:
+                if message.stamp_ns == oldest_ns:
+                    self._waiting[name].popleft()
+            if all(message.stamp_ns == oldest_ns for _, message in heads):
+                return heads
+        return None
+
     def send(self, name: str, message: JointStateView | bytes) -> None:
         """Send one message, and count those that are none any more."""
         self.damaged += isinstance(message, bytes)
         self._bench.send(name, message)
-
-    def _hear(self, name: str, data: bytes) -> None:
-        self._waiting[name].append(data)
 
     def _throttle(self) -> None:
         crowd = len(self._waiting['torque'])
@@ -123,6 +142,10 @@ class Proxy:
     def _resume(self) -> None:
         self._simulator.send_signal(signal.SIGCONT)
         self._paused = False
+
+
+def _keep(queue: deque[bytes], data: bytes) -> None:
+    queue.append(data)
 
 
 class Campaign:
