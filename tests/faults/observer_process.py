@@ -31,6 +31,8 @@ TRUTH = {'inductance [H]': 0.5, 'resistance [ohm]': 1.0, 'hysteresis [V s/(rad A
 QUEUE = 20_000
 """Messages on the way between us and the observer; its own queue of 1000 would drop a burst, and say so."""
 PATIENCE_S = 120.0
+HOLD_S = 5.0
+"""Stamps run many times faster than the clock here, and so does what one topic is ahead of the other."""
 PROBE = JointStateView(0, ('probe',), (), (), (0.0,))
 
 
@@ -80,7 +82,7 @@ class Bench:
     def start_observer(self, checkpoint: Path, **parameters: object) -> None:
         """Start an observer that continues from its checkpoint, and wait until it listens and has said so."""
         depth = {f'qos_overrides.{topic}.subscription.depth': QUEUE for topic in TOPICS.values()}
-        own = {'checkpoint.path': checkpoint, 'checkpoint.resume': True, **depth, **parameters}
+        own = {'checkpoint.path': checkpoint, 'checkpoint.resume': True, 'hold_s': HOLD_S, **depth, **parameters}
         self.facts = {}
         self.observer = self.start(OBSERVER, own)
         self.wait(lambda: self.facts, 'the first diagnostics')
