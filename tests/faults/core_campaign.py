@@ -2,10 +2,10 @@
 
     python tests/faults/core_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts 20]
 
-Messages are spoilt by `stream_faults` and taken by the same intake that nodes and bags use. Now and then the observer is
-thrown away and another goes on from its checkpoint, or the simulator starts from rest with a clock that begins anywhere.
-At the end a minute of clean samples follows. Prints every fault by kind, where every message went, a table, and one line
-of JSON; ends with 1 if a figure is not reached.
+Messages are spoilt by `stream_faults` and taken by the same intake that nodes and bags use. Now and then the observer
+is thrown away and another goes on from its checkpoint, and the simulator starts from rest with a clock that begins
+anywhere. At the end a minute of clean samples follows. Prints every fault by kind, where every message went, a table,
+and one line of JSON; ends with 1 if a figure is not reached.
 """
 
 from __future__ import annotations

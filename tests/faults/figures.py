@@ -28,9 +28,7 @@ def tell(campaign: str, seed: int, figures: Sequence[Figure], counts: Mapping[st
     for figure in figures:
         goal = '' if figure.goal is None else f'goal at most {figure.goal:g}'
         print(f'{figure.name:<{width}} {figure.value:12.6g}   {goal:<20} {words[figure.met]}'.rstrip())
-    told = [
-        {'name': f.name, 'value': float(f'{f.value:.6g}'), 'goal': f.goal, 'met': f.met} for f in figures
-    ]
+    told = [{'name': f.name, 'value': float(f'{f.value:.6g}'), 'goal': f.goal, 'met': f.met} for f in figures]
     print(json.dumps({'benchmark': campaign, 'seeds': 1, 'seed': seed, 'figures': told, **(counts or {})}))
     return 1 if any(figure.met is False for figure in figures) else 0
 

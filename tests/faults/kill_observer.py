@@ -2,9 +2,9 @@
 
     python tests/faults/kill_observer.py [--times 50] [--seed 1] [--period 0.01]
 
-Needs a sourced workspace. A checkpoint is taken so often that kills meet one that is being written. After every kill the
-file has to be readable, and the next observer has to tell, before it has seen a sample, what stands in the file, bit for
-bit. Prints a line a round, a table, and one line of JSON; ends with 1 if a figure is not reached.
+Needs a sourced workspace. A checkpoint is taken so often that kills meet one that is being written. After every kill
+the file has to be readable, and the next observer has to tell, before it has seen a sample, what stands in the file,
+bit for bit. Prints a line a round, a table, and one line of JSON; ends with 1 if a figure is not reached.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import struct
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,7 @@ def main() -> int:
     if kept is None:
         print('kill_observer: error: no checkpoint at the end', file=sys.stderr)
         return 1
-    rises = sum(after > 1.05 * before for before, after in zip(spreads, spreads[1:], strict=False))
+    rises = sum(after > 1.05 * before for before, after in pairwise(spreads))
     figures = [
         Figure('checkpoints that could not be read', unreadable, 0.0),
         Figure('restored estimates that differ from the checkpoint in any bit', differing, 0.0),

@@ -83,7 +83,9 @@ class Proxy:
             topic, queue = f'/driver_{self._simulators}/{name}', deque[bytes]()
             callback = partial(_keep, queue)
             self._waiting[name] = queue
-            self._subscriptions.append(self._bench.node.create_subscription(JointState, topic, callback, QUEUE, raw=True))
+            self._subscriptions.append(
+                self._bench.node.create_subscription(JointState, topic, callback, QUEUE, raw=True)
+            )
             remaps.append(f'motor/{name}:={topic}')
         self._simulator = self._bench.start(SIMULATOR, parameters, *remaps)
 
@@ -239,7 +241,11 @@ def main() -> int:
             finally:
                 bench.close()
                 said = log.read_text(encoding='utf-8', errors='replace')
-                print('\n'.join(line for line in said.splitlines() if 'rror' in line and 'sequence size' not in line)[-2000:])
+                print(
+                    '\n'.join(line for line in said.splitlines() if 'rror' in line and 'sequence size' not in line)[
+                        -2000:
+                    ]
+                )
     return _report(options, campaign, during, after, said.count('Traceback'))
 
 

@@ -13,15 +13,15 @@ from typing import IO, Any
 import psutil
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from node_balance import received
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
+from stream_faults import encoded
 
 from gray_box_observer.bag.joint_state import JointStateView
-from node_balance import received
-from stream_faults import encoded
 
 OBSERVER = 'gray_box_observer.ros.observer_node'
 SIMULATOR = 'dc_motor_sim.ros.motor_sim'

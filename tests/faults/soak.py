@@ -2,10 +2,8 @@
 
     python tests/faults/soak.py [--hours 24] [--rate 100] [--seed 1] [--predictor]
 
-The simulator and the observer run in this process, as fast as they can. Through the node, with `/clock` sped up, it is
-
-    ros2 run gray_box_observer observer --ros-args -p use_sim_time:=true
-    ros2 run dc_motor_sim motor_sim --ros-args -p publish_clock:=true -p clock_speed_up:=10.0 -p duration_s:=86400.0
+The simulator and the observer run in this process, as fast as they can. Through two nodes it is
+`node_soak`.
 
 Prints a table and one line of JSON; ends with 1 if a figure is not reached.
 """

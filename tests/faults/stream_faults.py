@@ -18,7 +18,20 @@ from gray_box_observer.bag.joint_state import JointStateView, encode_joint_state
 
 NANOSECONDS = 1_000_000_000
 MILLION = 1_000_000
-NAMES = ('', ' ', 'motör', '電動機', '⚙️', 'a\u0301', '\u202emotor', 'motor\n', 'MOTOR', 'motor ', '\U0001f9f2' * 50, 'x' * 10_000)
+NAMES = (
+    '',
+    ' ',
+    'motör',
+    '電動機',
+    '⚙️',
+    'a\u0301',
+    '\u202emotor',
+    'motor\n',
+    'MOTOR',
+    'motor ',
+    '\U0001f9f2' * 50,
+    'x' * 10_000,
+)
 """No motor is called so, and yet somebody will send it."""
 DENORMALS = (5e-324, -5e-324, 2.2e-308, -1e-310, 0.0, -0.0)
 EXTREME_STAMPS_NS = (0, 1, -1, -(2**31) * NANOSECONDS, (2**31 - 1) * NANOSECONDS)

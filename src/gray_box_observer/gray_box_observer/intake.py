@@ -17,7 +17,6 @@ from gray_box_observer.observer import Observer, Result
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 
-
 MOST_STRANGERS = 100
 """Names that are not ours, as many as are remembered."""
 

@@ -212,7 +212,9 @@ class Pairing:
     def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Sample]:
         """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes."""
         self.received_torque += 1
-        if not self._usable('torque', torque_nm) or not (math.isnan(speed_rad_s) or self._usable('torque', speed_rad_s)):
+        if not self._usable('torque', torque_nm) or not (
+            math.isnan(speed_rad_s) or self._usable('torque', speed_rad_s)
+        ):
             return []
         done = self._order('torque', stamp_ns, self._newest_torque_ns)
         if done is None:
