@@ -13,7 +13,6 @@ class Account:
 
     Attributes:
         delivered: messages handed to the middleware.
-        lost: messages that the middleware says it has lost on the way.
         undecodable: bytes that were no message any more; the middleware throws them away before anybody can count.
         used: samples used.
         refused: messages of the motor that were refused, by reason.
@@ -25,7 +24,6 @@ class Account:
     """
 
     delivered: int = 0
-    lost: int = 0
     undecodable: int = 0
     used: int = 0
     refused: Counter[str] = field(default_factory=Counter)
@@ -47,7 +45,6 @@ class Account:
         undecodable = min(max(missing, 0), damaged)
         self.delivered += delivered
         self.undecodable += undecodable
-        self.lost += int(facts['messages lost on the way'])
         self.unexplained += abs(missing - undecodable)
         for signal in ('voltage', 'torque'):
             arrived = int(facts[f'{signal} topic: messages'])
@@ -79,6 +76,6 @@ def reasons(text: str) -> Counter[str]:
 
 
 def received(facts: Mapping[str, str]) -> int:
-    """Messages that an observer has had so far, those lost on the way included."""
-    names = ('voltage topic: messages', 'torque topic: messages', 'messages lost on the way')
+    """Messages that an observer has had so far."""
+    names = ('voltage topic: messages', 'torque topic: messages')
     return sum(int(facts.get(name, 0)) for name in names)

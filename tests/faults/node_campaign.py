@@ -263,7 +263,6 @@ def _report(
         'waiting for voltage': account.waiting,
         'unreadable': account.unreadable,
         'of no motor asked for': account.strangers,
-        'lost by the middleware, told': account.lost,
         'bytes that were no message': account.undecodable,
         **{f'refused: {reason}': count for reason, count in account.refused.most_common()},
         'unexplained': account.unexplained,

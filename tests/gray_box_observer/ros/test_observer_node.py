@@ -16,6 +16,7 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import State, Transition
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
@@ -144,6 +145,7 @@ def test_bytes_that_are_no_message_and_a_message_of_a_million_names_cost_nothing
         for data in (whole[:5], whole[:-3], whole[:12] + b'\xff\xff\xff\xff' + whole[16:]):
             publisher.publish(data)
         publisher.publish(encode_joint_state(START_NS, [''] * 1_000_000, effort=[1.0] * 1_000_000))
+        assert publisher.wait_for_all_acked(Duration(seconds=20))
     rig.send(recording, range(300, 600))
     rig.wait_for(samples_used=600)
     values = rig.values()

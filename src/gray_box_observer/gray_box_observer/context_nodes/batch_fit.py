@@ -138,11 +138,12 @@ class _Search:
         self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
 
     def _sharp_scale(self) -> Array:
-        """Noise by the changes of the residual from sample to sample: there a kick counts once, not as long as it stays."""
+        """Noise by how the residual changes between samples: a kick counts there once, however long it stays."""
         change = self._residual[:, 1:] - self._path.factor * self._residual[:, :-1]
         white = change / np.sqrt(1.0 + self._path.factor**2)
-        sharp: Array = np.minimum(self._scale, robust_std(white, ~self._stretch.restart))
-        return np.maximum(sharp, self._floor, out=sharp)
+        sharp = np.minimum(self._scale, robust_std(white, ~self._stretch.restart))
+        floored: Array = np.maximum(sharp, self._floor)
+        return floored
 
     @property
     def _valid(self) -> NDArray[np.bool_]:

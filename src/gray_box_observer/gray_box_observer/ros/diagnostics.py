@@ -234,7 +234,6 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
         'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
         'age of newest sample [s]': _text(None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9),
         'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
-        'messages lost on the way': str(now.inputs.lost.total()),
         'CPU of this process [%]': f'{100 * now.traffic.cpu:.1f}',
         'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
         'age of checkpoint [s]': _text(now.checkpoint_age_s),
