@@ -69,7 +69,10 @@ def context_nodes(configuration: Configuration, motor: MotorConfiguration, white
     initial, seed = np.array([motor.initial()]), _seed(configuration, motor)
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts)
-    return RecursiveUpdate(white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts)
+    known = np.array([motor.initial_relative_std()])
+    return RecursiveUpdate(
+        white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts, known
+    )
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:

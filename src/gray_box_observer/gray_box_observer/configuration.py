@@ -55,6 +55,10 @@ class MotorConfiguration:
         """Where identification starts, in the order of the context nodes."""
         return [float(self.values[f'initial.{name}']) for name in self.values['context_nodes']]
 
+    def initial_relative_std(self) -> list[float]:
+        """How well these are known, relative to them, in the same order; 0: nothing is said."""
+        return [float(self.values[f'initial_relative_std.{name}']) for name in self.values['context_nodes']]
+
 
 @dataclass(frozen=True)
 class Configuration:
@@ -114,6 +118,7 @@ class Configuration:
         for name in SIGNALS:
             _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}
+        _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(rest)))
 
     def changed(self, given: Mapping[str, Any]) -> Configuration:
@@ -134,24 +139,34 @@ class Configuration:
         Raises:
             ConfigurationError: no such file, not YAML, or a value that does not fit.
         """
-        try:
-            document = yaml.safe_load(path.read_text(encoding='utf-8'))
-        except OSError as error:
-            raise ConfigurationError(f'cannot read the parameter file {path}: {error.strerror}') from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
-        given: dict[str, Any] = {}
-        for node, content in document.items() if isinstance(document, dict) else ():
-            if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
-                if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
-                    raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
-                given.update(flatten(content['ros__parameters']))
-        if not given:
-            raise ConfigurationError(
-                f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"'
-            )
-        return cls.from_flat(given)
+        return cls.from_flat(read_parameter_file(path))
 
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """What a ROS parameter file gives to the observer, by dotted names.
+
+    Raises:
+        ConfigurationError: no such file, not YAML, or nothing for the observer in it.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigurationError(f'cannot read the parameter file {path}: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
+    given: dict[str, Any] = {}
+    for node, content in document.items() if isinstance(document, dict) else ():
+        if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
+            if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
+                raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
+            given.update(flatten(content['ros__parameters']))
+    if not given:
+        raise ConfigurationError(f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"')
+    return given
+
+
+SMALLEST_RELATIVE_STD = 1e-6
+"""No initial value is known better; and the arithmetic would not bear it."""
 
 FITS_TWICE = (
     ('recursive.block', 'recursive.replay_capacity'),
@@ -201,6 +216,16 @@ def _check_signal(name: str, values: Mapping[str, Any]) -> None:
         raise ConfigurationError(f'parameter {name}.field: {error}') from error
 
 
+def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
+    """Refuse to be told what the rule could not make use of."""
+    told = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
+    if rule != 'recursive' and told:
+        raise ConfigurationError(
+            f'motor {told[0]}: initial_relative_std needs context_update recursive, got {rule}: '
+            'the gradient rule has no prior'
+        )
+
+
 def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
     """Take one motor's group out of the values that are left."""
     values = {
@@ -211,6 +236,12 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
         if values.get(f'known.{node}', 0.0) > 0.0:
             raise ConfigurationError(
                 f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of them out'
+            )
+        std = values.get(f'initial_relative_std.{node}', 0.0)
+        if 0.0 < std < SMALLEST_RELATIVE_STD:
+            raise ConfigurationError(
+                f'parameter {name}.initial_relative_std.{node} must be 0 or at least {SMALLEST_RELATIVE_STD:g}, got '
+                f'{std:g}: take a constant that is known for certain out of context_nodes'
             )
     limits_v = values['voltage_limits']
     if len(limits_v) != 2 or limits_v[0] > limits_v[1]:

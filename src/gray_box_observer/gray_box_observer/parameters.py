@@ -130,7 +130,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     *_signal('speed', '', 'sensor_msgs/msg/JointState', 'velocity', True, 'shaft speed'),
     ParameterSpec('recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000),
     ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
-    ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
+    ParameterSpec(
+        'recursive.prior_relative_std', 2.0, 'Relative std of initial values of which none is given.', 1e-6, 100.0
+    ),
     ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
     ParameterSpec(
@@ -258,6 +260,16 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
             f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
             term.parameter.lower,
             term.parameter.upper,
+        )
+        for term in TERMS.values()
+    ),
+    *(
+        ParameterSpec(
+            f'initial_relative_std.{term.parameter.name}',
+            0.0,
+            f'Relative std of initial.{term.parameter.name} (a data sheet); 0: recursive.prior_relative_std.',
+            0.0,
+            100.0,
         )
         for term in TERMS.values()
     ),

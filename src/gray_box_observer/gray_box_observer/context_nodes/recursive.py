@@ -80,6 +80,8 @@ class RecursiveUpdate:
         seed: unused; every rule takes one.
         rules: settings.
         verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (motor, parameter): how well the initial values are known, relative to them; 0: as
+            vaguely as the rules say. None: all of them.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class RecursiveUpdate:
         seed: int = 0,
         rules: RecursiveRules | None = None,
         verdict_rules: VerdictRules | None = None,
+        initial_relative_std: Array | None = None,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
@@ -98,7 +101,12 @@ class RecursiveUpdate:
         self._upper = np.array([p.upper for p in parameters])
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors, n = theta.shape
-        self._prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
+        vague = self._rules.prior_relative_std
+        if initial_relative_std is None or not np.any(initial_relative_std > 0.0):
+            self._prior = Prior.vague(to_coordinates(theta), vague)
+        else:
+            std = np.where(initial_relative_std > 0.0, initial_relative_std, vague)
+            self._prior = Prior.of_parameters(to_coordinates(theta), std)
         self._belief = Belief.before_data(self._prior)
         self._noise_count = 0
         self._suspicion = np.zeros(motors)

@@ -95,8 +95,7 @@ class Inputs:
         return Trouble('; '.join(same), found[0].broken) if found else None
 
     def _subscribe(self, name: str, topic: str, callback: Callable[..., None]) -> Subscription:
-        # Not message_lost as well: rmw_fastrtps of Jazzy takes that event's lock and the reader's in one order where it
-        # notes a loss and in the other where it is asked, so the first loss under load may stop the process for good.
+        # Not message_lost: with Fast DDS 2.14, taking that event while the next one arrives locks up for good.
         events = SubscriptionEventCallbacks(incompatible_qos=partial(self._incompatible, name))
         try:
             return subscribe(self._node, self._types[name], topic, callback, topics.SIGNAL_QOS, events)

@@ -15,6 +15,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.observer import Result
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
+from gray_box_observer.samples.pairing import MAX_WAITING_VOLTAGES
 from gray_box_observer.white_box import Parameter
 
 Publish = Callable[[Any], None]
@@ -36,7 +37,7 @@ class Outputs:
             for m, motor in configuration.motors.items()
             for p in motor.values['context_nodes']
         }
-        self._announced: dict[str, int] = {}
+        self._awaited: dict[str, dict[int, bool]] = {m: {} for m in configuration.motors}
         self._foretold: dict[str, int] = {}
         self._alarmed: dict[str, bool] = {}
 
@@ -51,19 +52,27 @@ class Outputs:
     def results(self, results: Iterable[Result]) -> None:
         """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
         for result in results:
-            if result.prediction is not None:
-                self.prediction(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
+            foretold = self._awaited[result.motor].pop(result.sample.stamp_ns, False)
+            if result.prediction is not None and not foretold:
+                self._predict(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
             if result.estimate is not None:
                 self.estimate(result.motor, result.estimate)
             if result.alarm != self._alarmed.get(result.motor):
                 self.alarm(result.motor, result.alarm)
 
     def prediction(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
-        """Publish the torque predicted for a stamp, once."""
-        if self._announced.get(motor) == stamp_ns or not math.isfinite(torque_nm):
+        """Publish the torque predicted for a stamp whose torque is still to come, once."""
+        awaited = self._awaited[motor]
+        if stamp_ns in awaited or not math.isfinite(torque_nm):
             return
-        self._announced[motor] = stamp_ns
-        self._predicted(torque_message(motor, stamp_ns, torque_nm))
+        awaited[stamp_ns] = True
+        if len(awaited) > MAX_WAITING_VOLTAGES:  # torque that never came
+            del awaited[next(iter(awaited))]
+        self._predict(motor, stamp_ns, torque_nm)
+
+    def _predict(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
+        if math.isfinite(torque_nm):
+            self._predicted(torque_message(motor, stamp_ns, torque_nm))
 
     def forecast(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
         """Publish the torque at the horizon if the newest voltage is held until then, once a voltage."""
