@@ -17,6 +17,12 @@ from gray_box_observer.observer import Observer, Result
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 
+MOST_STRANGERS = 100
+"""Names that are not ours, as many as are remembered."""
+
+LONGEST_NAME = 64
+"""Of them, as much as is remembered: a message may hold anything."""
+
 
 class Signal:
     """One measured quantity in the messages of one topic.
@@ -25,7 +31,7 @@ class Signal:
         topic: where it comes from; empty where it has no topic of its own.
         type_name: message type.
         scale: factor from the field to SI units.
-        unknown: names in messages that no configured motor has, and how often they came.
+        unknown: names in messages that no configured motor has, and how often they came; not all where there are many.
     """
 
     def __init__(self, name: str, configuration: Configuration) -> None:
@@ -42,7 +48,7 @@ class Signal:
         """Return motor and value in SI units for every configured motor in the message.
 
         Raises:
-            SampleError: names and values differ in number.
+            SampleError: names and values differ in number, or a motor is named twice.
             ConfigurationError: the message has no such field, or one value stands for several motors.
         """
         try:
@@ -66,13 +72,20 @@ class Signal:
         wanted = self._motors
         if len(names) == 1 and names[0] in wanted:  # the usual case, without building a list twice
             return [(names[0], self.scale * float(value[0]))]
-        pairs = []
+        found: dict[str, float] = {}
         for motor, number in zip(names, value, strict=True):
-            if motor in wanted:
-                pairs.append((motor, self.scale * float(number)))
-            elif len(self.unknown) < 100:
-                self.unknown[motor] += 1
-        return pairs
+            if motor not in wanted:
+                self._note(motor)
+            elif motor in found:
+                raise SampleError(f'{motor} is named twice')
+            else:
+                found[motor] = self.scale * float(number)
+        return list(found.items())
+
+    def _note(self, stranger: str) -> None:
+        """Remember some of the names that are not ours, so that diagnostics can tell them."""
+        if stranger in self.unknown or len(self.unknown) < MOST_STRANGERS:
+            self.unknown[stranger[:LONGEST_NAME]] += 1
 
     def _only_motor(self) -> str:
         if len(self._motors) != 1:
@@ -118,7 +131,9 @@ class Intake:
     """Takes messages of the configured topics and feeds the observer.
 
     Attributes:
+        received: messages by signal; of each motor that one speaks of, :class:`Pairing` counts on.
         rejected: messages that could not be read at all, by signal and reason.
+        others: messages that spoke of no configured motor, by signal.
     """
 
     def __init__(self, observer: Observer, configuration: Configuration) -> None:
@@ -126,6 +141,7 @@ class Intake:
         self.signals = {name: Signal(name, configuration) for name in SIGNALS}
         self.rejected: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
         self.received: Counter[str] = Counter()
+        self.others: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
 
     def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
@@ -146,6 +162,8 @@ class Intake:
         except (SampleError, TypeError, ValueError):
             self.malformed(name)
             return Taken(stamp_ns, (), [])
+        if not values:
+            self.others[name] += 1
         results: list[Result] = []
         speeds = self._speeds(message) if name == 'torque' else {}
         for motor, value in values:

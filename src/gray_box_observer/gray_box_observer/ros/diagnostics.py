@@ -218,7 +218,7 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
 
 def values_of(motor: str, now: Situation) -> dict[str, str]:
     """Everything that is known of a motor, as text."""
-    values = _counts(motor, now)
+    values = {**_counts(motor, now), **_balance(motor, now)}
     seen = now.observer.motors.get(motor)
     if seen is None:
         return values
@@ -266,6 +266,19 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
         'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
         'age of checkpoint [s]': _text(now.checkpoint_age_s),
     }
+
+
+def _balance(motor: str, now: Situation) -> dict[str, str]:
+    """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
+    pairing, intake = now.observer.pairing[motor], now.intake
+    values = {'voltages taken': str(pairing.taken_voltage)}
+    for name in ('voltage', 'torque'):
+        values[f'{name} topic: messages'] = str(intake.received[name])
+        values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
+        values[f'{name} topic: of no motor here'] = str(intake.others[name])
+        refused = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
+        values[f'{name} messages refused'] = ', '.join(f'{reason}: {n}' for reason, n in refused) or 'none'
+    return values
 
 
 def _estimates(estimate: Estimate) -> dict[str, str]:

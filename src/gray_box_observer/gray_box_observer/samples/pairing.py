@@ -55,7 +55,8 @@ class PairingRules:
 class Pairing:
     """Turns stamped voltages and torques of one motor into samples, counting what cannot be used.
 
-    Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``.
+    Everything that comes in is used or counted under its reason. Of torque, ``received = used + refused + waiting``; of
+    voltage, ``received = taken + refused``.
 
     Args:
         rules: how patient it is.
@@ -65,6 +66,8 @@ class Pairing:
     Attributes:
         history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
+        refused: what could not be used, by signal and reason.
+        taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
@@ -73,9 +76,10 @@ class Pairing:
         self.needs_speed = own_speed
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
-        self.rejected: Counter[Rejection] = Counter()
+        self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
         self.received_torque = 0
         self.received_voltage = 0
+        self.taken_voltage = 0
         self.used = 0
         self.restarts = 0
         self.held = 0
@@ -117,6 +121,11 @@ class Pairing:
         return self._delay_ns
 
     @property
+    def rejected(self) -> Counter[Rejection]:
+        """What could not be used, by reason, whatever signal it was of."""
+        return sum(self.refused.values(), Counter())
+
+    @property
     def waiting(self) -> int:
         """Number of torque samples that wait for their voltage."""
         return len(self._torques)
@@ -150,16 +159,16 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts = self.received_torque, self.received_voltage, self.used, self.restarts, self.held
-        rejected, waited = self.rejected.copy(), self.waiting
+        counts = self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held
+        refused, waited = {signal: counter.copy() for signal, counter in self.refused.items()}, self.waiting
         self._set_delay(delay_s)
         self._restart()
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
             samples += self._take[signal](stamp_ns, *values)
-        self.received_torque, self.received_voltage, self.used, self.restarts, self.held = counts
-        self.rejected = rejected
+        self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held = counts
+        self.refused = refused
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
@@ -172,12 +181,13 @@ class Pairing:
     def voltage(self, stamp_ns: int, voltage_v: float) -> list[Sample]:
         """Take one voltage sample in V; return the samples it completes, oldest first."""
         self.received_voltage += 1
-        if not self._usable(voltage_v):
+        if not self._usable('voltage', voltage_v):
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order(stamp_ns, self._newest_voltage_ns)
+        done = self._order('voltage', stamp_ns, self._newest_voltage_ns)
         if done is None:
             return []
+        self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
         self._newest_voltage_ns = stamp_ns
         self._voltages.append((stamp_ns, voltage_v))
@@ -187,9 +197,9 @@ class Pairing:
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
-        if not self._usable(speed_rad_s):
+        if not self._usable('speed', speed_rad_s):
             return []
-        done = self._order(stamp_ns, self._newest_speed_ns)
+        done = self._order('speed', stamp_ns, self._newest_speed_ns)
         if done is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
@@ -202,9 +212,11 @@ class Pairing:
     def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Sample]:
         """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes."""
         self.received_torque += 1
-        if not self._usable(torque_nm) or not (math.isnan(speed_rad_s) or self._usable(speed_rad_s)):
+        if not self._usable('torque', torque_nm) or not (
+            math.isnan(speed_rad_s) or self._usable('torque', speed_rad_s)
+        ):
             return []
-        done = self._order(stamp_ns, self._newest_torque_ns)
+        done = self._order('torque', stamp_ns, self._newest_torque_ns)
         if done is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
@@ -249,22 +261,22 @@ class Pairing:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
         return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
 
-    def _usable(self, value: float) -> bool:
+    def _usable(self, signal: str, value: float) -> bool:
         if not math.isfinite(value):
-            self.rejected[Rejection.NON_FINITE] += 1
+            self.refused[signal][Rejection.NON_FINITE] += 1
             return False
         if abs(value) > ABSURD_MAGNITUDE:
-            self.rejected[Rejection.ABSURD] += 1
+            self.refused[signal][Rejection.ABSURD] += 1
             return False
         return True
 
-    def _order(self, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
+    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
             return self.restart()
-        self.rejected[Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
+        self.refused[signal][Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
         return None
 
     def _complete(self, known_until_ns: int) -> list[Sample]:
@@ -281,7 +293,7 @@ class Pairing:
         if self._own_speed:
             speed_rad_s = self._speed_at(stamp_ns)
         if self.needs_speed and math.isnan(speed_rad_s):
-            self.rejected[Rejection.NO_SPEED] += 1
+            self.refused['torque'][Rejection.NO_SPEED] += 1
             return None
         start_ns = self._previous_ns
         anew = start_ns is None or stamp_ns - start_ns > self._gap_ns
@@ -311,7 +323,7 @@ class Pairing:
         if math.isnan(held_v) and self._voltages and self._voltages[0][0] == stamp_ns:
             held_v = self._voltages[0][1]
         if math.isnan(held_v):
-            self.rejected[Rejection.NO_VOLTAGE] += 1
+            self.refused['torque'][Rejection.NO_VOLTAGE] += 1
             return None
         self._previous_ns = stamp_ns
         return Sample.of_one_motor(stamp_ns, 0.0, held_v, torque_nm, speed_rad_s)
