@@ -65,19 +65,18 @@ class DriftTest:
         self.score = np.zeros_like(self.score)
         self.information = np.zeros_like(self.information)
 
-    def take(self, sensitivity: Array, innovation: Array) -> tuple[NDArray[np.bool_], Array]:
+    def take(self, score: Array, information: Array) -> tuple[NDArray[np.bool_], Array]:
         """Take one block.
 
         Args:
-            sensitivity: shape (motor, k, coordinate): derivative of the samples, 0 where a sample is left out.
-            innovation: shape (motor, k), of unit variance.
+            score: shape (motor, coordinate): of the block (:func:`~gray_box_observer.context_nodes.blocks.surprise`).
+            information: shape (motor, coordinate, coordinate): likewise.
 
         Returns:
             alarm, shape (motor,), and the memory in blocks of the test that raised it, shape (motor,).
         """
-        turned = np.swapaxes(sensitivity, 1, 2)
-        self.score = self._keep * self.score + (turned @ innovation[..., None])[..., 0]
-        self.information = self._keep[..., None] ** 2 * self.information + turned @ sensitivity
+        self.score = self._keep * self.score + score
+        self.information = self._keep[..., None] ** 2 * self.information + information
         n = self.score.shape[-1]
         ridge = 1e-6 * np.trace(self.information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
         solved = np.linalg.solve(self.information + ridge * np.eye(n), self.score[..., None])[..., 0]

@@ -65,6 +65,17 @@ def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, A
     return turned @ jacobian, (turned @ residual[..., None])[..., 0]
 
 
+def solved(matrix: Array, right: Array) -> Array:
+    """Solve one system a motor; NaN for a motor whose matrix is singular, which must not end the others."""
+    try:
+        result: Array = np.linalg.solve(matrix, right)
+    except np.linalg.LinAlgError:
+        if matrix.shape[0] == 1:
+            return np.full_like(right, np.nan)
+        return np.concatenate([solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])])
+    return result
+
+
 def semidefinite(matrix: Array) -> Array:
     """The nearest symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))

@@ -238,10 +238,10 @@ class RecursiveUpdate:
     def _changed(self, block: Block) -> bool:
         """Whether the motor has changed; then start over from the newest samples, from where we stand."""
         belief, valid = self._belief, block.valid
-        before = belief.sensitivity * belief.current_a[:, None]
-        total = block.jacobian[..., 1:] + block.path.by_start[:, 1:, None] * before[:, None, :]
-        self._belief = replace(belief, sensitivity=total[:, -1] / belief.current_a[:, None])
-        alarm, memory = self._drift.take(*blocks.whitened(belief, block, total)[:2])
+        size = belief.current_a[:, None]
+        reached = block.jacobian[:, -1, 1:] + block.path.by_start[:, -1:] * (belief.sensitivity * size)
+        self._belief = replace(belief, sensitivity=reached / size)
+        alarm, memory = self._drift.take(*blocks.surprise(belief, block))
         lost = np.mean(block.kept, axis=1) < 0.5 * np.mean(valid, axis=1)
         self._suspicion = np.where(lost, self._suspicion + 1.0, 0.0)
         fresh = np.where(self._suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
