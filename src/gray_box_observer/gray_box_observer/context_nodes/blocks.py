@@ -39,8 +39,8 @@ class Block:
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
         kicked: shape (motor,): whether the state was let go.
-        information, right: ``A = J'J``, shape (motor, unknown, unknown), and ``b = J'r``, shape (motor, unknown), of the
-            samples kept: all that learning and testing ask of them.
+        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
+        right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning and testing ask for.
     """
 
     stretch: Stretch
@@ -124,9 +124,9 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
 def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
     """Score and information of a block about coordinates that had always been others; zero where nothing can be said.
 
-    With white innovations ``W r``, ``W = (I + J P J')^-1``, and sensitivities ``S = J T`` to coordinates that were wrong
-    since the sensitivity of the state was last zero, these are ``S'W r`` and ``S'W S``, here without any matrix of the
-    size of the block: ``S'W = T' (I + A P)^-1 J'``.
+    With ``W = (I + J P J')^-1``, which makes innovations white, and sensitivities ``S = J T`` to coordinates that were
+    wrong since the sensitivity of the state was last zero, these are ``S'W r`` and ``S'W S``, here without any matrix
+    of the size of the block: ``S'W = T' (I + A P)^-1 J'``.
 
     Args:
         belief: what the block was predicted from.

@@ -27,6 +27,10 @@ class Frame:
     current_a: Array
     p: Array
 
+    def of(self, index: NDArray[np.intp]) -> Frame:
+        """Return the units of the chosen motors."""
+        return Frame(self.current_a[index], self.p[index])
+
     def jacobian(self, path: Trajectory) -> Array:
         """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
         by_start = path.by_start * self.current_a[:, None]
@@ -68,12 +72,11 @@ def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, A
 def solved(matrix: Array, right: Array) -> Array:
     """Solve one system a motor; NaN for a motor whose matrix is singular, which must not end the others."""
     try:
-        result: Array = np.linalg.solve(matrix, right)
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
         if matrix.shape[0] == 1:
             return np.full_like(right, np.nan)
         return np.concatenate([solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])])
-    return result
 
 
 def semidefinite(matrix: Array) -> Array:

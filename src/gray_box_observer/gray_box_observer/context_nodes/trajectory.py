@@ -54,6 +54,11 @@ class Stretch:
         """Return the stretch with further restarts, shape (motor, k)."""
         return replace(self, restart=self.restart | at)
 
+    def of(self, index: NDArray[np.intp]) -> Stretch:
+        """Return the stretch of the chosen motors."""
+        voltage, interval, speed = self.voltage_v[index], self.interval_s[index], self.speed_rad_s[index]
+        return Stretch(self.state[index], voltage, interval, speed, self.restart[index])
+
     def part(self, begin: int, end: int) -> Stretch:
         """Return samples ``begin`` ... ``end`` as a stretch."""
         between, samples = slice(begin, end), slice(begin, end + 1)
@@ -91,6 +96,10 @@ class Trajectory:
     by_coordinate: Array
     factor: Array
 
+    def of(self, index: NDArray[np.intp]) -> Trajectory:
+        """Return the trajectories of the chosen motors."""
+        return Trajectory(self.state[index], self.by_start[index], self.by_coordinate[:, index], self.factor[index])
+
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
@@ -105,6 +114,10 @@ class Linearised:
     decay: Array
     offset: Array
     by_coordinate: Array
+
+    def of(self, index: NDArray[np.intp]) -> Linearised:
+        """Return the intervals of the chosen motors."""
+        return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
 
 
 def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:
