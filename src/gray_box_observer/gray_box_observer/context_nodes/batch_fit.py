@@ -202,12 +202,12 @@ class _Search:
         right = np.where(finite[:, None], right, 0.0)
         freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
-        noise: Array = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
+        noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
         pull[:, 1:, 1:] = self._precision * noise[:, None, None] ** 2
         pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2) + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
-        covariance: Array = np.linalg.inv(information + pull)
+        covariance = np.asarray(np.linalg.inv(information + pull), dtype=float)
         step = self._damping[:, None] * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
@@ -216,7 +216,8 @@ class _Search:
         if not np.all(which):
             one, two = which[:, None], which[:, None, None]
             frame = Frame(self._size, np.where(one, p, self._frame.p))
-            noise, covariance = np.where(which, noise, self._noise), np.where(two, covariance, self._covariance)
+            noise = np.where(which, noise, self._noise)
+            covariance = np.where(two, covariance, self._covariance)
             about, moved = np.where(one, about, self._about), np.where(one, moved, p)
         self._frame, self._noise, self._covariance = frame, noise, covariance
         self._about, self._first, self._p = about, about[:, 0], moved

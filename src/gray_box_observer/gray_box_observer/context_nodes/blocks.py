@@ -6,7 +6,8 @@ outliers of torque left out, a wrong voltage sample met by letting the state go.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,11 @@ class Block:
     kicked: NDArray[np.bool_]
     information: Array
     right: Array
+
+    def of(self, index: NDArray[np.intp]) -> Block:
+        """Return the block of the chosen motors."""
+        signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
+        return Block(self.stretch.of(index), self.path.of(index), *signals)
 
 
 def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:

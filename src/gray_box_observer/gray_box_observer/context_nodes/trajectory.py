@@ -11,6 +11,7 @@ that the whole stretch follows from one linear recurrence, worked out for all mo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,13 +72,28 @@ class Stretch:
         )
 
     @classmethod
-    def newest(cls, white_box: WhiteBox, replay: ReplayBuffer, samples: int) -> Stretch:
-        """Take the newest samples of a replay buffer, the first of them as where the stretch starts."""
-        interval = replay.interval_s(samples)[:, 1:]
+    def newest(
+        cls,
+        white_box: WhiteBox,
+        replay: ReplayBuffer,
+        samples: int,
+        which: Any = slice(None),
+        until: NDArray[np.int_] | None = None,
+    ) -> Stretch:
+        """Take samples out of a replay buffer, the first of them as where the stretch starts.
+
+        Args:
+            white_box: of the chosen motors.
+            replay: where they are.
+            samples: how many, at most.
+            which: index of the motors.
+            until: place of the last one in each motor's stream; None: the newest.
+        """
+        samples = min(samples, int(replay.remembered(which, until).min()))
+        interval, voltage, torque, speed = replay.newest(samples, which, until)
+        interval = interval[:, 1:]
         restart = interval <= 0.0
-        voltage = np.where(restart, 0.0, replay.voltage_v(samples)[:, 1:])
-        state = white_box.state(replay.torque_nm(samples))
-        return cls(state, voltage, interval, replay.speed_rad_s(samples), restart)
+        return cls(white_box.state(torque), np.where(restart, 0.0, voltage[:, 1:]), interval, speed, restart)
 
 
 @dataclass(frozen=True, slots=True)
