@@ -10,6 +10,7 @@ import numpy as np
 from gray_box_observer.configuration import Configuration, MotorConfiguration
 from gray_box_observer.context_nodes import (
     ContextUpdate,
+    Estimate,
     GradientRules,
     GradientUpdate,
     RecursiveRules,
@@ -20,6 +21,7 @@ from gray_box_observer.delay import DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.predictor import AlarmRules, Predictor, ResidualAlarm, Training, TrainingRules, Variant
+from gray_box_observer.samples.pairing import PairingRules
 from gray_box_observer.white_box import MotorWhiteBox
 
 TrainingFactory = Callable[[dict[str, Any]], Training]
@@ -57,17 +59,41 @@ def motor_observer(
     if training is not None:
         predictor = _predictor(configuration, motor, white_box, training)
         if configuration['variant'] == Variant.PHYSICS.value:
-            alarm = ResidualAlarm(1, AlarmRules(**configuration.group('alarm')))
+            alarm = ResidualAlarm(1, alarm_rules(configuration))
     return MotorObserver(white_box, nodes, predictor, watch, alarm)
 
 
 def context_nodes(configuration: Configuration, motor: MotorConfiguration, white_box: MotorWhiteBox) -> ContextUpdate:
     """Build context nodes that know nothing yet, under the rule that the configuration names."""
-    verdicts = VerdictRules(**configuration.group('verdict'))
+    verdicts = verdict_rules(configuration)
     initial, seed = np.array([motor.initial()]), _seed(configuration, motor)
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts)
-    return RecursiveUpdate(white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts)
+    known = np.array([motor.initial_relative_std()])
+    return RecursiveUpdate(
+        white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts, known
+    )
+
+
+def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
+    """Return what is known of a motor before its first sample: the initial values, as sure as the configuration is."""
+    white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
+    return context_nodes(configuration, motor, white_box).estimate()
+
+
+def pairing_rules(configuration: Configuration) -> PairingRules:
+    """How patient pairing is."""
+    return PairingRules(configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s'])
+
+
+def verdict_rules(configuration: Configuration) -> VerdictRules:
+    """When a parameter counts as identified."""
+    return VerdictRules(**configuration.group('verdict'))
+
+
+def alarm_rules(configuration: Configuration) -> AlarmRules:
+    """Settings of the alarm."""
+    return AlarmRules(**configuration.group('alarm'))
 
 
 def _predictor(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,10 @@ class MotorConfiguration:
         """Where identification starts, in the order of the context nodes."""
         return [float(self.values[f'initial.{name}']) for name in self.values['context_nodes']]
 
+    def initial_relative_std(self) -> list[float]:
+        """How well these are known, relative to them, in the same order; 0: nothing is said."""
+        return [float(self.values[f'initial_relative_std.{name}']) for name in self.values['context_nodes']]
+
 
 @dataclass(frozen=True)
 class Configuration:
@@ -85,7 +89,7 @@ class Configuration:
         Raises:
             ConfigurationError: a value out of range, or motors that fit no white box.
         """
-        rest = {name: value for name, value in given.items() if name not in FOREIGN_PARAMETERS}
+        rest = {name: value for name, value in given.items() if not _is_foreign(name)}
         values = {spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS}
         names = values['motors']
         if (
@@ -95,6 +99,11 @@ class Configuration:
         ):
             raise ConfigurationError(
                 f'motors must be distinct names that can stand in a topic (letters, digits, _), got {names!r}'
+            )
+        if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
+            raise ConfigurationError(
+                'parameter verdict.identified_relative_std must not be above verdict.excited_relative_std, got '
+                f'{values["verdict.identified_relative_std"]} and {values["verdict.excited_relative_std"]}'
             )
         for small, large in FITS_TWICE:
             if 2 * values[small] > values[large]:
@@ -109,7 +118,19 @@ class Configuration:
         for name in SIGNALS:
             _check_signal(name, values)
         motors = {name: _motor(name, rest) for name in names}
+        _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(rest)))
+
+    def changed(self, given: Mapping[str, Any]) -> Configuration:
+        """Return the configuration with some values changed, by their dotted names; others than ours are passed over.
+
+        Raises:
+            ConfigurationError: as in :meth:`from_flat`.
+        """
+        flat = dict(self.values)
+        for name, motor in self.motors.items():
+            flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
+        return replace(self.from_flat(flat | {k: v for k, v in given.items() if k in flat}), unknown=self.unknown)
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
@@ -137,6 +158,9 @@ class Configuration:
         return cls.from_flat(given)
 
 
+SMALLEST_RELATIVE_STD = 1e-6
+"""No initial value is known better; and the arithmetic would not bear it."""
+
 FITS_TWICE = (
     ('recursive.block', 'recursive.replay_capacity'),
     ('gradient.window', 'gradient.replay_capacity'),
@@ -147,6 +171,13 @@ FITS_TWICE = (
 
 FOREIGN_PARAMETERS = frozenset({'use_sim_time', 'start_type_description_service'})
 """Parameters that rclpy declares itself."""
+
+FOREIGN_GROUPS = ('qos_overrides.',)
+"""Groups of parameters that rclpy declares itself."""
+
+
+def _is_foreign(name: str) -> bool:
+    return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
@@ -178,6 +209,16 @@ def _check_signal(name: str, values: Mapping[str, Any]) -> None:
         raise ConfigurationError(f'parameter {name}.field: {error}') from error
 
 
+def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
+    """Refuse to be told what the rule could not make use of."""
+    told = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
+    if rule != 'recursive' and told:
+        raise ConfigurationError(
+            f'motor {told[0]}: initial_relative_std needs context_update recursive, got {rule}: '
+            'the gradient rule has no prior'
+        )
+
+
 def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
     """Take one motor's group out of the values that are left."""
     values = {
@@ -188,6 +229,12 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
         if values.get(f'known.{node}', 0.0) > 0.0:
             raise ConfigurationError(
                 f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of them out'
+            )
+        std = values.get(f'initial_relative_std.{node}', 0.0)
+        if 0.0 < std < SMALLEST_RELATIVE_STD:
+            raise ConfigurationError(
+                f'parameter {name}.initial_relative_std.{node} must be 0 or at least {SMALLEST_RELATIVE_STD:g}, got '
+                f'{std:g}: take a constant that is known for certain out of context_nodes'
             )
     limits_v = values['voltage_limits']
     if len(limits_v) != 2 or limits_v[0] > limits_v[1]:

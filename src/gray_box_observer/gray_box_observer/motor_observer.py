@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
 from gray_box_observer.delay import DelayWatch
-from gray_box_observer.predictor import Prediction, Predictor, ResidualAlarm
+from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
@@ -99,6 +99,20 @@ class MotorObserver:
         self.context_nodes.freeze(frozen)
         if self.predictor is not None:
             self.predictor.freeze(frozen)
+
+    @property
+    def identified(self) -> bool:
+        """Whether every parameter was identified when learning went on last: freezing does not make it unknown."""
+        return bool(self._identified.all())
+
+    def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
+        """Take over settings that may change at any time; what was learnt stays."""
+        self.context_nodes.verdict_rules = verdicts
+        self._covariance = self._known(self.context_nodes.estimate())
+        if self.alarm is not None:
+            self.alarm.rules = alarm
+        if self.predictor is not None:
+            self.predictor.share(core_share)
 
     @property
     def alarmed(self) -> bool:

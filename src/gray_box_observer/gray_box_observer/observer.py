@@ -13,7 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.assembly import TrainingFactory, context_nodes, motor_observer
+from gray_box_observer.assembly import (
+    TrainingFactory,
+    alarm_rules,
+    context_nodes,
+    initial_estimate,
+    motor_observer,
+    pairing_rules,
+    verdict_rules,
+)
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.delay import DelayEstimate
@@ -21,7 +29,6 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.predictor import Prediction, Skill
 from gray_box_observer.samples import Pairing, Sample
-from gray_box_observer.samples.pairing import PairingRules
 from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.white_box.base import Array
 
@@ -66,7 +73,7 @@ class Observer:
         self.configuration = configuration
         self._training = training if configuration['predictor'] else None
         self._frozen = bool(configuration['freeze'])
-        rules = PairingRules(configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s'])
+        rules = pairing_rules(configuration)
         own_speed = bool(configuration['speed.topic'])
         self.pairing = {
             name: Pairing(rules, own_speed=own_speed, delay_s=motor.delay_s)
@@ -135,6 +142,14 @@ class Observer:
         """Return the present estimate of every motor that has been seen."""
         return {name: observer.context_nodes.estimate() for name, observer in self.motors.items()}
 
+    def known(self, motor: str) -> tuple[Estimate, bool]:
+        """Return what is known of a motor and whether all of it is identified; of one not seen yet, what was given."""
+        observer = self.motors.get(motor)
+        if observer is None:
+            given = initial_estimate(self.configuration, self.configuration.motors[motor])
+            return given, given.identified(0)
+        return observer.context_nodes.estimate(), observer.identified
+
     def delays(self) -> dict[str, DelayEstimate]:
         """Return what is known of the delay between voltage and torque of every motor that has been seen."""
         return {name: observer.delay.estimate for name, observer in self.motors.items()}
@@ -159,6 +174,18 @@ class Observer:
         self._frozen = frozen
         for observer in self.motors.values():
             observer.freeze(frozen)
+
+    def reconfigure(self, configuration: Configuration) -> None:
+        """Take over the values of parameters that may change at any time; what was learnt stays."""
+        self.configuration = configuration
+        for pairing in self.pairing.values():
+            pairing.reconfigure(pairing_rules(configuration))
+        for observer in self.motors.values():
+            observer.reconfigure(
+                verdict_rules(configuration), alarm_rules(configuration), configuration['training.core_share']
+            )
+        if configuration['freeze'] != self._frozen:
+            self.freeze(configuration['freeze'])
 
     def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.

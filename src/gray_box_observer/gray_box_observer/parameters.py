@@ -111,18 +111,28 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'What the LSTM is taught on: physics over all the operating range, or a variant of the thesis (5.1).',
         choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
     ),
-    ParameterSpec('horizon_s', 0.0, 'Horizon of ~/forecast_torque, in s (variant physics); 0: none.', 0.0, 1e6),
+    ParameterSpec(
+        'horizon_s', 0.0, 'Horizon of ~/forecast_torque, in s (variant physics); 0: none.', 0.0, 1e6, live=True
+    ),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
-    ParameterSpec('gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6),
-    ParameterSpec('hold_s', 0.25, 'How far torque may run ahead of voltage, in s, before voltage is held.', 0.0, 1e6),
-    ParameterSpec('jump_back_s', 1.0, 'Backward jump of a stamp, in s, that means a restarted clock.', 0.0, 1e6),
+    ParameterSpec(
+        'gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6, live=True
+    ),
+    ParameterSpec(
+        'hold_s', 0.25, 'How far torque may run ahead of voltage, in s, before voltage is held.', 0.0, 1e6, live=True
+    ),
+    ParameterSpec(
+        'jump_back_s', 1.0, 'Backward jump of a stamp, in s, that means a restarted clock.', 0.0, 1e6, live=True
+    ),
     *_signal('voltage', 'motor/voltage', 'sensor_msgs/msg/JointState', 'effort', True, 'armature voltage'),
     *_signal('torque', 'motor/torque', 'sensor_msgs/msg/JointState', 'effort', True, 'motor torque'),
     *_signal('speed', '', 'sensor_msgs/msg/JointState', 'velocity', True, 'shaft speed'),
     ParameterSpec('recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000),
     ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
-    ParameterSpec('recursive.prior_relative_std', 2.0, 'Relative std of the initial values.', 1e-6, 100.0),
+    ParameterSpec(
+        'recursive.prior_relative_std', 2.0, 'Relative std of initial values of which none is given.', 1e-6, 100.0
+    ),
     ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
     ParameterSpec(
@@ -142,7 +152,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
     ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
     ParameterSpec('training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0),
-    ParameterSpec('training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0),
+    ParameterSpec(
+        'training.core_share', 0.1, 'Share of one core that background training may use.', 1e-4, 1.0, live=True
+    ),
     ParameterSpec(
         'training.start',
         'shipped',
@@ -152,16 +164,43 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
     ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
     ParameterSpec(
-        'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0
+        'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0, live=True
     ),
     ParameterSpec(
-        'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0
+        'verdict.excited_relative_std', 0.3, 'Relative std above which a parameter is unexcited.', 1e-9, 10.0, live=True
     ),
-    ParameterSpec('alarm.false_a_day', 0.1, 'False alarms a day that are accepted of each motor.', 1e-9, 1e4),
-    ParameterSpec('alarm.memory', 3000, 'Samples over which the spread of the residual is followed.', 2, 10_000_000),
-    ParameterSpec('alarm.learn', 1000, 'Samples of an identified motor before the alarm is armed.', 2, 10_000_000),
     ParameterSpec(
-        'checkpoint.path', 'gray_box_observer.safetensors', 'File that save writes and load reads.', live=True
+        'alarm.false_a_day', 0.1, 'False alarms a day that are accepted of each motor.', 1e-9, 1e4, live=True
+    ),
+    ParameterSpec(
+        'alarm.memory', 3000, 'Samples over which the spread of the residual is followed.', 2, 10_000_000, live=True
+    ),
+    ParameterSpec(
+        'alarm.learn', 1000, 'Samples of an identified motor before the alarm is armed.', 2, 10_000_000, live=True
+    ),
+    ParameterSpec(
+        'checkpoint.folder',
+        '',
+        'Folder that checkpoints stay in; empty: that of an absolute checkpoint.path, else ~/.ros and the node name.',
+    ),
+    ParameterSpec(
+        'checkpoint.path',
+        'gray_box_observer.safetensors',
+        'File in checkpoint.folder that save writes and load reads.',
+        live=True,
+    ),
+    ParameterSpec(
+        'checkpoint.resume',
+        False,
+        'Continue from the checkpoint at the start, and keep it up to date from then on.',
+    ),
+    ParameterSpec(
+        'checkpoint.period_s',
+        30.0,
+        'Time between two checkpoints, in s, where checkpoint.resume is true; 0: only when the node stops.',
+        0.0,
+        1e6,
+        live=True,
     ),
 )
 """Parameters of the node as a whole."""
@@ -221,6 +260,16 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
             f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
             term.parameter.lower,
             term.parameter.upper,
+        )
+        for term in TERMS.values()
+    ),
+    *(
+        ParameterSpec(
+            f'initial_relative_std.{term.parameter.name}',
+            0.0,
+            f'Relative std of initial.{term.parameter.name} (a data sheet); 0: recursive.prior_relative_std.',
+            0.0,
+            100.0,
         )
         for term in TERMS.values()
     ),

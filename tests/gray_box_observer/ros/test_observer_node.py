@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import math
 import signal
-import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import State, Transition
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
@@ -38,128 +34,11 @@ TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 EXCITATION = 'R[5,15]D[0.1,1]'
 START_NS = 1_000_000_000
 CHUNK = 20
-"""Messages that are sent before their arrival is acknowledged; also the publishers' depth: with a full history DDS asks
-its readers at once, else every three seconds."""
-SENDER_QOS = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
-ACKNOWLEDGE_TIMEOUT_S = 20.0
 END_S = 5.0
 """A node that is asked to end has done so after this time."""
 
 
-def state(name: str, stamp_ns: int, *efforts: float) -> JointState:
-    """One message about one motor, or about several whose names are joined by spaces."""
-    message = JointState(name=name.split(), effort=list(efforts))
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    return message
-
-
-class Rig:
-    """An observer that runs, what it is sent and what it says."""
-
-    def __init__(self, peer, namespace: str = '') -> None:
-        self.peer = peer
-        self.namespace = namespace
-        self.diagnostics = peer.listen(DiagnosticArray, '/diagnostics')
-        self.predicted = peer.listen(JointState, f'{namespace}{NODE}/predicted_torque', SIGNAL_QOS)
-        self._senders: dict[str, Any] = {}
-        self.process: subprocess.Popen | None = None
-
-    def start(self, *arguments: str, **parameters: object) -> None:
-        """Start the observer, without predictor unless asked for."""
-        self.process = self.peer.start(MODULE, *arguments, **{'predictor': 'false', **parameters})
-
-    def signals(self) -> tuple[Any, Any]:
-        """The publishers of voltage and torque, once the observer listens."""
-        for name in ('voltage', 'torque'):
-            topic = f'{self.namespace}/motor/{name}'
-            if name not in self._senders:
-                self._senders[name] = self.peer.publisher(JointState, topic, SENDER_QOS)
-            self.peer.wait(self._senders[name].get_subscription_count, f'the observer to listen to {topic}')
-        return self._senders['voltage'], self._senders['torque']
-
-    def send(self, recording, indices: Sequence[int]) -> None:
-        """Send samples of a recording, a chunk of voltages before the torques of the same stamps."""
-        motors = ' '.join(recording.motors)
-        for first in range(0, len(indices), CHUNK):
-            chunk = indices[first : first + CHUNK]
-            for publisher, values in zip(self.signals(), (recording.voltage_v, recording.torque_nm), strict=True):
-                for k in chunk:
-                    publisher.publish(state(motors, START_NS + int(recording.stamp_ns[k]), *values[:, k].tolist()))
-                if len(chunk) == CHUNK:
-                    assert publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
-
-    def status(self, motor: str = 'motor') -> Any:
-        """The newest diagnostic status of a motor; None before the first."""
-        found = [s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == motor]
-        return found[0] if found else None
-
-    def values(self, motor: str = 'motor') -> dict[str, str]:
-        """The newest key-value pairs of a motor's diagnostics."""
-        status = self.status(motor)
-        return {} if status is None else {pair.key: pair.value for pair in status.values}
-
-    def wait_for(self, motor: str = 'motor', **expected: object) -> None:
-        """Wait for diagnostics with these counts, such as ``samples_used=100``."""
-        wanted = {key.replace('_', ' '): str(value) for key, value in expected.items()}
-        self.peer.wait(lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}')
-
-    def wait_for_level(self, level: bytes, words: str) -> None:
-        """Wait for diagnostics of a level that say something."""
-        self.diagnostics.clear()
-
-        def said() -> bool:
-            return any(s.level == level and words in s.message for array in self.diagnostics for s in array.status)
-
-        self.peer.wait(said, f'diagnostics that say {words!r}')
-
-    def latched(self, kind: type, topic: str) -> Any:
-        """What a subscriber hears that comes late."""
-        heard = self.peer.listen(kind, f'{self.namespace}{NODE}/{topic}', LATCHED_QOS)
-        self.peer.wait(lambda: heard, f'what {topic} has latched')
-        return heard[-1]
-
-    def estimates(self, motor: str = 'motor') -> dict[str, float]:
-        """The latched estimates."""
-        return {name: self.latched(Float64, f'{motor}/{name}').data for name in TRUTH}
-
-    def call(self, kind: type, service: str, **fields: Any) -> Any:
-        """Call a service of the observer."""
-        return self.peer.call(kind, f'{self.namespace}{NODE}/{service}', kind.Request(**fields))
-
-    def change(self, transition: int) -> bool:
-        """Ask for a transition of the life cycle."""
-        return self.call(ChangeState, 'change_state', transition=Transition(id=transition)).success
-
-    def wait_until_deaf(self) -> None:
-        """Wait until the observer listens no more."""
-        senders = self._senders.values()
-        self.peer.wait(lambda: not any(s.get_subscription_count() for s in senders), 'the observer to stop listening')
-
-    def lifecycle_state(self) -> int:
-        """The state of the life cycle."""
-        return self.call(GetState, 'get_state').current_state.id
-
-    def children(self) -> list[psutil.Process]:
-        """The processes that the observer has started."""
-        return psutil.Process(self.process.pid).children(recursive=True)
-
-
-@pytest.fixture
-def rig(peer) -> Rig:
-    return Rig(peer)
-
-
-def learnt_offline(recording, indices: Iterable[int]) -> dict[str, float]:
-    """What the core learns of the same samples, fed without ROS."""
-    core = Observer(Configuration.from_flat({'predictor': False}))
-    for k in indices:
-        stamp_ns = START_NS + int(recording.stamp_ns[k])
-        core.voltage('motor', stamp_ns, float(recording.voltage_v[0, k]))
-        core.torque('motor', stamp_ns, float(recording.torque_nm[0, k]))
-    return dict(zip(TRUTH, core.estimates()['motor'].value[0].tolist(), strict=True))
-
-
-def rejected(rig: Rig) -> dict[str, int]:
+def rejected(rig) -> dict[str, int]:
     text = rig.values()['rejected']
     return {} if text == 'none' else {k: int(n) for k, n in (pair.split(': ') for pair in text.split(', '))}
 
@@ -227,21 +106,23 @@ def test_a_noise_free_motor_is_identified_and_whoever_comes_late_is_told(rig, re
     assert rig.values()['inductance verdict'] == 'identified'
 
 
-def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_between_costs_nothing(rig, record):
+def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_between_costs_nothing(
+    rig, record, learnt_offline
+):
     recording = record(EXCITATION, 6.0)
     rig.start()
     rig.send(recording, range(300))
     voltage, torque = rig.signals()
     newest_ns = START_NS + int(recording.stamp_ns[299])
     for value in (math.nan, math.inf, -math.inf):
-        voltage.publish(state('motor', newest_ns + 1, value))
-        torque.publish(state('motor', newest_ns + 1, value))
-    torque.publish(state('motor', newest_ns, 0.07))
-    torque.publish(state('motor', newest_ns - 500_000_000, 0.07))
-    voltage.publish(state('motor', newest_ns - 500_000_000, 7.0))
-    torque.publish(state('motor', newest_ns + 2, 1e300))
-    torque.publish(state('motor', newest_ns + 3))  # a name without a value
-    torque.publish(state('stranger', newest_ns + 4, 0.07))
+        voltage.publish(rig.state('motor', newest_ns + 1, value))
+        torque.publish(rig.state('motor', newest_ns + 1, value))
+    torque.publish(rig.state('motor', newest_ns, 0.07))
+    torque.publish(rig.state('motor', newest_ns - 500_000_000, 0.07))
+    voltage.publish(rig.state('motor', newest_ns - 500_000_000, 7.0))
+    torque.publish(rig.state('motor', newest_ns + 2, 1e300))
+    torque.publish(rig.state('motor', newest_ns + 3))  # a name without a value
+    torque.publish(rig.state('stranger', newest_ns + 4, 0.07))
     rig.send(recording, range(300, 600))
     rig.wait_for(samples_used=600)
     counts = {'non_finite': 6, 'duplicate': 1, 'out_of_order': 2, 'absurd': 1, 'malformed': 1}
@@ -268,12 +149,12 @@ def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
     rig.start()
     voltage, torque = rig.signals()
     rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/voltage and motor/torque')
-    voltage.publish(state('motor', START_NS - 1, 10.0))
+    voltage.publish(rig.state('motor', START_NS - 1, 10.0))
     rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/torque')
     rig.send(recording, range(3000, 3900))  # long settled
     rig.wait_for_level(DiagnosticStatus.WARN, 'not excited: vary the voltage')
     rig.wait_for(samples_used=900)
-    nothing = [state('motor', START_NS + int(recording.stamp_ns[3899]) + 1, math.nan)] * CHUNK
+    nothing = [rig.state('motor', START_NS + int(recording.stamp_ns[3899]) + 1, math.nan)] * CHUNK
     for message in nothing:
         torque.publish(message)
     rig.wait_for_level(DiagnosticStatus.WARN, f'{CHUNK} messages refused in 1 s: see rejected')
@@ -323,10 +204,10 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
     voltage, torque = rig.signals()
     for k in (next(indices) for _ in range(30)):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
-        voltage.publish(state('motor', stamp_ns, float(recording.voltage_v[0, k])))
-        expected = state('motor', stamp_ns).header.stamp
+        voltage.publish(rig.state('motor', stamp_ns, float(recording.voltage_v[0, k])))
+        expected = rig.state('motor', stamp_ns).header.stamp
         rig.peer.wait(lambda stamp=expected: rig.predicted[-1].header.stamp == stamp, 'the prediction')
-        torque.publish(state('motor', stamp_ns, float(recording.torque_nm[0, k])))
+        torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, k])))
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in rig.predicted]
     assert stamps == sorted(set(stamps)), 'each stamp is predicted once'
     assert all(list(m.name) == ['motor'] and math.isfinite(m.effort[0]) for m in rig.predicted)
@@ -361,16 +242,16 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
     for k in range(80):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
         voltage_v, torque_nm = float(recording.voltage_v[0, k]), float(recording.torque_nm[0, k])
-        voltage.publish(state('motor', stamp_ns, voltage_v))
+        voltage.publish(rig.state('motor', stamp_ns, voltage_v))
         core.voltage('motor', stamp_ns, voltage_v)
         held = core.forecast_held('motor', 0.25)
         if held is not None:
             expected[held.stamp_ns] = held.torque_nm
-            wanted = state('motor', held.stamp_ns).header.stamp
+            wanted = rig.state('motor', held.stamp_ns).header.stamp
             rig.peer.wait(lambda stamp=wanted: forecasts and forecasts[-1].header.stamp == stamp, 'the forecast')
             assert list(forecasts[-1].name) == ['motor']
             heard[held.stamp_ns] = forecasts[-1].effort[0]
-        torque.publish(state('motor', stamp_ns, torque_nm))
+        torque.publish(rig.state('motor', stamp_ns, torque_nm))
         core.torque('motor', stamp_ns, torque_nm)
         if k == 0:
             rig.wait_for(samples_used=1)
@@ -385,19 +266,19 @@ def test_the_default_predictor_speaks_from_the_second_sample_on(rig, record):
     voltage, torque = rig.signals()
     for k in range(20):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
-        voltage.publish(state('motor', stamp_ns, float(recording.voltage_v[0, k])))
+        voltage.publish(rig.state('motor', stamp_ns, float(recording.voltage_v[0, k])))
         if k:
-            expected = state('motor', stamp_ns).header.stamp
+            expected = rig.state('motor', stamp_ns).header.stamp
             rig.peer.wait(
                 lambda stamp=expected: rig.predicted and rig.predicted[-1].header.stamp == stamp, 'the prediction'
             )
-        torque.publish(state('motor', stamp_ns, float(recording.torque_nm[0, k])))
+        torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, k])))
         rig.wait_for(samples_used=k + 1) if k == 0 else None
     assert all(math.isfinite(m.effort[0]) for m in rig.predicted)
     assert len(rig.predicted) == 19
 
 
-def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path):
+def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path, learnt_offline):
     path = tmp_path / 'new' / 'motor.safetensors'
     recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path)
@@ -449,7 +330,7 @@ def test_a_frozen_observer_learns_nothing_and_stays_frozen_when_it_is_reset(rig,
     assert rig.values()['resistance verdict'] != 'frozen'
 
 
-def test_the_life_cycle_is_followed_and_only_cleaning_up_forgets(rig, record):
+def test_the_life_cycle_is_followed_and_only_cleaning_up_forgets(rig, record, learnt_offline):
     recording = record(EXCITATION, 8.0)
     rig.start(autostart='false')
     assert rig.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
@@ -484,8 +365,8 @@ def test_the_life_cycle_is_followed_and_only_cleaning_up_forgets(rig, record):
     assert rig.peer.end(rig.process)[0] == 0
 
 
-def test_several_motors_share_their_messages_in_a_namespace(peer, record):
-    rig = Rig(peer, '/plant')
+def test_several_motors_share_their_messages_in_a_namespace(make_rig, record):
+    rig = make_rig('/plant')
     recording = record('R[5,15]D[0.1,1]', 8.0, motors=('left', 'right'))
     rig.start('--ros-args', '-r', '__ns:=/plant', motors='[right, left]')
     rig.send(recording, range(800))
@@ -569,8 +450,8 @@ def test_a_start_that_makes_no_sense_is_one_line_and_exit_code_2(peer, parameter
 def test_messages_of_other_motors_only_are_told_once_with_what_to_do(rig):
     rig.start(motors='[left, right]')
     for topic in rig.signals():
-        topic.publish(state('left', START_NS, 0.1))
-        topic.publish(state('motor_1 motor_0', START_NS, 0.1, 0.2))
+        topic.publish(rig.state('left', START_NS, 0.1))
+        topic.publish(rig.state('motor_1 motor_0', START_NS, 0.1, 0.2))
     rig.wait_for('left', samples_used=1)
     for _ in range(2):  # two more rounds of diagnostics
         rig.diagnostics.clear()
@@ -583,7 +464,7 @@ def test_messages_of_other_motors_only_are_told_once_with_what_to_do(rig):
 def test_a_robot_whose_other_joints_have_names_too_is_no_reason_to_warn(rig):
     rig.start(motors='[left]')
     for topic in rig.signals():
-        topic.publish(state('left elbow', START_NS, 0.1, 0.2))
+        topic.publish(rig.state('left elbow', START_NS, 0.1, 0.2))
     rig.wait_for('left', samples_used=1)
     assert 'speaks of' not in rig.peer.end(rig.process)[2]
 
@@ -625,7 +506,7 @@ def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
     assert psutil.wait_procs([child], timeout=15)[1] == []
 
 
-def test_a_training_process_that_dies_is_reported_and_costs_no_sample(rig, training, record):
+def test_a_training_process_that_dies_is_reported_and_costs_no_sample(rig, training, record, learnt_offline):
     training().kill()
     rig.send(record(EXCITATION, 8.0), range(100, 800))
     rig.wait_for(samples_used=800)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from gray_box_observer.context_nodes.estimate import Estimate
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array
@@ -15,6 +15,9 @@ class ContextUpdate(Protocol):
 
     replay: ReplayBuffer
     """The samples it remembers."""
+
+    verdict_rules: VerdictRules
+    """When a parameter counts as identified; may be changed at any time."""
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample; tell whether the estimate has changed."""

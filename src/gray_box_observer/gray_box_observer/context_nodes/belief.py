@@ -32,6 +32,22 @@ class Prior:
         """Return the prior of the chosen motors."""
         return Prior(self.p[index], self.covariance[index])
 
+    @classmethod
+    def of_parameters(cls, p: Array, relative_std: Array) -> Prior:
+        """Return a prior of independent parameters, each known as well as is said.
+
+        With ``log p = M log theta`` (``p_0 = 1 / theta_0``, ``p_j = theta_j / theta_0``) the covariance is
+        ``M diag(std^2) M'``.
+
+        Args:
+            p: shape (motor, coordinate): medians.
+            relative_std: shape (motor, parameter): standard deviations of the parameters' logarithms.
+        """
+        n = p.shape[1]
+        map_ = np.eye(n)
+        map_[:, 0] = -1.0
+        return cls(p, np.einsum('pi,mi,qi->mpq', map_, relative_std**2, map_))
+
     def loosened(self, directions: Array) -> Prior:
         """Return the prior with further freedom along directions, shape (coordinate, k) or (coordinate,)."""
         spread = directions.reshape(self.p.shape[1], -1)

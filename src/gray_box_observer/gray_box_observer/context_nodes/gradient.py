@@ -77,7 +77,7 @@ class GradientUpdate:
     ) -> None:
         self._white_box = white_box
         self._rules = rules or GradientRules()
-        self._verdict_rules = verdict_rules or VerdictRules()
+        self.verdict_rules = verdict_rules or VerdictRules()
         self._random = np.random.default_rng(seed)
         self._lower = np.log([p.lower for p in white_box.parameters])
         self._upper = np.log([p.upper for p in white_box.parameters])
@@ -116,7 +116,7 @@ class GradientUpdate:
         """Return the present values with covariance and verdicts."""
         theta = self.theta
         std = np.sqrt(np.diagonal(self._covariance, axis1=1, axis2=2))
-        verdicts = self._verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
+        verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, self._covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:

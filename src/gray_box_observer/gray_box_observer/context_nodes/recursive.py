@@ -51,6 +51,8 @@ class RecursiveUpdate:
         seed: unused; every rule takes one.
         rules: settings.
         verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (motor, parameter): how well the initial values are known, relative to them; 0: as
+            vaguely as the rules say. None: all of them.
 
     Attributes:
         changed: shape (motor,): whose estimate the last sample has changed.
@@ -63,16 +65,21 @@ class RecursiveUpdate:
         seed: int = 0,
         rules: RecursiveRules | None = None,
         verdict_rules: VerdictRules | None = None,
+        initial_relative_std: Array | None = None,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
-        self._verdict_rules = verdict_rules or VerdictRules()
+        self.verdict_rules = verdict_rules or VerdictRules()
         parameters = white_box.parameters
         self._lower = np.array([p.lower for p in parameters])
         self._upper = np.array([p.upper for p in parameters])
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
         prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
+        if initial_relative_std is not None and np.any(told := initial_relative_std > 0.0):
+            std = np.where(told, initial_relative_std, self._rules.prior_relative_std)
+            told_any = np.any(told, axis=1)[:, None, None]
+            prior = Prior(prior.p, np.where(told_any, Prior.of_parameters(prior.p, std).covariance, prior.covariance))
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._learner = Learner(white_box, self._rules, self.replay)
@@ -125,7 +132,7 @@ class RecursiveUpdate:
         covariance = by_relative @ self._learnt.belief.posterior @ np.swapaxes(by_relative, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        verdicts = self._verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
+        verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:

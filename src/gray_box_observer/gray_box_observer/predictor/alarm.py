@@ -63,11 +63,11 @@ class ResidualAlarm:
 
     Args:
         motors: number of motors.
-        rules: settings.
+        rules: settings; may be changed at any time.
     """
 
     def __init__(self, motors: int, rules: AlarmRules | None = None) -> None:
-        self._rules = rules or AlarmRules()
+        self.rules = rules or AlarmRules()
         self.count = np.zeros(motors, dtype=int)
         self.relearn()
 
@@ -87,7 +87,7 @@ class ResidualAlarm:
     @property
     def armed(self) -> NDArray[np.bool_]:
         """Whether enough is known of the residual to judge it, shape (motor,)."""
-        armed: NDArray[np.bool_] = self._learnt >= self._rules.learn
+        armed: NDArray[np.bool_] = self._learnt >= self.rules.learn
         return armed
 
     @property
@@ -134,7 +134,7 @@ class ResidualAlarm:
     def _follow(self, residual: Array, interval_s: Array, which: NDArray[np.bool_]) -> None:
         """Follow the residual's spread and correlation while all is well."""
         self._learnt += which
-        share = which / _between(self._learnt, 1, self._rules.memory)
+        share = which / _between(self._learnt, 1, self.rules.memory)
         kept = np.where(self.armed, _between(residual, -self._limit, self._limit), residual)
         self._variance += share * (kept * kept - self._variance)
         self._product += share * (kept * self._previous - self._product)
@@ -147,7 +147,7 @@ class ResidualAlarm:
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
         self._scale = 1.0 / np.sqrt(np.maximum(self._variance * inflation, 1e-300))
         self._limit = CLIP * np.sqrt(self._variance)
-        samples = SECONDS_A_DAY / self._rules.false_a_day / np.maximum(self._interval_s, 1e-9)
+        samples = SECONDS_A_DAY / self.rules.false_a_day / np.maximum(self._interval_s, 1e-9)
         self._threshold = np.where(self.armed, [threshold_for(float(count)) for count in samples], np.inf)
         self._sums = np.where(identified | self.raised, self._sums, 0.0)
 

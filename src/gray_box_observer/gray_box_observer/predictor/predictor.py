@@ -251,6 +251,10 @@ class Predictor:
             residual = bool(job['residual'])
             self._submit({**kept, 'residual': residual, 'seen': _range(job, 'seen').to_dict()})
 
+    def share(self, core_share: float) -> None:
+        """Change the share of a core that training in the background may use."""
+        self._training.share = core_share
+
     def close(self) -> None:
         """Stop training."""
         self._training.close()

@@ -18,6 +18,9 @@ from gray_box_observer.predictor.trainer import make_trainer
 class Training(Protocol):
     """Takes one job at a time and gives its result back later."""
 
+    share: float
+    """Share of a core that it may use."""
+
     def submit(self, job: dict[str, Any]) -> None:
         """Start a job."""
 
@@ -52,6 +55,7 @@ class InlineTraining:
             raise GrayBoxError(TORCH_MISSING) from error
         self._result: dict[str, Any] | None = None
         self.failure: str | None = None
+        self.share = 1.0  # the caller waits: nothing else wants the core
 
     @property
     def busy(self) -> bool:
@@ -85,7 +89,7 @@ class ProcessTraining:
         self._jobs: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
         self._results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
         self._busy = False
-        self._share = float(configuration['rules']['core_share'])
+        self.share = float(configuration['rules']['core_share'])
         self._rest_until_s = 0.0
         self.failure: str | None = None
         self._complaints: list[str] = []
@@ -113,7 +117,7 @@ class ProcessTraining:
         except queue.Empty:
             return None
         self._busy = False
-        self._rest_until_s = time.monotonic() + result.pop('cpu_s') * (1.0 / self._share - 1.0)
+        self._rest_until_s = time.monotonic() + result.pop('cpu_s') * (1.0 / self.share - 1.0)
         return result
 
     @property

@@ -3,32 +3,31 @@
 from __future__ import annotations
 
 import argparse
+import traceback
 from collections.abc import Callable, Sequence
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from std_srvs.srv import SetBool, Trigger
 
-from gray_box_observer import checkpoint
-from gray_box_observer.configuration import NODE_NAME
+from gray_box_observer.checkpoint_folder import CheckpointFolder, default_folder
+from gray_box_observer.checkpoint_keeper import CheckpointKeeper
+from gray_box_observer.configuration import NODE_NAME, Configuration
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
-from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.predictor import ProcessTraining
-from gray_box_observer.ros import topics
-from gray_box_observer.ros.diagnostics import Traffic, status_of
-from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.diagnoser import Diagnoser
+from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.outputs import Outputs
-from gray_box_observer.ros.parameters import declare
+from gray_box_observer.ros.parameters import LiveParameters, declare
+from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
+from gray_box_observer.ros.traffic import TrafficMeter
 
 DIAGNOSTICS_PERIOD_S = 1.0
 
@@ -45,109 +44,154 @@ class ObserverNode(LifecycleNode):
     def __init__(self, stop: Stop) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
+        self._state = 'unconfigured'
+        self._reason = ''
         self._configuration = declare(self)
-        self._types = {name: self._message_type(name) for name in SIGNALS}
+        self._inputs = Inputs(self, self._configuration, self._take)
+        self._keeper = self._make_keeper(self._configuration)
         self._observer: Observer | None = None
         self._intake: Intake | None = None
         self._outputs: Outputs | None = None
-        self._signal_subscriptions: list[Subscription] = []
-        self._active = False
-        self._has_warned_of_strangers = False
-        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
-        self._diagnostics = self.create_publisher(DiagnosticArray, topics.DIAGNOSTICS.name, topics.DIAGNOSTICS.qos)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose)
+        self._meter = TrafficMeter()
+        # operators and disks live by the clock on the wall, also where /clock stands still
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._checkpoint_timer: Timer | None = None
+        motors = list(self._configuration.motors)
+        diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
+        self.create_timer(
+            DIAGNOSTICS_PERIOD_S,
+            lambda: diagnoser.tell(self._state, self._observer, self._intake),
+            clock=self._steady,
+        )
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/save', self._save)
         self.create_service(Trigger, '~/load', self._load)
         self.create_service(SetBool, '~/freeze', self._freeze)
-        self.add_on_set_parameters_callback(self._parameters_set)
+        LiveParameters(self, self._configuration, self._check, self._reconfigure)
         if self._configuration['autostart']:
             for transition in (self.trigger_configure, self.trigger_activate):
                 if transition() != Transition.SUCCESS:
-                    raise ConfigurationError('the node could not start itself: see the log for the reason')
+                    raise ConfigurationError(self._reason)
 
     def on_configure(self, state: LifecycleState) -> Transition:
-        """Build the observer; nothing is received yet."""
-        self._begin()
-        if self._outputs is None:
-            self._outputs = Outputs(self, self._configuration)
-        return super().on_configure(state)
+        """Build the observer, from its checkpoint where asked to; nothing is received yet."""
+        return self._change(
+            'configure', 'inactive', self._configure, lambda: super(ObserverNode, self).on_configure(state)
+        )
 
     def on_activate(self, state: LifecycleState) -> Transition:
         """Listen and publish."""
-        result = super().on_activate(state)
-        for name in SIGNALS:
-            topic = self._configuration[f'{name}.topic']
-            if not topic:
-                continue
-            if not self._has_header(name):
-                self.get_logger().info(
-                    f'{self._configuration[f"{name}.type"]} has no header: {name} is stamped by the middleware'
-                )
-            callback = partial(self._receive if self._has_header(name) else self._receive_bare, name)
-            self._signal_subscriptions.append(
-                self.create_subscription(self._types[name], topic, callback, topics.SIGNAL_QOS)
-            )
-        self._active = True
-        self._announce()
-        names = ', '.join(self._configuration.motors)
-        self.get_logger().info(f'active: listening for {names} on {self._topics_in_words()}')
-        return result
+        return self._change(
+            'activate', 'active', self._inputs.open, lambda: super(ObserverNode, self).on_activate(state)
+        )
 
     def on_deactivate(self, state: LifecycleState) -> Transition:
         """Stop listening; what was learnt stays."""
-        self._stop_listening()
-        return super().on_deactivate(state)
+        return self._change(
+            'deactivate', 'inactive', self._rest, lambda: super(ObserverNode, self).on_deactivate(state)
+        )
 
     def on_cleanup(self, state: LifecycleState) -> Transition:
-        """Forget everything."""
-        self._drop_observer()
-        return super().on_cleanup(state)
+        """Forget everything but the checkpoint."""
+        return self._change(
+            'clean up', 'unconfigured', self._drop_observer, lambda: super(ObserverNode, self).on_cleanup(state)
+        )
 
     def on_shutdown(self, state: LifecycleState) -> Transition:
         """Stop for good."""
-        self._stop_listening()
-        self._drop_observer()
-        return super().on_shutdown(state)
+        return self._change('shut down', 'finalized', self._end, lambda: super(ObserverNode, self).on_shutdown(state))
 
     def on_error(self, state: LifecycleState) -> Transition:
-        """Go back to where configuring is possible again."""
-        self._stop_listening()
-        self._drop_observer()
+        """Go back to where configuring is possible again, whatever has failed."""
+        for action in (self._inputs.close, self._drop_observer):
+            try:
+                action()
+            except Exception:
+                self.get_logger().error(traceback.format_exc())
+        self._observer = self._intake = None
+        self._state = 'unconfigured'
+        super().on_deactivate(state)  # publishers
         return Transition.SUCCESS
 
     def close(self) -> None:
-        """End the training processes before the node goes."""
-        self._stop_listening()
-        if self._observer is not None:
-            self._observer.close()
+        """Write the last checkpoint and end the training processes before the node goes."""
+        self._inputs.close()
+        failure = self._keeper.close(self._observer)
+        if failure is not None:
+            self.get_logger().error(failure)
+        self._drop_observer()
 
     @property
     def needs_source_time(self) -> bool:
-        """Whether a signal's messages have no header, so that the middleware's source time has to stamp them."""
-        return not all(self._has_header(name) for name in SIGNALS if self._configuration[f'{name}.topic'])
+        """Whether the middleware's source time has to stamp messages."""
+        return self._inputs.needs_source_time
 
-    def _has_header(self, name: str) -> bool:
-        return 'header' in self._types[name].get_fields_and_field_types()
+    def _change(
+        self, verb: str, state: str, action: Callable[[], None], entities: Callable[[], Transition]
+    ) -> Transition:
+        """Carry a transition out; rclpy itself would swallow the reason of one that fails."""
+        try:
+            action()
+            result = entities()
+        except GrayBoxError as error:
+            self._reason = f'could not {verb}: {error}'
+            self.get_logger().error(self._reason)
+            return Transition.ERROR
+        except Exception:
+            self._reason = f'could not {verb}: {traceback.format_exc()}'
+            self.get_logger().error(self._reason)
+            return Transition.ERROR
+        self._state = state
+        self._arrived()
+        return result
 
-    def _receive(self, name: str, message: Any) -> None:
-        self._take(name, message, 0)
+    def _arrived(self) -> None:
+        """Do what a state of the life cycle begins with."""
+        self._time_checkpoints()
+        if self._state != 'active':
+            return
+        self._announce()
+        names = ', '.join(self._configuration.motors)
+        self.get_logger().info(f'active: listening for {names} on {self._inputs.in_words}')
+        if unused := unused_overrides(self):
+            self.get_logger().warning(f'no such topic here, ignored: {", ".join(unused)}; a slip of the pen?')
 
-    def _receive_bare(self, name: str, message: Any, info: dict[str, Any]) -> None:
-        self._take(name, message, info['source_timestamp'])
+    def _configure(self) -> None:
+        self._begin()
+        assert self._observer is not None
+        if self._keeper.automatic:
+            resumed = self._keeper.resume(self._observer)
+            if resumed.refusal is not None:
+                self.get_logger().error(f'starting from the initial values: {resumed.refusal}')
+            elif resumed.found:
+                self.get_logger().info(f'continuing from {self._keeper.file}')
+            else:
+                self.get_logger().info(f'starting from the initial values: no checkpoint yet at {self._keeper.file}')
+        if self._outputs is None:
+            self._outputs = Outputs(self, self._configuration)
+
+    def _rest(self) -> None:
+        self._inputs.close()
+        self._keep()
+
+    def _end(self) -> None:
+        self._rest()
+        self._drop_observer()
 
     def _take(self, name: str, message: Any, arrival_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None:
             return
-        try:
-            taken = self._intake.take(name, message, arrival_ns)
-        except ConfigurationError as error:
-            self._stop(error)
-            return
-        self._outputs.results(taken.results)
-        if name == 'voltage':
-            for motor, _ in taken.values:
-                self._foretell(self._observer, self._outputs, motor, taken.stamp_ns)
+        with self._meter.busy():
+            try:
+                taken = self._intake.take(name, message, arrival_ns)
+            except ConfigurationError as error:
+                self._stop(error)
+                return
+            self._meter.take(taken.results)
+            self._outputs.results(taken.results)
+            if name == 'voltage':
+                for motor, _ in taken.values:
+                    self._foretell(self._observer, self._outputs, motor, taken.stamp_ns)
 
     def _foretell(self, observer: Observer, outputs: Outputs, motor: str, stamp_ns: int) -> None:
         """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
@@ -159,70 +203,38 @@ class ObserverNode(LifecycleNode):
         if held is not None:
             outputs.forecast(held.motor, held.stamp_ns, held.torque_nm)
 
-    def _diagnose(self) -> None:
-        if self._observer is None or self._intake is None:
-            return
-        self._warn_of_strangers(self._observer, self._intake)
-        traffic = self._traffic(self._observer)
-        array = DiagnosticArray()
-        array.header.stamp = self.get_clock().now().to_msg()
-        array.status = [
-            status_of(motor, self._observer, self._intake, traffic, self._active)
-            for motor in self._configuration.motors
-        ]
-        self._diagnostics.publish(array)
-
-    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
-        """Say once where messages speak of other motors while a configured one is never spoken of."""
-        for name in ('voltage', 'torque'):
-            strangers = sorted(intake.signals[name].unknown)
-            silent = [motor for motor, pairing in observer.pairing.items() if not getattr(pairing, f'received_{name}')]
-            if strangers and silent and not self._has_warned_of_strangers:
-                self._has_warned_of_strangers = True
-                self.get_logger().warning(
-                    f'{intake.signals[name].topic} speaks of {", ".join(strangers[:5])} and not of '
-                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
-                )
-
-    def _traffic(self, observer: Observer) -> Traffic:
-        used, rejected = {}, {}
-        for motor, pairing in observer.pairing.items():
-            before_used, before_rejected = self._counted[motor]
-            refused = pairing.rejected.total()
-            used[motor], rejected[motor] = pairing.used - before_used, refused - before_rejected
-            self._counted[motor] = pairing.used, refused
-        return Traffic(DIAGNOSTICS_PERIOD_S, used, rejected)
-
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._observer is None:
             response.success, response.message = False, 'the node is not configured: nothing to reset'
             return response
         self._drop_observer()
+        aside = self._keeper.forget()
         self._begin()
         self._announce()
-        response.success, response.message = True, 'everything learnt is forgotten; starting from the initial values'
+        kept = '' if aside is None else f'; the checkpoint is kept as {aside}'
+        response.success = True
+        response.message = f'everything learnt is forgotten; starting from the initial values{kept}'
         return response
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._with_checkpoint(response, checkpoint.save, 'saved to')
+        return self._with_checkpoint(response, self._keeper.save, 'saved to')
 
     def _load(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._with_checkpoint(response, checkpoint.load, 'loaded from')
+        return self._with_checkpoint(response, self._keeper.load, 'loaded from')
 
     def _with_checkpoint(
-        self, response: Trigger.Response, action: Callable[[Observer, Path], None], words: str
+        self, response: Trigger.Response, action: Callable[[Observer], str], words: str
     ) -> Trigger.Response:
-        path = Path(self.get_parameter('checkpoint.path').value)
         if self._observer is None:
             response.success, response.message = False, 'the node is not configured: nothing to save or load'
             return response
         try:
-            action(self._observer, path)
+            path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
             return response
         self._announce()
-        response.success, response.message = True, f'{words} {path.absolute()}'
+        response.success, response.message = True, f'{words} {path}'
         return response
 
     def _freeze(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -231,54 +243,55 @@ class ObserverNode(LifecycleNode):
         response.message = results[0].reason or ('frozen' if request.data else 'learning')
         return response
 
-    def _parameters_set(self, parameters: list[Parameter]) -> SetParametersResult:
-        for parameter in parameters:
-            if parameter.name == 'freeze' and self._observer is not None:
-                self._observer.freeze(bool(parameter.value))
-        return SetParametersResult(successful=True)
+    def _check(self, configuration: Configuration) -> None:
+        """Refuse what the configuration alone cannot judge."""
+        self._keeper.folder.file(configuration['checkpoint.path'])
 
-    def _stop_listening(self) -> None:
-        for subscription in self._signal_subscriptions:
-            self.destroy_subscription(subscription)
-        self._signal_subscriptions.clear()
-        self._active = False
+    def _reconfigure(self, configuration: Configuration) -> None:
+        """Let changed parameters take effect; what was learnt stays."""
+        self._configuration = configuration
+        self._keeper.path = configuration['checkpoint.path']
+        self._time_checkpoints()
+        if self._observer is not None:
+            self._observer.reconfigure(configuration)
+        self._announce()
+
+    def _time_checkpoints(self) -> None:
+        """Have a checkpoint taken every so often while there is something to learn."""
+        if self._checkpoint_timer is not None:
+            self.destroy_timer(self._checkpoint_timer)
+            self._checkpoint_timer = None
+        period_s = self._configuration['checkpoint.period_s']
+        if self._keeper.automatic and self._state == 'active' and period_s > 0.0:
+            self._checkpoint_timer = self.create_timer(period_s, self._keep, clock=self._steady)
+
+    def _keep(self) -> None:
+        self._keeper.keep(self._observer)
 
     def _begin(self) -> None:
         """Make an observer that knows nothing yet."""
         self._observer = Observer(self._configuration, ProcessTraining)
-        self._observer.freeze(bool(self.get_parameter('freeze').value))  # it may have been set since the start
         self._intake = Intake(self._observer, self._configuration)
-        self._counted = dict.fromkeys(self._configuration.motors, (0, 0))
+        self._meter.forget()
 
     def _announce(self) -> None:
         """Publish what is known now: latched topics must not go on telling what was forgotten."""
-        if self._observer is None or self._outputs is None or not self._active:
+        if self._observer is None or self._outputs is None or self._state != 'active':
             return
-        estimates = self._observer.estimates()
         for motor in self._configuration.motors:
             self._outputs.alarm(motor, self._observer.alarm(motor))
-            if motor in estimates:
-                self._outputs.estimate(motor, estimates[motor])
-            else:
-                self._outputs.not_identified(motor)
+            self._outputs.estimate(motor, *self._observer.known(motor))
 
     def _drop_observer(self) -> None:
         if self._observer is not None:
             self._observer.close()
         self._observer = self._intake = None
 
-    def _message_type(self, name: str) -> Any:
-        type_name = self._configuration[f'{name}.type']
-        found = message_class(type_name)
-        if found is None:
-            raise ConfigurationError(
-                f'{name}.type {type_name!r} is not a message this environment knows: source the workspace that has it'
-            )
-        return found
-
-    def _topics_in_words(self) -> str:
-        used = [self._configuration[f'{name}.topic'] for name in SIGNALS]
-        return ', '.join(self.resolve_topic_name(topic) for topic in used if topic)
+    def _make_keeper(self, configuration: Configuration) -> CheckpointKeeper:
+        path = configuration['checkpoint.path']
+        default = default_folder(self.get_fully_qualified_name())
+        folder = CheckpointFolder(configuration['checkpoint.folder'], path, default)
+        return CheckpointKeeper(folder, path, automatic=configuration['checkpoint.resume'])
 
 
 def main(args: Sequence[str] | None = None) -> int:

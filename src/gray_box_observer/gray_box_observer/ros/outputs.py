@@ -14,6 +14,7 @@ from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.observer import Result
 from gray_box_observer.ros import topics
+from gray_box_observer.ros.qos import advertise
 from gray_box_observer.white_box import Parameter
 
 Publish = Callable[[Any], None]
@@ -23,6 +24,7 @@ class Outputs:
     """Publishers of every motor; created once, they stay with the node."""
 
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
+        self._node = node
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
@@ -39,8 +41,10 @@ class Outputs:
         self._alarmed: dict[str, bool] = {}
 
     @staticmethod
-    def _create(node: LifecycleNode, topic: topics.Topic, **names: str) -> Publish:
-        publisher = node.create_lifecycle_publisher(topic.type, topic.name.format(**names), topic.qos)
+    def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False, **names: str) -> Publish:
+        publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name.format(**names), topic.qos)
+        if active:
+            publisher.on_activate(None)
         publish: Publish = publisher.publish
         return publish
 
@@ -63,25 +67,23 @@ class Outputs:
 
     def forecast(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
         """Publish the torque at the horizon if the newest voltage is held until then, once a voltage."""
-        if self._forecast is not None and self._foretold.get(motor) != stamp_ns:
+        if self._forecast is None:  # asked for while the node runs
+            self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
+        if self._foretold.get(motor) != stamp_ns:
             self._foretold[motor] = stamp_ns
             self._forecast(torque_message(motor, stamp_ns, torque_nm))
 
-    def estimate(self, motor: str, estimate: Estimate) -> None:
-        """Publish values, covariance and whether all is identified."""
+    def estimate(self, motor: str, estimate: Estimate, identified: bool | None = None) -> None:
+        """Publish values, covariance and whether all is identified; None: by the verdicts."""
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             self._parameters[motor, parameter.name](Float64(data=float(value)))
         self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
-        self._identified[motor](Bool(data=estimate.identified(0)))
+        self._identified[motor](Bool(data=estimate.identified(0) if identified is None else identified))
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the alarm on the prediction's residual stands."""
         self._alarmed[motor] = raised
         self._alarm[motor](Bool(data=raised))
-
-    def not_identified(self, motor: str) -> None:
-        """Publish that nothing is known of a motor (yet, or any more)."""
-        self._identified[motor](Bool(data=False))
 
 
 def torque_message(motor: str, stamp_ns: int, torque_nm: float) -> JointState:

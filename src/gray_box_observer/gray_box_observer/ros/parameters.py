@@ -1,13 +1,16 @@
-"""Declaring the parameters of :mod:`gray_box_observer.parameters` on a node."""
+"""What :mod:`gray_box_observer.parameters` lists, on a node: declared, checked as a set, changed while it runs."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
 
 
@@ -54,3 +57,43 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
         upper = 2**62 if spec.maximum is None else int(spec.maximum)
         descriptor.integer_range = [IntegerRange(from_value=int(spec.minimum), to_value=upper, step=1)]
     return descriptor
+
+
+class LiveParameters:
+    """Lets parameters change while the node runs: all that are set at once are checked as a set, then take effect.
+
+    Args:
+        node: the node.
+        configuration: as it stands.
+        check: refuses what only the node can judge, by a ConfigurationError; must change nothing.
+        apply: takes the new configuration over.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        configuration: Configuration,
+        check: Callable[[Configuration], None],
+        apply: Callable[[Configuration], None],
+    ) -> None:
+        self._configuration = configuration
+        self._check = check
+        self._apply = apply
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._take_over)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._check(self._changed(parameters))
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_over(self, parameters: list[Parameter]) -> None:
+        changed = self._changed(parameters)
+        if changed != self._configuration:
+            self._configuration = changed
+            self._apply(changed)
+
+    def _changed(self, parameters: list[Parameter]) -> Configuration:
+        return self._configuration.changed({parameter.name: parameter.value for parameter in parameters})

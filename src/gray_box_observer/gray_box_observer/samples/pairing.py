@@ -71,9 +71,8 @@ class Pairing:
     def __init__(self, rules: PairingRules | None = None, *, own_speed: bool = False, delay_s: float = 0.0) -> None:
         self._own_speed = own_speed
         self.needs_speed = own_speed
-        self._rules = rules or PairingRules()
-        self._gap_ns = round(self._rules.gap_s * 1e9)
-        self._jump_ns = round(self._rules.jump_back_s * 1e9)
+        self._delay_ns = 0
+        self.reconfigure(rules or PairingRules())
         self.rejected: Counter[Rejection] = Counter()
         self.received_torque = 0
         self.received_voltage = 0
@@ -88,6 +87,13 @@ class Pairing:
         }
         self._set_delay(delay_s)
         self._restart()
+
+    def reconfigure(self, rules: PairingRules) -> None:
+        """Be as patient as other rules say, from the next message on."""
+        self._rules = rules
+        self._gap_ns = round(rules.gap_s * 1e9)
+        self._jump_ns = round(rules.jump_back_s * 1e9)
+        self._hold_ns = round(rules.hold_s * 1e9) + max(0, -self._delay_ns)
 
     def _set_delay(self, delay_s: float) -> None:
         self._delay_ns = nanoseconds(delay_s)

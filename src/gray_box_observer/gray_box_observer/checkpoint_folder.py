@@ -1,0 +1,69 @@
+"""The one folder that checkpoints are read from and written to, whatever a parameter or a service asks for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from gray_box_observer.errors import ConfigurationError
+
+
+class CheckpointFolder:
+    """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses it.
+
+    What is given when the node starts (launch file, YAML, command line) is the word of whoever may start processes, and
+    is trusted: an absolute path then declares its own folder. What comes later, over the network, has to stay there.
+
+    Args:
+        folder: the parameter ``checkpoint.folder``; empty: the folder of an absolute path, else the default.
+        path: the parameter ``checkpoint.path`` as given at the start.
+        default: folder where neither says one.
+
+    Raises:
+        ConfigurationError: the path does not lie in the folder.
+    """
+
+    def __init__(self, folder: str, path: str, default: Path) -> None:
+        own = Path(path).parent if not folder and Path(path).is_absolute() else default
+        wanted = Path(folder).expanduser() if folder else own
+        self.folder = Path(os.path.normpath(wanted.absolute()))  # as it was given: no link is followed
+        self._trusted = None if folder else path
+        self.file(path)
+
+    def file(self, path: str) -> Path:
+        """Return the file that a path means: relative to the folder, or absolute and inside it.
+
+        Raises:
+            ConfigurationError: it is no file name, or leads out of the folder, be it by ``..`` or by a symbolic link.
+        """
+        given = Path(path)
+        if not given.name or '\0' in path:
+            raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
+        if given.is_absolute() and path == self._trusted:
+            return given
+        if '..' in given.parts:
+            raise ConfigurationError(f"checkpoint.path must not hold '..', got {path!r}: give a path in {self.folder}")
+        file = self.folder / given  # an absolute one stays what it is
+        try:
+            inside = file.resolve().is_relative_to(self.folder.resolve())
+        except (OSError, RuntimeError) as error:  # a loop of links; a name that is too long
+            raise ConfigurationError(f'checkpoint.path {path!r} cannot be followed: {error}') from error
+        if not inside:
+            raise ConfigurationError(
+                f'checkpoint.path {path!r} leads out of {self.folder}: '
+                'give a path in there, or another checkpoint.folder when the node starts'
+            )
+        return file
+
+
+def default_folder(node: str) -> Path:
+    """Return where the checkpoints of a node go that says nothing of it: below ROS_HOME (``~/.ros``), by its full name.
+
+    Args:
+        node: its fully qualified name, so that two nodes in two namespaces do not overwrite each other's.
+    """
+    try:
+        home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
+    except RuntimeError:  # a user without a home
+        home = Path.cwd()
+    return home / node.strip('/')

@@ -1,0 +1,118 @@
+"""Keeps one checkpoint file: where it may stand, what a start makes of it, when it is written anew."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from gray_box_observer import checkpoint
+from gray_box_observer.checkpoint import Resumed
+from gray_box_observer.checkpoint_folder import CheckpointFolder
+from gray_box_observer.checkpoint_writer import CheckpointWriter
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.observer import Observer
+
+PATIENCE_S = 2.0
+"""How long somebody who asked for a checkpoint is let wait for a disk that does not answer."""
+
+END_PATIENCE_S = 0.5
+"""The same for a process that was asked to end: it has a second."""
+
+
+class CheckpointKeeper:
+    """Saves and loads the state of an observer, by itself where asked to.
+
+    Args:
+        folder: where files may stand.
+        path: the parameter ``checkpoint.path``.
+        automatic: whether to continue from the file and to keep it up to date.
+
+    Attributes:
+        path: the parameter; may be changed to whatever the folder allows.
+        automatic: as above.
+    """
+
+    def __init__(self, folder: CheckpointFolder, path: str, *, automatic: bool) -> None:
+        self.folder = folder
+        self.path = path
+        self.automatic = automatic
+        self._writer = CheckpointWriter()
+        self._kept = 0
+        self._since_s: float | None = None
+
+    @property
+    def file(self) -> Path:
+        """Where the checkpoint stands.
+
+        Raises:
+            ConfigurationError: the path leads out of the folder, by a link that was put there since.
+        """
+        return self.folder.file(self.path)
+
+    def resume(self, observer: Observer) -> Resumed:
+        """Continue where the file stands; one that cannot be used is set aside."""
+        self._writer.flush(PATIENCE_S)
+        self._kept = 0
+        return checkpoint.resume(observer, self.file)
+
+    def keep(self, observer: Observer | None) -> None:
+        """Bring the file up to date if there is something new; returns at once."""
+        if not self.automatic or observer is None or not observer.motors:
+            return
+        used = sum(pairing.used for pairing in observer.pairing.values())
+        if used == self._kept and self._writer.failure is None:
+            return
+        self._writer.submit(checkpoint.capture(observer), self.file)
+        self._kept, self._since_s = used, time.monotonic()
+
+    def save(self, observer: Observer) -> str:
+        """Write the file now; return where it stands.
+
+        Raises:
+            GrayBoxError: nothing was learnt yet, or the file cannot be written.
+        """
+        path = self.file
+        self._writer.submit(checkpoint.capture(observer), path)
+        if not self._writer.flush(PATIENCE_S):
+            raise GrayBoxError(f'{path} is still being written after {PATIENCE_S:g} s: does the disk answer?')
+        if self._writer.failure is not None:
+            raise GrayBoxError(self._writer.failure)
+        self._since_s = time.monotonic()
+        return str(path)
+
+    def load(self, observer: Observer) -> str:
+        """Take back what the file holds; return where it stands.
+
+        Raises:
+            GrayBoxError: no such file, or one that cannot be used; the observer is as it was.
+        """
+        path = self.file
+        self._writer.flush(PATIENCE_S)
+        checkpoint.load(observer, path)
+        return str(path)
+
+    def forget(self) -> str | None:
+        """Let the next start begin anew: what was forgotten on purpose must not come back; return where it is kept."""
+        self._kept = 0
+        if not self.automatic:
+            return None
+        self._writer.flush(PATIENCE_S)
+        aside = checkpoint.set_aside(self.file, 'reset')
+        return None if aside is None else str(aside)
+
+    def close(self, observer: Observer | None) -> str | None:
+        """Bring the file up to date for the last time; return what went wrong, if anything did."""
+        self.keep(observer)
+        if not self._writer.close(END_PATIENCE_S):
+            return f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk answer?'
+        return self._writer.failure
+
+    @property
+    def failure(self) -> str | None:
+        """Why the newest checkpoint could not be written; None where it could."""
+        return self._writer.failure
+
+    @property
+    def age_s(self) -> float | None:
+        """Time since a checkpoint was last taken; None where none was."""
+        return None if self._since_s is None else time.monotonic() - self._since_s

@@ -1,0 +1,82 @@
+"""Tells operators once a second how every motor is, whatever state the node is in."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from gray_box_observer.checkpoint_keeper import CheckpointKeeper
+from gray_box_observer.intake import Intake
+from gray_box_observer.observer import Observer
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.diagnostics import Situation, idle_status, status_of
+from gray_box_observer.ros.inputs import Inputs
+from gray_box_observer.ros.qos import advertise
+from gray_box_observer.ros.traffic import TrafficMeter
+
+
+class Diagnoser:
+    """Publishes diagnostics.
+
+    Args:
+        node: whose they are.
+        motors: names of the configured motors.
+        inputs, meter, keeper: of the node.
+    """
+
+    def __init__(
+        self, node: Node, motors: list[str], inputs: Inputs, meter: TrafficMeter, keeper: CheckpointKeeper
+    ) -> None:
+        self._node = node
+        self._motors = motors
+        self._inputs = inputs
+        self._meter = meter
+        self._keeper = keeper
+        self._has_warned_of_strangers = False
+        topic = topics.DIAGNOSTICS
+        self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
+
+    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> None:
+        """Publish one round.
+
+        Args:
+            state: of the node's life cycle.
+            observer: of the node; None where it is not configured.
+            intake: likewise.
+        """
+        array = DiagnosticArray()
+        clock = self._node.get_clock()
+        now = clock.now()
+        array.header.stamp = now.to_msg()
+        name = self._node.get_fully_qualified_name()
+        if observer is None or intake is None:
+            array.status = [idle_status(motor, name, state, {}) for motor in self._motors]
+        else:
+            self._warn_of_strangers(observer, intake)
+            situation = Situation(
+                name,
+                state,
+                observer,
+                intake,
+                self._inputs,
+                self._meter,
+                self._meter.read(observer, intake),
+                self._keeper.failure,
+                self._keeper.age_s,
+                now.nanoseconds,
+                simulated=clock.ros_time_is_active,
+            )
+            array.status = [status_of(motor, situation) for motor in self._motors]
+        self._publisher.publish(array)
+
+    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
+        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        for name in ('voltage', 'torque'):
+            strangers = sorted(intake.signals[name].unknown)
+            silent = [motor for motor, pairing in observer.pairing.items() if not getattr(pairing, f'received_{name}')]
+            if strangers and silent and not self._has_warned_of_strangers:
+                self._has_warned_of_strangers = True
+                self._node.get_logger().warning(
+                    f'{intake.signals[name].topic} speaks of {", ".join(strangers[:5])} and not of '
+                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
+                )

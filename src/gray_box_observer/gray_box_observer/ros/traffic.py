@@ -1,0 +1,123 @@
+"""What has come in between two rounds of diagnostics, and what it has cost."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from gray_box_observer.intake import Intake
+from gray_box_observer.observer import Observer, Result
+from gray_box_observer.parameters import SIGNALS
+from gray_box_observer.samples.rhythm import Rhythm
+
+
+@dataclass(frozen=True, slots=True)
+class MotorTraffic:
+    """What came in for one motor during the last period.
+
+    Attributes:
+        used: samples learnt.
+        rejected: messages refused.
+        received: messages by signal; speed is not counted motor by motor.
+        changes: how often the motor has been found changed since it was last identified.
+    """
+
+    used: int
+    rejected: int
+    received: dict[str, int]
+    changes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """What came in during the last period.
+
+    Attributes:
+        period_s: length of the period.
+        motors: by motor.
+        messages: messages of each topic, whatever motors they speak of.
+        cpu: share of one core that this process has used, without training, which is another process.
+        busy: share of the period that messages took from arrival to publishing: at 1, they queue up.
+    """
+
+    period_s: float
+    motors: dict[str, MotorTraffic]
+    messages: dict[str, int]
+    cpu: float
+    busy: float
+
+
+class TrafficMeter:
+    """Measures traffic between two readings.
+
+    Attributes:
+        rhythms: how regularly each motor's samples come.
+        newest_ns: stamp of each motor's newest sample.
+    """
+
+    def __init__(self) -> None:
+        self._busy_s = 0.0
+        self._now = time.monotonic(), time.process_time()
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with a new observer."""
+        self._counted: Counter[tuple[str, str]] = Counter()
+        self._settled: Counter[str] = Counter()
+        self.rhythms: dict[str, Rhythm] = {}
+        self.newest_ns: dict[str, int] = {}
+
+    @contextmanager
+    def busy(self) -> Iterator[None]:
+        """Count the time that one message takes."""
+        begin_s = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._busy_s += time.perf_counter() - begin_s
+
+    def take(self, results: list[Result]) -> None:
+        """Note what one message has led to."""
+        for result in results:
+            rhythm = self.rhythms.get(result.motor)
+            if rhythm is None:
+                rhythm = self.rhythms[result.motor] = Rhythm()
+            rhythm.take(float(result.sample.interval_s[0]))
+            self.newest_ns[result.motor] = result.sample.stamp_ns
+
+    def read(self, observer: Observer, intake: Intake) -> Traffic:
+        """Return what has come since the last reading."""
+        before_s, before_cpu_s = self._now
+        self._now = time.monotonic(), time.process_time()
+        period_s = max(self._now[0] - before_s, 1e-9)
+        busy_s, self._busy_s = self._busy_s, 0.0
+        return Traffic(
+            period_s,
+            {motor: self._motor(motor, observer) for motor in observer.pairing},
+            {name: self._new('messages', name, intake.received[name]) for name in SIGNALS},
+            (self._now[1] - before_cpu_s) / period_s,
+            busy_s / period_s,
+        )
+
+    def _motor(self, motor: str, observer: Observer) -> MotorTraffic:
+        pairing, seen = observer.pairing[motor], observer.motors.get(motor)
+        changes = 0 if seen is None else seen.context_nodes.counters().get('motor changes', 0)
+        if seen is not None and seen.identified and not observer.alarm(motor):
+            self._settled[motor] = changes
+        return MotorTraffic(
+            self._new('used', motor, pairing.used),
+            self._new('rejected', motor, pairing.rejected.total()),
+            {
+                'voltage': self._new('voltage', motor, pairing.received_voltage),
+                'torque': self._new('torque', motor, pairing.received_torque),
+            },
+            changes - self._settled[motor],
+        )
+
+    def _new(self, what: str, name: str, count: int) -> int:
+        before = self._counted[what, name]
+        self._counted[what, name] = count
+        return count - before

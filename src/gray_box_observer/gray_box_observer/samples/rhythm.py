@@ -1,0 +1,43 @@
+"""How regularly samples come, by their stamps: the usual interval, what is missing, where a signal paused."""
+
+from __future__ import annotations
+
+LATE = 1.75
+"""Intervals beyond this many usual ones have lost something; a jitter of half an interval has not."""
+
+STEP = 0.02
+"""By which fraction the usual interval follows; up and down alike, so that it ends at the median."""
+
+LEARNT = 20
+"""Intervals before anything is called missing."""
+
+
+class Rhythm:
+    """Counts the samples that should have come and did not.
+
+    The usual interval is the median of all, followed by small steps: a minority of odd intervals moves it by little.
+
+    Attributes:
+        usual_s: the usual interval in s; 0 before the first.
+        missing: samples that never came, by the length of the intervals.
+        pauses: how often the signal history began anew, after a gap or a jump of the stamps.
+    """
+
+    def __init__(self) -> None:
+        self.usual_s = 0.0
+        self.missing = 0
+        self.pauses = -1  # the first sample begins the first history
+        self._seen = 0
+
+    def take(self, interval_s: float) -> None:
+        """Take one sample's interval since the one before, in s; 0 where a signal history begins."""
+        if interval_s <= 0.0:
+            self.pauses += 1
+            return
+        self._seen += 1
+        if self._seen <= LEARNT:  # quick at first: the mean
+            self.usual_s += (interval_s - self.usual_s) / self._seen
+            return
+        if interval_s > LATE * self.usual_s:
+            self.missing += round(interval_s / self.usual_s) - 1
+        self.usual_s *= 1.0 + STEP if interval_s > self.usual_s else 1.0 - STEP

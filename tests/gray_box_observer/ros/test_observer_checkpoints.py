@@ -1,0 +1,198 @@
+"""Checkpoints of the observer as a process: kept by itself, resumed after any end, confined to their folder."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from gray_box_observer.checkpoint import load, save
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.observer import Observer
+
+pytestmark = pytest.mark.system
+
+EXCITATION = 'R[5,15]D[0.1,1]'
+
+
+def text(name: str, value: str) -> Parameter:
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))
+
+
+def number(name: str, value: float) -> Parameter:
+    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+
+
+def held_by(path: Path) -> dict[str, float]:
+    """The estimates in a checkpoint."""
+    core = Observer(Configuration.from_flat({'predictor': False}))
+    load(core, path)
+    estimate = core.estimates()['motor']
+    return dict(zip((p.name for p in estimate.parameters), estimate.value[0].tolist(), strict=True))
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_node_that_is_ended_continues_where_it_was(rig, record, tmp_path, number):
+    path, recording = tmp_path / 'new' / 'c.safetensors', record(EXCITATION, 12.0)
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.send(recording, range(800))
+    rig.wait_for(samples_used=800)
+    learnt = rig.estimates()
+    code, _, said = rig.peer.end(rig.process, number)
+    assert code == 0
+    assert f'starting from the initial values: no checkpoint yet at {path}' in said
+    assert held_by(path) == learnt
+
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.signals()
+    assert rig.estimates() == learnt, 'told before any sample has come'
+    assert rig.latched(Bool, 'motor/identified').data is True
+    rig.send(recording, range(800, 1200))
+    rig.wait_for(samples_used=400)
+    assert rig.values()['resistance verdict'] == 'identified'
+    assert f'continuing from {path}' in rig.peer.end(rig.process)[2]
+
+
+def test_a_killed_node_continues_from_its_last_automatic_checkpoint(rig, record, tmp_path):
+    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 12.0)
+    rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.1)
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    rig.peer.wait(path.exists, 'a checkpoint')
+    rig.send(recording, range(600, 800))
+    assert rig.peer.end(rig.process, signal.SIGKILL)[0] == -signal.SIGKILL
+    kept = held_by(path)
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.signals()
+    assert rig.estimates() == kept
+
+
+@pytest.mark.parametrize('damage', ['cut', 'other motor'])
+def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_node_lives(rig, record, tmp_path, damage):
+    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    core = Observer(Configuration.from_flat({'predictor': False, 'motor.torque_constant': 0.02}))
+    for k in range(100):
+        core.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
+        core.torque('motor', int(recording.stamp_ns[k]), float(recording.torque_nm[0, k]))
+    save(core, path)
+    if damage == 'cut':
+        path.write_bytes(path.read_bytes()[:1000])
+    bad = path.read_bytes()
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.send(recording, range(400))
+    rig.wait_for(samples_used=400)
+    code, _, said = rig.peer.end(rig.process)
+    assert code == 0
+    reason = 'was cut short' if damage == 'cut' else 'learnt with other known constants'
+    (line,) = [line for line in said.splitlines() if 'refused' in line]
+    assert 'starting from the initial values: ' in line
+    assert reason in line
+    assert (tmp_path / 'c.safetensors.refused').read_bytes() == bad
+    assert held_by(path)
+
+
+def test_deactivating_keeps_what_was_learnt_and_configuring_resumes_it(rig, record, tmp_path):
+    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.0)
+    rig.send(recording, range(500))
+    rig.wait_for(samples_used=500)
+    learnt = rig.estimates()
+    assert not path.exists()
+    assert rig.change(Transition.TRANSITION_DEACTIVATE)
+    rig.wait_until_deaf()
+    rig.peer.wait(path.exists, 'the checkpoint')
+    assert held_by(path) == learnt
+    assert rig.change(Transition.TRANSITION_CLEANUP)
+    assert rig.change(Transition.TRANSITION_CONFIGURE)
+    assert rig.change(Transition.TRANSITION_ACTIVATE)
+    assert rig.estimates() == learnt
+
+
+def test_what_is_reset_does_not_come_back_with_the_next_start(rig, record, tmp_path):
+    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.1)
+    rig.send(recording, range(500))
+    rig.wait_for(samples_used=500)
+    rig.peer.wait(path.exists, 'a checkpoint')
+    assert rig.call(Trigger, 'reset').message.endswith(f'; the checkpoint is kept as {path}.reset')
+    assert rig.peer.end(rig.process)[0] == 0
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.signals()
+    assert rig.estimates() == {'inductance': 1.5, 'resistance': 3.0, 'hysteresis': 1.0}
+
+
+def test_a_path_set_while_it_runs_stays_in_the_folder(rig, record, tmp_path):
+    folder, recording = tmp_path / 'kept', record(EXCITATION, 8.0)
+    folder.mkdir()
+    (folder / 'out').symlink_to(tmp_path)
+    rig.start(checkpoint__path=folder / 'c.safetensors')
+    rig.send(recording, range(200))
+    rig.wait_for(samples_used=200)
+
+    def ask(value: str) -> tuple[bool, str]:
+        result = rig.call(SetParameters, 'set_parameters', parameters=[text('checkpoint.path', value)]).results[0]
+        return result.successful, result.reason
+
+    for value, words in (
+        (str(tmp_path / 'c.safetensors'), f'leads out of {folder}: give a path in there'),
+        ('../c.safetensors', "must not hold '..'"),
+        ('out/c.safetensors', f'leads out of {folder}'),
+        ('', 'must be the name of a file'),
+    ):
+        successful, reason = ask(value)
+        assert not successful
+        assert words in reason
+    assert ask('left/wheel.safetensors') == (True, '')
+    assert rig.call(Trigger, 'save').message == f'saved to {folder}/left/wheel.safetensors'
+    (folder / 'left').rename(folder / 'moved')
+    (folder / 'left').symlink_to(tmp_path)  # behind the back of the parameter
+    answer = rig.call(Trigger, 'save')
+    assert not answer.success
+    assert f'leads out of {folder}' in answer.message
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ['kept']
+    together = [number('checkpoint.period_s', 5.0), text('checkpoint.path', '/etc/c')]
+    answer = rig.call(SetParametersAtomically, 'set_parameters_atomically', parameters=together)
+    assert not answer.result.successful
+    assert 'leads out of' in answer.result.reason
+
+
+def test_without_a_path_the_checkpoint_goes_below_ros_home(rig, record, tmp_path, monkeypatch):
+    monkeypatch.setitem(os.environ, 'ROS_HOME', str(tmp_path))
+    rig.start()
+    rig.send(record(EXCITATION, 8.0), range(100))
+    rig.wait_for(samples_used=100)
+    wanted = tmp_path / 'gray_box_observer' / 'gray_box_observer.safetensors'
+    assert rig.call(Trigger, 'save').message == f'saved to {wanted}'
+    assert wanted.is_file()
+
+
+def test_a_start_with_a_path_outside_of_its_folder_is_one_line(rig, tmp_path):
+    rig.start(checkpoint__folder=tmp_path / 'a', checkpoint__path='/b/c.safetensors')
+    code, _, said = rig.peer.end(rig.process, None)
+    assert code == 2
+    assert said.startswith("observer: error: checkpoint.path '/b/c.safetensors' leads out of ")
+    assert said.count('\n') == 1
+
+
+def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(rig, record, tmp_path, learnt_offline):
+    (tmp_path / 'file').write_text('no folder')
+    recording = record(EXCITATION, 12.0)
+    rig.start(checkpoint__path=tmp_path / 'file' / 'c', checkpoint__resume='true', checkpoint__period_s=0.1)
+    said = []
+    for first in range(0, 1200, 100):
+        rig.send(recording, range(first, first + 100))
+        rig.wait_for(samples_used=first + 100)
+        said += [status.message for array in rig.diagnostics for status in array.status]
+        rig.diagnostics.clear()
+    assert any('the checkpoint was not written: cannot write' in message for message in said)
+    assert rig.estimates() == learnt_offline(recording, range(1200))
+    code, _, log = rig.peer.end(rig.process)
+    assert code == 0
+    assert 'cannot write' in log

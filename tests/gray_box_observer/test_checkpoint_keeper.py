@@ -1,0 +1,265 @@
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer import checkpoint
+from gray_box_observer.checkpoint import PARTIAL, SCRAP_AGE_S, Snapshot, capture, decode, encode, save
+from gray_box_observer.checkpoint_folder import CheckpointFolder
+from gray_box_observer.checkpoint_keeper import CheckpointKeeper
+from gray_box_observer.checkpoint_writer import CheckpointWriter
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.observer import Observer
+
+PATIENCE_S = 20.0
+
+
+@pytest.fixture
+def recording(record: Callable[..., Recording]) -> Recording:
+    return record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / 'c.safetensors'
+
+
+def observer(**given: Any) -> Observer:
+    return Observer(Configuration.from_flat({'predictor': False, **given}))
+
+
+def feed(one: Observer, recording: Recording, start: int, end: int) -> None:
+    for k in range(start, end):
+        stamp_ns = int(recording.stamp_ns[k])
+        one.voltage('motor', stamp_ns, float(recording.voltage_v[0, k]))
+        one.torque('motor', stamp_ns, float(recording.torque_nm[0, k]))
+
+
+def learnt(one: Observer) -> bytes:
+    estimate = one.estimates()['motor']
+    return estimate.value.tobytes() + estimate.covariance.tobytes()
+
+
+def keeper(path: Path, automatic: bool = True) -> CheckpointKeeper:
+    return CheckpointKeeper(CheckpointFolder('', str(path), path), str(path), automatic=automatic)
+
+
+def test_a_snapshot_stays_what_it_was_while_learning_goes_on(recording: Recording, path: Path) -> None:
+    one, other = observer(), observer()
+    feed(one, recording, 0, 1000)
+    snapshot, before = capture(one), learnt(one)
+    feed(one, recording, 1000, 2000)
+    checkpoint.write(snapshot, path)
+    checkpoint.load(other, path)
+    assert learnt(other) == before
+    assert learnt(one) != before
+
+
+def test_a_restarted_observer_continues_where_the_last_one_was(recording: Recording, path: Path) -> None:
+    one, other = observer(), observer()
+    feed(one, recording, 0, 1000)
+    assert keeper(path).close(one) is None
+    resumed = keeper(path).resume(other)
+    assert (resumed.found, resumed.refusal) == (True, None)
+    assert learnt(other) == learnt(one)
+    assert [entry.name for entry in path.parent.iterdir()] == [path.name]
+
+
+def test_where_there_is_no_checkpoint_it_starts_anew(path: Path) -> None:
+    one = observer()
+    assert not keeper(path).resume(one).found
+    assert one.motors == {}
+    assert list(path.parent.iterdir()) == []
+
+
+def not_ours(good: bytes) -> dict[str, bytes]:
+    plain, arrays = decode(good)
+    without = {name: array for name, array in arrays.items() if 'belief' not in name}
+    strange = json.loads(json.dumps(plain))
+    strange['motors']['motor'] = ['not', 'a', 'motor']
+    reshaped = {name: array.ravel() if name.endswith('belief.covariance') else array for name, array in arrays.items()}
+    return {
+        'empty': b'',
+        'cut': good[: len(good) // 2],
+        'flipped': good[:-9] + bytes([good[-9] ^ 1]) + good[-8:],
+        'version': encode(plain, arrays, 99),
+        'no content': encode({}, arrays),
+        'no motors': encode({'context_update': 'recursive', 'motors': 5}, arrays),
+        'no belief': encode(plain, without),
+        'strange motor': encode(strange, arrays),
+        'other shapes': encode(plain, reshaped),
+    }
+
+
+KINDS = ('empty', 'cut', 'flipped', 'version', 'no content', 'no motors', 'no belief', 'strange motor', 'other shapes')
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_observer_can_be_used(
+    recording: Recording, path: Path, kind: str
+) -> None:
+    one, other, fresh = observer(), observer(), observer()
+    feed(one, recording, 0, 500)
+    save(one, path)
+    bad = not_ours(path.read_bytes())
+    assert tuple(bad) == KINDS
+    path.write_bytes(bad[kind])
+    resumed = keeper(path).resume(other)
+    assert resumed.found
+    assert resumed.refusal is not None
+    assert str(path) in resumed.refusal
+    assert resumed.refusal.endswith(f'; it is kept as {path}.refused')
+    assert '\n' not in resumed.refusal
+    assert Path(f'{path}.refused').read_bytes() == bad[kind]
+    assert not path.exists()
+    for each in (other, fresh):
+        feed(each, recording, 0, 500)
+    assert learnt(other) == learnt(fresh)
+
+
+def test_a_checkpoint_of_another_configuration_is_kept_aside_beside_older_ones(
+    recording: Recording, path: Path
+) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    for number in ('', '-2', '-3'):
+        save(one, path)
+        refusal = keeper(path).resume(observer(**{'motor.torque_constant': 0.02})).refusal
+        assert refusal is not None
+        assert 'learnt with other known constants' in refusal
+        assert refusal.endswith(f'{path}.refused{number}')
+
+
+def test_what_stands_in_the_way_and_is_no_file_is_left_there(path: Path) -> None:
+    path.mkdir()
+    refusal = keeper(path).resume(observer()).refusal
+    assert refusal == f'cannot read {path}: Is a directory; it is kept as {path}'
+    assert path.is_dir()
+
+
+def test_the_file_is_kept_up_to_date_only_where_asked_to_and_only_with_news(recording: Recording, path: Path) -> None:
+    one = observer()
+    automatic, manual = keeper(path), keeper(path, automatic=False)
+    automatic.keep(None)
+    automatic.keep(one)  # nothing learnt yet
+    feed(one, recording, 0, 500)
+    manual.keep(one)
+    assert manual.close(one) is None
+    assert not path.exists()
+    automatic.keep(one)
+    assert automatic.close(one) is None
+    first = path.stat().st_ino
+    again = keeper(path)
+    again.resume(other := observer())
+    assert again.close(other) is None
+    assert path.stat().st_ino == first, 'nothing was learnt since'
+    assert automatic.age_s is not None
+    assert again.age_s is None
+
+
+def test_what_was_forgotten_on_purpose_does_not_come_back(recording: Recording, path: Path) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    kept = keeper(path)
+    kept.keep(one)
+    assert kept.forget() == f'{path}.reset'
+    assert kept.forget() is None
+    assert not keeper(path).resume(observer()).found
+    assert keeper(path, automatic=False).forget() is None
+
+
+def test_saving_and_loading_by_hand_name_the_file_and_refuse_what_leads_out(recording: Recording, path: Path) -> None:
+    one = observer()
+    by_hand = keeper(path, automatic=False)
+    with pytest.raises(GrayBoxError, match='nothing to save yet'):
+        by_hand.save(one)
+    feed(one, recording, 0, 500)
+    assert by_hand.save(one) == str(path)
+    assert by_hand.load(other := observer()) == str(path)
+    assert learnt(other) == learnt(one)
+    by_hand.path = '../elsewhere'
+    for action in (by_hand.save, by_hand.load):
+        with pytest.raises(GrayBoxError, match=r"must not hold '\.\.'"):
+            action(one)
+    assert by_hand.close(one) is None
+
+
+def test_a_disk_that_refuses_is_told_by_hand_and_automatically_and_tried_again(
+    recording: Recording, path: Path
+) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    kept = keeper(path / 'below' / 'c')
+    path.write_text('a file, no folder')
+    with pytest.raises(GrayBoxError, match=r'cannot write .*c'):
+        kept.save(one)
+    failure = kept.close(one)
+    assert failure is not None
+    assert failure == kept.failure
+    path.unlink()
+    later = keeper(path / 'below' / 'c')
+    later.keep(one)
+    assert later.close(one) is None
+    assert later.failure is None
+
+
+def snapshot(number: int) -> Snapshot:
+    return Snapshot(json.dumps({'number': number}), {'a': np.full(3, number)})
+
+
+def test_the_newest_snapshot_takes_the_place_of_those_that_wait(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go_on, real, seen = threading.Event(), threading.Event(), checkpoint.write, []
+
+    def slow(one: Snapshot, to: Path) -> None:
+        seen.append(json.loads(one.content)['number'])
+        begun.set()
+        assert go_on.wait(PATIENCE_S)
+        real(one, to)
+
+    monkeypatch.setattr(checkpoint, 'write', slow)
+    writer = CheckpointWriter()
+    writer.submit(snapshot(1), path)
+    assert begun.wait(PATIENCE_S)
+    for number in (2, 3, 4):
+        writer.submit(snapshot(number), path)
+    assert not writer.flush(0.0), 'the disk has not answered yet'
+    go_on.set()
+    assert writer.close(PATIENCE_S)
+    assert seen == [1, 4]
+    assert writer.written == 2
+    assert decode(path.read_bytes())[0] == {'number': 4}
+
+
+def test_a_disk_that_hangs_does_not_keep_anybody_from_ending(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on = threading.Event()
+    monkeypatch.setattr(checkpoint, 'write', lambda *_: go_on.wait(PATIENCE_S))
+    writer = CheckpointWriter()
+    writer.submit(snapshot(1), path)
+    assert not writer.close(0.01)
+    go_on.set()
+    assert writer.flush(PATIENCE_S)
+
+
+def test_a_writer_that_never_wrote_has_nothing_to_end() -> None:
+    assert CheckpointWriter().close(0.0)
+
+
+def test_what_killed_writers_left_is_swept_up_and_what_others_write_is_not(path: Path) -> None:
+    old, young = (path.with_name(f'.{path.name}.{name}{PARTIAL}') for name in ('old', 'young'))
+    other = path.with_name(f'.other.x{PARTIAL}')
+    for scrap in (old, young, other):
+        scrap.write_bytes(b'half a che')
+    for scrap in (old, other):
+        age = scrap.stat().st_mtime - SCRAP_AGE_S - 10.0
+        os.utime(scrap, (age, age))
+    checkpoint.write(snapshot(1), path)
+    assert {entry.name for entry in path.parent.iterdir()} == {path.name, young.name, other.name}

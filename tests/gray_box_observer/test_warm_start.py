@@ -1,0 +1,114 @@
+"""Starting from a data sheet: values with the uncertainty they come with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes.belief import Prior
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.observer import Observer
+from gray_box_observer.white_box.flow import to_coordinates, to_parameters
+
+NAMES = ('inductance', 'resistance', 'hysteresis')
+TRUTH = np.array([0.5, 1.0, 10.0])
+
+
+def observer(values: Any, relative_std: Any, **given: Any) -> Observer:
+    told = {f'motor.initial.{name}': float(value) for name, value in zip(NAMES, values, strict=True)}
+    told |= {f'motor.initial_relative_std.{name}': float(s) for name, s in zip(NAMES, relative_std, strict=True)}
+    return Observer(Configuration.from_flat({'predictor': False, **told, **given}))
+
+
+def feed(one: Observer, recording: Recording, start: int = 0, end: int | None = None) -> Observer:
+    for k in range(start, recording.stamp_ns.size if end is None else end):
+        stamp_ns = int(recording.stamp_ns[k])
+        one.voltage('motor', stamp_ns, float(recording.voltage_v[0, k]))
+        one.torque('motor', stamp_ns, float(recording.torque_nm[0, k]))
+    return one
+
+
+def test_the_prior_of_coordinates_is_that_of_independent_parameters() -> None:
+    random, std = np.random.default_rng(3), np.array([0.1, 0.3, 0.02])
+    prior = Prior.of_parameters(to_coordinates(TRUTH[None]), std[None])
+    theta = TRUTH * np.exp(std * random.standard_normal((200_000, 3)))
+    drawn = np.cov(np.log(to_coordinates(theta)).T)
+    np.testing.assert_allclose(prior.covariance[0], drawn, atol=0.01 * std.max() ** 2)
+    np.testing.assert_allclose(to_parameters(prior.p)[0], TRUTH)
+
+
+def test_before_any_sample_what_is_known_is_what_was_told() -> None:
+    one = observer([0.002, 2.0, 0.3], [0.1, 0.05, 0.0])
+    estimate, identified = one.known('motor')
+    np.testing.assert_allclose(estimate.value[0], [0.002, 2.0, 0.3])
+    np.testing.assert_allclose(estimate.std[0], [0.0002, 0.1, 0.6])
+    assert estimate.verdicts[0] == (Verdict.CONVERGING, Verdict.CONVERGING, Verdict.UNEXCITED)
+    assert not identified
+    np.testing.assert_allclose(estimate.covariance[0], np.diag(estimate.std[0] ** 2), atol=1e-15)
+    certain, identified = observer([0.002, 2.0, 0.3], [0.01, 0.01, 0.01]).known('motor')
+    assert identified, 'a std below 2 % of the value: use it'
+    assert certain.identified(0)
+
+
+def test_told_nothing_it_starts_as_vaguely_as_ever(record: Callable[..., Recording]) -> None:
+    recording = record('R[5,15]D[0.1,1]', 5.0, torque_noise_relative=0.01)
+    told = feed(observer([1.5, 3.0, 1.0], [0.0, 0.0, 0.0]), recording)
+    plain = feed(Observer(Configuration.from_flat({'predictor': False})), recording)
+    assert told.estimates()['motor'].value.tobytes() == plain.estimates()['motor'].value.tobytes()
+
+
+def test_what_is_well_known_stays_until_the_data_speak_of_it(record: Callable[..., Recording]) -> None:
+    settled = record('C[10]', 40.0, torque_noise_relative=0.01)  # tells one combination of R and K_HS, nothing of L
+    std = np.array([0.01, 0.01, 0.01])
+    one = feed(observer(TRUTH * [1.01, 0.99, 1.0], std), settled, 3000, 4000)
+    estimate = one.estimates()['motor']
+    assert estimate.value[0, 0] == pytest.approx(0.505, rel=0.002)
+    assert estimate.std[0, 0] == pytest.approx(0.00505, rel=0.05)
+    assert np.all(np.abs(estimate.value[0] / TRUTH - 1.0) < 0.02)
+    assert np.all(np.abs(estimate.value[0] - TRUTH) < 3.0 * estimate.std[0])
+
+
+@pytest.mark.parametrize('wrong', [[1.4, 0.7, 1.3], [0.5, 2.0, 0.6], [3.0, 0.4, 0.4]])
+def test_a_wrong_data_sheet_with_honest_std_is_corrected(record: Callable[..., Recording], wrong: list[float]) -> None:
+    recording = record('R[5,15]D[0.1,1]', 10.0, torque_noise_relative=0.01)
+    honest = np.abs(np.log(wrong))
+    estimate = feed(observer(TRUTH * wrong, honest), recording).estimates()['motor']
+    assert np.all(np.abs(estimate.value[0] - TRUTH) < 4.0 * estimate.std[0])
+    assert np.all(np.abs(estimate.value[0] / TRUTH - 1.0) < 0.01)
+    assert estimate.identified(0)
+
+
+def test_a_data_sheet_that_is_too_sure_of_itself_yields_to_plain_data(record: Callable[..., Recording]) -> None:
+    recording = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01)
+    estimate = feed(observer(TRUTH * [1.0, 1.5, 1.0], [0.01, 0.01, 0.01]), recording).estimates()['motor']
+    assert np.all(np.abs(estimate.value[0] / TRUTH - 1.0) < 0.03)
+
+
+def test_with_little_data_the_error_is_what_the_covariance_says(record: Callable[..., Recording]) -> None:
+    """Data sheets drawn from their own uncertainty: normalised square errors have the number of unknowns for a mean."""
+    std, squares = np.array([0.05, 0.1, 0.2]), []
+    random = np.random.default_rng(11)
+    for seed in range(20):
+        recording = record('R[1,2]D[3,3]', 4.0, seed=seed, torque_noise_relative=0.05)
+        told = TRUTH * np.exp(std * random.standard_normal(3))
+        estimate = feed(observer(told, std), recording).estimates()['motor']
+        error = np.log(estimate.value[0] / TRUTH)
+        relative = estimate.covariance[0] / np.outer(estimate.value[0], estimate.value[0])
+        squares.append(error @ np.linalg.solve(relative, error))
+    assert 1.5 < np.mean(squares) < 5.0
+
+
+def test_the_gradient_rule_is_told_nothing_it_could_not_use() -> None:
+    with pytest.raises(ConfigurationError, match='motor motor: initial_relative_std needs context_update recursive'):
+        observer(TRUTH, [0.1, 0.0, 0.0], context_update='gradient')
+
+
+def test_what_is_certain_is_no_context_node() -> None:
+    with pytest.raises(ConfigurationError, match=r'initial_relative_std\.resistance must be 0 or at least 1e-06'):
+        observer(TRUTH, [0.1, 1e-9, 0.0])
