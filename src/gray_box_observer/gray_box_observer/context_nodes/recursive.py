@@ -125,11 +125,14 @@ class RecursiveUpdate:
         self._frozen = frozen
         self._resumes = None if frozen else np.ones_like(self._nobody)
 
-    def estimate(self) -> Estimate:
-        """Return the present values with covariance and verdicts."""
-        theta, p = self.theta, self._learnt.belief.p
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
+        belief = self._learnt.belief
+        p = belief.p[which]
+        theta = np.clip(to_parameters(p), self._lower, self._upper)
         by_relative = parameter_jacobian(p) * p[:, None, :]
-        covariance = by_relative @ self._learnt.belief.posterior @ np.swapaxes(by_relative, 1, 2)
+        posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
+        covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)

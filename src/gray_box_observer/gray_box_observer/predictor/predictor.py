@@ -17,7 +17,7 @@ from gray_box_observer.predictor.forecaster import Forecaster, Question
 from gray_box_observer.predictor.inputs import InputLayout, Variant
 from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.relaxation import Course, course, flow
+from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
 from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.rules import TrainingRules
@@ -124,7 +124,10 @@ class Predictor:
         axis, ops = self._axis, self._axis.ops
         start = ops.where(question.usable, self._white_box.state(axis.take(self._rollout_nm)), 0.0)
         length_s = ops.where(question.usable, axis.take(interval_s), 0.0)
-        end = flow(ops, self._white_box, question.way, start, length_s)
+        if axis.single:
+            end = flow(ops, self._white_box, question.way, start, length_s)
+        else:
+            end = flow_each(self._white_box, question.way, start, length_s)
         rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
         torque_nm, memory = self._forecaster.forecast(question)
         correction_nm, learnt = self.residual.correct(question, torque_nm)
@@ -175,12 +178,13 @@ class Predictor:
         }
         self.scores.add(sample.torque_nm, rivals)
         physics_nm = _physics_of(prediction)
-        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
+        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
         self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
-        self._rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
-        self._previous_torque = sample.torque_nm
+        self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
+        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
         if self._frozen:
@@ -360,6 +364,11 @@ class Predictor:
             self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
+
+
+def _of_present(sample: Sample, now: Array, before: Array) -> Array:
+    """What is now of the motors that were sampled, what was before of the others."""
+    return now if sample.present is None else np.where(sample.present, now, before)
 
 
 def _physics_of(prediction: Prediction) -> Array:
