@@ -41,6 +41,8 @@ SETTLE_S = 0.25
 MIRROR_PERIOD_S = 1.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 WARNING_INTERVAL_S = 5.0
+MOST_NAMED = 10
+"""Motors that get a line of the log at the start."""
 
 
 class MotorSim(Node):
@@ -115,10 +117,12 @@ class MotorSim(Node):
         return self.create_publisher(topic.type, topic.name, topic.qos)
 
     def _log_start(self, settings: parameters.Settings) -> None:
-        for motor, excitation in settings.excitation.items():
+        for motor, excitation in list(settings.excitation.items())[:MOST_NAMED]:
             self.get_logger().info(
                 f'{motor}: {excitation} at {self._options.sample_rate_hz:g} Hz, {settings.motors[motor]}'
             )
+        if len(settings.motors) > MOST_NAMED:
+            self.get_logger().info(f'and {len(settings.motors) - MOST_NAMED} motors more')
         if self._options.wait_for_subscribers:
             self.get_logger().info(
                 f'waiting for {self._options.wait_for_subscribers} subscriber(s) of {topics.TORQUE.name}'

@@ -53,9 +53,6 @@ class RecursiveUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known, relative to them; 0: as
             vaguely as the rules say. None: all of them.
-
-    Attributes:
-        changed: shape (motor,): whose estimate the last sample has changed.
     """
 
     def __init__(
@@ -84,7 +81,7 @@ class RecursiveUpdate:
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._learner = Learner(white_box, self._rules, self.replay)
         self._nobody = np.zeros(motors, dtype=bool)
-        self.changed: NDArray[np.bool_] = self._nobody
+        self._changed = self._nobody
         self._due, self._fits = np.zeros(motors, dtype=int), self._nobody.copy()
         self._reckon(slice(None))
         self._wake = 0
@@ -97,6 +94,11 @@ class RecursiveUpdate:
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
         return np.clip(to_parameters(self._learnt.belief.p), self._lower, self._upper)
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimate the last sample has changed, shape (motor,)."""
+        return self._changed
 
     @property
     def noise_std_nm(self) -> Array:
@@ -145,7 +147,7 @@ class RecursiveUpdate:
             told = told if sample.present is None else told & sample.present
             self._speed = np.where(told, sample.speed_rad_s, self._speed)
         self._stamp_ns = sample.stamp_ns
-        self.changed = self._nobody
+        self._changed = self._nobody
         if self._frozen:
             return False
         if self._resumes is not None:
@@ -165,13 +167,13 @@ class RecursiveUpdate:
     def _serve(self) -> bool:
         """Do what is due, as much of it as one sample's turn allows."""
         received = self.replay.received
-        self.changed = self._nobody.copy()
+        self._changed = self._nobody.copy()
         self._update(received)
         while self._heavy(received) > self.replay.capacity // 4:  # what is to be read must still be remembered
             pass
         missing = self._due - received
         self._wake = self.replay.total + max(1, int(missing.min()))
-        return bool(self.changed.any())
+        return bool(self._changed.any())
 
     def _update(self, received: NDArray[np.int_]) -> None:
         """Learn the blocks of motors that are due, of those first that have waited longest."""
@@ -217,7 +219,7 @@ class RecursiveUpdate:
                 group = self._learner.part_of(self._white_box, self._learnt, alike)
                 work(group, count)
                 put(self._learnt, group.which, group.learnt)
-        self.changed[motors] = True
+        self._changed[motors] = True
         self._reckon(motors)
 
     def _reckon(self, which: Any) -> None:

@@ -151,16 +151,20 @@ class ResidualAlarm:
         self._threshold = np.where(self.armed, thresholds_for(samples), np.inf)
         self._sums = np.where(identified | self.raised, self._sums, 0.0)
 
-    def state(self) -> dict[str, Array]:
-        """Everything learnt, for a checkpoint."""
-        arrays = {name: getattr(self, f'_{name}').copy() for name in _ARRAYS}
-        return arrays | {'raised': self.raised.copy(), 'count': self.count.copy(), 'taken': np.array(self._taken)}
+    def state(self, motor: int = 0) -> dict[str, Array]:
+        """Everything learnt of one motor, for a checkpoint."""
+        which = slice(motor, motor + 1)
+        arrays = {name: getattr(self, f'_{name}')[..., which].copy() for name in _ARRAYS}
+        counts = {'raised': self.raised[which].copy(), 'count': self.count[which].copy()}
+        return arrays | counts | {'taken': np.array(self._taken)}
 
-    def restore(self, arrays: dict[str, Any]) -> None:
-        """Take back what :meth:`state` gave."""
+    def restore(self, arrays: dict[str, Any], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor."""
+        which = slice(motor, motor + 1)
         for name in _ARRAYS:
-            setattr(self, f'_{name}', arrays[name].copy())
-        self.raised, self.count = arrays['raised'].copy(), arrays['count'].copy()
+            getattr(self, f'_{name}')[..., which] = arrays[name]
+        self.raised, self.count = self.raised.copy(), self.count.copy()
+        self.raised[which], self.count[which] = arrays['raised'], arrays['count']
         self._taken = int(arrays['taken'])
 
 

@@ -103,7 +103,8 @@ class Predictor:
         self._resumes = False
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
-        self._settled: tuple[Array, OperatingRange] | None = None
+        self._settled: dict[int, tuple[Array, OperatingRange]] = {}
+        self._turn = 0
         self._job: dict[str, Any] = {}
         self._learning: dict[str, Array] = {}
 
@@ -199,13 +200,13 @@ class Predictor:
         self._resumes = self._frozen and not frozen
         self._frozen = frozen
 
-    def state(self) -> dict[str, Array]:
-        """The network, where the motors have run and everything that training depends on, as arrays.
+    def state(self, motor: int = 0) -> dict[str, Array]:
+        """The network, where the motors have run and everything that training one motor depends on, as arrays.
 
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
         replay = {
-            'replay': self.replay.content(),
+            'replay': self.replay.content(slice(motor, motor + 1)),
             'total': np.array(self.replay.total),
             'asked': np.array(self._residual_asked),
             'residual_from': np.array(self._residual_from),
@@ -213,37 +214,42 @@ class Predictor:
             'residual_anew': np.array(self._residual_anew),
         }
         settled = {}
-        if self._settled is not None:
-            settled = {'settled_theta': self._settled[0], **_named('settled_seen', self._settled[1].to_dict())}
+        if motor in self._settled:
+            theta, seen = self._settled[motor]
+            settled = {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
+        common = {**self._forecaster.state(), **learnt, **_named('seen', self._seen.to_dict()), **replay, **settled}
+        if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
+            return common
         return {
-            **self._forecaster.state(),
-            **learnt,
-            **_named('seen', self._seen.to_dict()),
-            **replay,
-            **settled,
+            **common,
             **self._learning,
             **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
             **_named('job_seen', self._job.get('seen', {})),
         }
 
-    def restore(self, arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave; training goes on from there.
+    def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave of one motor; training goes on from there.
 
         Raises:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
+        if 'replay' in arrays:  # a network alone may be taken over too
+            self.replay.refill(arrays['replay'], slice(motor, motor + 1))
+        self._settled.pop(motor, None)
+        if 'settled_theta' in arrays:
+            self._settled[motor] = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+        if self._motors > 1:
+            self._seen = self._seen.joined(_range(arrays, 'seen'))
+            self._start_from = self._forecaster.start()
+            return
         self.residual.adopt(arrays)
         self._seen = _range(arrays, 'seen')
-        if 'replay' in arrays:  # a network alone may be taken over too
-            self.replay.refill(arrays['replay'])
+        if 'replay' in arrays:
             self.replay.total, self._residual_asked = int(arrays['total']), int(arrays['asked'])
             self._residual_from, self._residual_theta = int(arrays['residual_from']), arrays['residual_theta'].copy()
             self._residual_anew = bool(arrays['residual_anew'])
-        self._settled = None
-        if 'settled_theta' in arrays:
-            self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
         self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
         self._start_from = {
             **self._forecaster.start(),
@@ -301,25 +307,30 @@ class Predictor:
             self._adopt(result, theta)
         self._watch_parameters(theta)
         residual = self._residual_due()
-        idle = self._nothing_to_gain(theta) and not residual
-        if self._training.resting or idle or len(self.replay) < self._rules.length:
+        turn, which = self._turn, slice(self._turn, self._turn + 1)
+        self._turn = (self._turn + 1) % self._motors
+        idle = self._nothing_to_gain(turn, theta[which]) and not residual
+        remembered = int(self.replay.remembered(which)[0])
+        if self._training.resting or idle or remembered < self._rules.length:
             return
-        count = self._residual_samples if residual else self._rules.job_samples
+        count = min(remembered, self._residual_samples if residual else self._rules.job_samples)
         anew = residual and self._residual_anew
         if residual:
             self._residual_asked, self._residual_anew = self.replay.total, False
+        interval_s, voltage_v, torque_nm, speed_rad_s = self.replay.newest(count, which)
         self._submit(
             {
-                'voltage_v': self.replay.voltage_v(count).copy(),  # a saved job must not move on with the samples
-                'interval_s': self.replay.interval_s(count).copy(),
-                'torque_nm': self.replay.torque_nm(count).copy(),
-                'speed_rad_s': self.replay.speed_rad_s(count).copy(),
-                'theta': theta.copy(),
-                'covariance': covariance.copy(),
+                'voltage_v': voltage_v.copy(),  # a saved job must not move on with the samples
+                'interval_s': interval_s.copy(),
+                'torque_nm': torque_nm.copy(),
+                'speed_rad_s': speed_rad_s.copy(),
+                'theta': theta[which].copy(),
+                'covariance': covariance[which].copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
                 'number': self.replay.total,
+                'motor': turn,
             }
         )
 
@@ -330,7 +341,7 @@ class Predictor:
 
     def _residual_due(self) -> bool:
         """Whether there is so much more to learn a residual from that it is worth a round."""
-        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual:
+        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual or self._motors > 1:
             return False
         return self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, self._residual_samples // 3)
 
@@ -348,17 +359,19 @@ class Predictor:
         self._residual_from = self._residual_asked = self.replay.total
         self.residual.correction = None
 
-    def _nothing_to_gain(self, theta: Array) -> bool:
-        if self._settled is None:
+    def _nothing_to_gain(self, motor: int, theta: Array) -> bool:
+        if motor not in self._settled:
             return False
-        settled, seen = self._settled
+        settled, seen = self._settled[motor]
         return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
 
     def _adopt(self, result: dict[str, Any], theta: Array) -> None:
         self.jobs_done += 1
-        self._job = {}
+        motor, self._job = int(self._job.get('motor', 0)), {}
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
-        self._settled = (theta, self._seen) if result.get('settled') else None
+        self._settled.pop(motor, None)
+        if result.get('settled'):
+            self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
         self.loss = result.get('loss', self.loss)
         if not self._residual_anew:  # else it was learnt of parameters that are no more
             self.residual.adopt(result)

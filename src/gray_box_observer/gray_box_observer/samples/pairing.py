@@ -64,8 +64,8 @@ class PairingCounts:
 class Pairing:
     """Turns stamped voltages and torques into samples, counting what cannot be used.
 
-    Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``. Of a group
-    :meth:`of` tells what became of each motor's.
+    Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``. Of a
+    group :meth:`of` tells what became of each motor's.
 
     Args:
         rules: how patient it is.
