@@ -40,6 +40,8 @@ class Block:
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
         kicked: shape (motor,): whether the state was let go.
+        samples: shape (motor,): how many are valid.
+        used: shape (motor,): how many are kept.
         information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
         right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning and testing ask for.
     """
@@ -52,6 +54,8 @@ class Block:
     valid: NDArray[np.bool_]
     kept: NDArray[np.bool_]
     kicked: NDArray[np.bool_]
+    samples: NDArray[np.int_]
+    used: NDArray[np.int_]
     information: Array
     right: Array
 
@@ -85,8 +89,9 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
     residual, jacobian = residual[:, 1:], jacobian[:, 1:]
+    counts = valid.sum(axis=1), kept.sum(axis=1)
     normal = weighted(jacobian, kept.astype(float), residual)
-    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *normal)
+    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *counts, *normal)
 
 
 def _from(
@@ -180,5 +185,5 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
     squares = (np.sum(block.kept * block.residual**2, axis=1) - explained) / belief.noise**2
     told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
-    count = np.where(told, np.sum(block.kept, axis=1), 0)
+    count = np.where(told, block.used, 0)
     return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count

@@ -33,7 +33,7 @@ from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
-from gray_box_observer.white_box.base import WhiteBox
+from gray_box_observer.white_box.base import Array, WhiteBox
 
 WALK_AGAIN = -1
 """Asked of a motor that drifts: does it still, and how fast? What is above 0 asks to examine so many samples."""
@@ -98,7 +98,7 @@ class Learner:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
         known = group.learnt
         block = blocks.predict(group.white_box, known.belief, self._newest(group, samples + 1))
-        known.outliers = known.outliers + np.sum(block.valid & ~block.kept, axis=1)
+        known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
         calm = known.asked == 0
@@ -112,24 +112,32 @@ class Learner:
 
     def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
         """How many of the newest samples to examine where the motor seems to have changed; 0 elsewhere."""
-        belief, valid = known.belief, block.valid
+        belief = known.belief
         size = belief.current_a[:, None]
         reached = block.jacobian[:, -1, 1:] + block.path.by_start[:, -1:] * (belief.sensitivity * size)
         scores, alarm, memory = self._drift.take((known.score, known.information), *blocks.surprise(belief, block))
         known.score, known.information = scores
         known.belief = replace(belief, sensitivity=reached / size)
-        lost = np.mean(block.kept, axis=1) < 0.5 * np.mean(valid, axis=1)
-        known.suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
-        fresh = np.where(known.suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
-        known.since = np.where(lost, known.since + np.where(fresh > 0, fresh, valid.shape[1]), 0)
+        lost = block.used < 0.5 * block.samples
+        known.suspicion, known.since = self._suspicion(known, block, lost)
         sudden = known.suspicion >= SUSPICIOUS_BLOCKS
-        known.left_out = LEFT_OUT_MEMORY * known.left_out + np.mean(valid & ~block.kept, axis=1)
+        known.left_out = LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
         misfit = (known.left_out > LEFT_OUT) & ~lost
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
         asked: NDArray[np.int_] = np.where(alarm | sudden | misfit, np.where(sudden, known.since, samples), 0)
         return asked
+
+    @staticmethod
+    def _suspicion(known: Learnt, block: Block, lost: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
+        """Count blocks in a row of which most does not fit, and the samples since the first of them began not to."""
+        if not np.any(lost):
+            return 0.0 * known.suspicion, 0 * known.since
+        suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
+        unfit = block.valid & ~block.kept
+        fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
+        return suspicion, np.where(lost, known.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0)
 
     def _learn(self, group: Group, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
@@ -258,8 +266,8 @@ class Learner:
         count = block.residual.shape[1]
         known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
         seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
-        seen = seen / np.maximum(np.sum(block.kept, axis=1), 1)
-        share = np.where(np.any(block.kept, axis=1), count / known.noise_count, 0.0)
+        seen = seen / np.maximum(block.used, 1)
+        share = np.where(block.used > 0, count / known.noise_count, 0.0)
         before = known.belief.noise
         variance = before**2 + share * (seen - before**2)
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)

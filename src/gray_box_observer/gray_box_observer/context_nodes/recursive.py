@@ -219,8 +219,9 @@ class RecursiveUpdate:
                 group = self._learner.part_of(self._white_box, self._learnt, alike)
                 work(group, count)
                 put(self._learnt, group.which, group.learnt)
-        self._changed[motors] = True
-        self._reckon(motors)
+        which: Any = slice(None) if motors.size == self._due.size else motors
+        self._changed[which] = True
+        self._reckon(which)
 
     def _reckon(self, which: Any) -> None:
         """Reckon at which place in the stream of some motors the next piece of work is due, and whether it is a fit."""
