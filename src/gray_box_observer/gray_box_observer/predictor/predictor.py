@@ -94,7 +94,8 @@ class Predictor:
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        self.replay = ReplayBuffer(motors, rules.replay_capacity)
+        # of a group no residual is learnt, and a job carries its newest samples only
+        self.replay = ReplayBuffer(motors, rules.replay_capacity if motors == 1 else rules.job_samples)
         self.scores = Scores(motors)
         self.jobs_done = 0
         self.jobs_late = 0
