@@ -41,11 +41,13 @@ class Log:
         path: of the file.
         columns: how it is read, see :class:`CsvMapping`.
         rows: how many of its rows, from the first; None: all.
+        early: column that is logged before it acts, and by how many rows; it is moved there.
     """
 
     path: Path
     columns: tuple[str, ...]
     rows: int | None = None
+    early: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,16 @@ def _first_rows(log: Log) -> str:
     """The head of the file and as many rows of numbers as are wanted."""
     lines = log.path.read_text().splitlines(keepends=True)
     head = next((k for k, line in enumerate(lines) if line[:1] in '-.0123456789'), len(lines))
-    return ''.join(lines if log.rows is None else lines[: head + log.rows])
+    wanted = lines if log.rows is None else lines[: head + log.rows]
+    return ''.join(wanted if log.early is None else [*wanted[:head], *_moved(wanted, head, *log.early)])
+
+
+def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
+    """Rows of comma-separated numbers under a line of names, one column so many rows later; its first number holds."""
+    rows, at = [line.split(',') for line in lines[head:]], lines[head - 1].strip().split(',').index(column)
+    early = [row[at] for row in rows]
+    late = [early[0]] * by + early
+    return [','.join([*row[:at], value, *row[at + 1 :]]) for row, value in zip(rows, late, strict=False)]
 
 
 def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
@@ -200,6 +211,7 @@ def free_run(
     box = observer.motors['motor'].white_box
     made = Predictor(box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured)
     made.restore(network)
+    made.freeze(True)  # what was learnt is asked, nothing is learnt any more
     said = []
     for sample in test:
         prediction = made.predict(sample.interval_s, sample.voltage_v, theta)

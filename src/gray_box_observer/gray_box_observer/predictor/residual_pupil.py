@@ -23,6 +23,9 @@ WINDOWS = 8
 """Windows of a step."""
 
 LEARNING_RATE = 0.01
+ROBUST = 0.1
+"""Error, in units of the mean residual, above which it counts by its size, not its square: commutation has spikes."""
+
 DECAY = 1e-3
 """Pull of the weights towards zero: what data do not ask for is not said."""
 
@@ -84,7 +87,8 @@ class ResidualPupil:
             at, heard = (torch.as_tensor(array) for array in windows(random, anew))
             error = (torch.tanh(self._network(x[motor, at])) - y[motor, at]) / size
             weight = counts[at] * heard
-            loss = (torch.nn.functional.smooth_l1_loss(error, torch.zeros_like(error), reduction='none') * weight).sum()
+            zero = torch.zeros_like(error)
+            loss = (torch.nn.functional.smooth_l1_loss(error, zero, reduction='none', beta=ROBUST) * weight).sum()
             self._optimiser.zero_grad()
             (loss / weight.sum().clamp_min(1.0)).backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)
