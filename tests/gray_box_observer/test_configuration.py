@@ -272,3 +272,21 @@ def test_a_horizon_is_refused_where_the_network_goes_from_sample_to_sample_only(
     assert Configuration.from_flat({'horizon_s': 0.5})['horizon_s'] == 0.5
     with pytest.raises(ConfigurationError, match=r'horizon_s must be 0 with variant main, got 0\.5'):
         Configuration.from_flat({'horizon_s': 0.5, 'variant': 'main'})
+
+
+def test_a_thousand_motors_need_one_line_and_one_group() -> None:
+    given = {'motors': ['m[1..1000]', 'spare'], 'defaults.torque_constant': 0.02, 'm7.torque_constant': 0.03}
+    configuration = Configuration.from_flat(given)
+    assert list(configuration.motors)[:2] + list(configuration.motors)[-2:] == ['m1', 'm2', 'm1000', 'spare']
+    constants = {name: motor.values['torque_constant'] for name, motor in configuration.motors.items()}
+    assert (constants['m1'], constants['m7'], constants['spare']) == (0.02, 0.03, 0.02)
+    assert configuration.unknown == ()
+    first, second = (configuration.motors[name].values['context_nodes'] for name in ('m1', 'm2'))
+    assert first == second
+    assert first is not second
+
+
+@pytest.mark.parametrize('motors', [['m[1..3]', 'm2'], ['defaults'], ['m[3..1]'], ['m[1..2000000]'], ['m[a..b]']])
+def test_a_range_that_makes_no_names_is_refused(motors: list[str]) -> None:
+    with pytest.raises(ConfigurationError, match='motors'):
+        Configuration.from_flat({'motors': motors})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -13,13 +13,21 @@ import yaml
 
 from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.parameters import KNOWN_PARAMETERS, MOTOR_PARAMETERS, OBSERVER_PARAMETERS, SIGNALS, ParameterSpec
+from gray_box_observer.parameters import KNOWN_PARAMETERS, MOTOR_PARAMETERS, OBSERVER_PARAMETERS, SIGNALS
 from gray_box_observer.white_box import MotorWhiteBox
 
 NODE_NAME = 'gray_box_observer'
 
 NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 """What ROS allows between two slashes of a topic: a motor's name stands there."""
+
+RANGE = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
+"""Many motors with a number behind their name: ``m[1..1000]``."""
+
+MOST_MOTORS = 1_000_000
+
+DEFAULTS = 'defaults'
+"""Group of parameters for the motors that say nothing else in their own."""
 
 MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
 
@@ -91,14 +99,15 @@ class Configuration:
         """
         rest = {name: value for name, value in given.items() if not _is_foreign(name)}
         values = {spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS}
-        names = values['motors']
+        names = values['motors'] = expanded(values['motors'])
         if (
             not names
             or len(set(names)) != len(names)
-            or not all(isinstance(n, str) and NAME.fullmatch(n) for n in names)
+            or not all(isinstance(n, str) and NAME.fullmatch(n) and n != DEFAULTS for n in names)
         ):
             raise ConfigurationError(
-                f'motors must be distinct names that can stand in a topic (letters, digits, _), got {names!r}'
+                f'motors must be distinct names that can stand in a topic (letters, digits, _; not {DEFAULTS}), got '
+                f'{names!r}'
             )
         if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
             raise ConfigurationError(
@@ -117,7 +126,8 @@ class Configuration:
             )
         for name in SIGNALS:
             _check_signal(name, values)
-        motors = {name: _motor(name, rest) for name in names}
+        common = {spec.name: rest.pop(f'{DEFAULTS}.{spec.name}', spec.default) for spec in MOTOR_PARAMETERS}
+        motors = {name: _motor(name, rest, common) for name in names}
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(rest)))
 
@@ -226,10 +236,25 @@ def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
         )
 
 
-def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
-    """Take one motor's group out of the values that are left."""
+def expanded(names: Any) -> Any:
+    """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3; what is no list of names stays as it is."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return names
+    written: list[str] = []
+    for name in names:
+        found = RANGE.fullmatch(name)
+        numbers = range(int(found[2]), int(found[3]) + 1) if found else range(0)
+        if len(numbers) > MOST_MOTORS:
+            raise ConfigurationError(f'motors: {name} stands for {len(numbers)} motors, expected {MOST_MOTORS} at most')
+        written += [f'{found[1]}{number}' for number in numbers] if found and numbers else [name]
+    return written
+
+
+def _motor(name: str, rest: dict[str, Any], common: Mapping[str, Any]) -> MotorConfiguration:
+    """Take one motor's group out of the values that are left; what is not in it is that of all motors."""
     values = {
-        spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _default(spec)), f'{name}.') for spec in MOTOR_PARAMETERS
+        spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.')
+        for spec in MOTOR_PARAMETERS
     }
     motor = MotorConfiguration(name, values)
     for node in values['context_nodes']:
@@ -253,7 +278,6 @@ def _motor(name: str, rest: dict[str, Any]) -> MotorConfiguration:
     return motor
 
 
-def _default(spec: ParameterSpec) -> Any:
-    return (
-        list(spec.default) if isinstance(spec.default, Sequence) and not isinstance(spec.default, str) else spec.default
-    )
+def _own(value: Any) -> Any:
+    """A list of one's own: what is common to all must not be changed by one."""
+    return list(value) if isinstance(value, (list, tuple)) else value

@@ -5,23 +5,39 @@ Messages are taken by the names of their fields, so those of rclpy and those dec
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.observer import GroupResult, Observer, Result
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
+from gray_box_observer.white_box.base import Array
 
 MOST_STRANGERS = 100
-"""Names that are not ours, as many as are remembered."""
+"""Names that no configured motor has, of which it is counted how often they came."""
 
 LONGEST_NAME = 64
-"""Of them, as much as is remembered: a message may hold anything."""
+"""Of such a name, as much as is remembered: a message may hold anything."""
+
+MOST_LISTS = 64
+"""Lists of names of which it is remembered who is in them."""
+
+LONGEST_LIST = 100_000
+"""Names in such a list."""
+
+
+class _Census(NamedTuple):
+    """Who is in a list of names: whether a motor of ours, which of ours twice, and some that are not ours."""
+
+    known: bool
+    twice: str | None
+    strangers: tuple[str, ...]
 
 
 class Signal:
@@ -40,12 +56,13 @@ class Signal:
         self.type_name: str = configuration[f'{name}.type']
         self._path = FieldPath(configuration[f'{name}.field'])
         self.scale: float = configuration[f'{name}.scale']
-        self._motors = tuple(configuration.motors)
+        self._motors = dict.fromkeys(configuration.motors)
+        self._lists: dict[tuple[str, ...], _Census] = {}
         self.unknown: Counter[str] = Counter()
         self._readable = False
 
-    def read(self, message: Any) -> list[tuple[str, float]]:
-        """Return motor and value in SI units for every configured motor in the message.
+    def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array]:
+        """Return the names of motors in the message and a value in SI units for each, whether configured or not.
 
         Raises:
             SampleError: names and values differ in number, or a motor is named twice.
@@ -60,40 +77,56 @@ class Signal:
         self._readable = True
         names = names_of(message)
         if isinstance(value, (int, float)):
-            return [(self._only_motor(), self.scale * value)]
+            return self._only_motor(), (self.scale * value,)
         if names is None:
             if len(value) == 1:
-                return [(self._only_motor(), self.scale * float(value[0]))]
+                return self._only_motor(), (self.scale * float(value[0]),)
             raise ConfigurationError(
                 f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
         if len(names) != len(value):
             raise SampleError(f'{len(names)} names but {len(value)} values of {self._path.text}')
-        wanted = self._motors
-        if len(names) == 1 and names[0] in wanted:  # the usual case, without building a list twice
-            return [(names[0], self.scale * float(value[0]))]
-        found: dict[str, float] = {}
-        for motor, number in zip(names, value, strict=True):
-            if motor not in wanted:
-                self._note(motor)
-            elif motor in found:
-                raise SampleError(f'{motor} is named twice')
-            else:
-                found[motor] = self.scale * float(number)
-        return list(found.items())
+        told = tuple(names)
+        if len(told) == 1:  # the usual case, in plain floats
+            values: Sequence[float] | Array = (self.scale * float(value[0]),)
+        else:
+            values = self.scale * np.asarray(value, dtype=float)
+        self._count_names(told)
+        return told, values
 
-    def _note(self, stranger: str) -> None:
-        """Remember some of the names that are not ours, so that diagnostics can tell them."""
-        if stranger in self.unknown or len(self.unknown) < MOST_STRANGERS:
-            self.unknown[stranger[:LONGEST_NAME]] += 1
+    def speaks_of_any(self, names: tuple[str, ...]) -> bool:
+        """Whether a configured motor is among the names."""
+        return self._census(names).known
 
-    def _only_motor(self) -> str:
+    def _count_names(self, names: tuple[str, ...]) -> None:
+        """Refuse a motor that is named twice, and remember some of the names that are not ours, for diagnostics."""
+        census = self._census(names)
+        if census.twice is not None:
+            raise SampleError(f'{census.twice} is named twice')
+        for name in census.strangers:
+            if len(self.unknown) < MOST_STRANGERS or name in self.unknown:
+                self.unknown[name] += 1
+
+    def _census(self, names: tuple[str, ...]) -> _Census:
+        found = self._lists.get(names)
+        if found is None:
+            ours = Counter(name for name in names if name in self._motors)
+            strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
+            twice = next((name for name, count in ours.items() if count > 1), None)
+            found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
+            if len(self._lists) >= MOST_LISTS:
+                self._lists.clear()
+            if len(names) <= LONGEST_LIST:
+                self._lists[names] = found
+        return found
+
+    def _only_motor(self) -> tuple[str, ...]:
         if len(self._motors) != 1:
             raise ConfigurationError(
                 f'{self.name}.field {self._path.text} is one number, but there are {len(self._motors)} motors: '
                 'use a message with names, or one observer a motor'
             )
-        return self._motors[0]
+        return tuple(self._motors)
 
 
 def stamp_of(message: Any, arrival_ns: int = 0) -> int:
@@ -118,13 +151,18 @@ class Taken(NamedTuple):
 
     Attributes:
         stamp_ns: its stamp.
-        values: motor and value in SI units for every configured motor it speaks of; none where it cannot be read.
-        results: of the samples that it completed.
+        names: motors it speaks of, configured or not; none where it cannot be read.
+        groups: of the samples that it completed, group by group.
     """
 
     stamp_ns: int
-    values: Sequence[tuple[str, float]]
-    results: list[Result]
+    names: tuple[str, ...]
+    groups: list[GroupResult]
+
+    @property
+    def results(self) -> list[Result]:
+        """Of the samples that it completed, motor by motor."""
+        return [result for group in self.groups for result in group]
 
 
 class Intake:
@@ -158,34 +196,26 @@ class Intake:
         self.received[name] += 1
         stamp_ns = stamp_of(message, arrival_ns)
         try:
-            values = self.signals[name].read(message)
+            names, values = self.signals[name].read(message)
         except (SampleError, TypeError, ValueError):
             self.malformed(name)
             return Taken(stamp_ns, (), [])
-        if not values:
+        if not self.signals[name].speaks_of_any(names):
             self.others[name] += 1
-        results: list[Result] = []
-        speeds = self._speeds(message) if name == 'torque' else {}
-        for motor, value in values:
-            if name == 'voltage':
-                results += self._observer.voltage(motor, stamp_ns, value)
-            elif name == 'speed':
-                results += self._observer.speed(motor, stamp_ns, value)
-            else:
-                results += self._observer.torque(motor, stamp_ns, value, speeds.get(motor, math.nan))
-        return Taken(stamp_ns, values, results)
+        speeds = self._speeds(message) if name == 'torque' else None
+        return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
 
     def malformed(self, name: str) -> None:
         """Count a message that could not be read; it leads to nothing."""
         self.rejected[name][Rejection.MALFORMED] += 1
 
-    def _speeds(self, message: Any) -> dict[str, float]:
-        """Speed by motor from the torque message's velocity; none where speed has a topic of its own."""
+    def _speeds(self, message: Any) -> Sequence[float] | Array | None:
+        """Speeds from the torque message's velocity; None where it has none or speed has a topic of its own."""
         if self._own_speed_topic:
-            return {}
+            return None
         velocity = getattr(message, 'velocity', None)
         names = names_of(message)
         if velocity is None or names is None or len(velocity) != len(names):
-            return {}
+            return None
         scale = self.signals['speed'].scale
-        return {motor: scale * float(v) for motor, v in zip(names, velocity, strict=True)}
+        return (scale * float(velocity[0]),) if len(names) == 1 else scale * np.asarray(velocity, dtype=float)

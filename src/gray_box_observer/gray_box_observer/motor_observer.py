@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
-from gray_box_observer.delay import DelayWatch
+from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -23,6 +25,10 @@ class MotorObserver:
         predictor: forecasts torque; None where there is none.
         delay: asks whether voltage and torque are shifted against each other.
         alarm: watches the prediction's residual; None where no prediction is good enough to judge by.
+
+    Attributes:
+        motors: how many they are.
+        changed: whose estimates the last sample has changed, by their places on the motor axis.
     """
 
     def __init__(
@@ -30,7 +36,7 @@ class MotorObserver:
         white_box: MotorWhiteBox,
         context_nodes: ContextUpdate,
         predictor: Predictor | None,
-        delay: DelayWatch,
+        delay: DelayWatch | DelayRound,
         alarm: ResidualAlarm | None = None,
     ) -> None:
         self.white_box = white_box
@@ -40,8 +46,10 @@ class MotorObserver:
         self.alarm = alarm
         self._frozen = False
         self._foreseen: tuple[bytes, Prediction] | None = None
-        self._identified = np.zeros(context_nodes.theta.shape[0], dtype=bool)
-        self._covariance = self._known(context_nodes.estimate())
+        self.motors = context_nodes.theta.shape[0]
+        self._identified = np.zeros(self.motors, dtype=bool)
+        self.changed: NDArray[np.intp] = np.arange(0)
+        self._know(context_nodes.estimate(), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -53,7 +61,7 @@ class MotorObserver:
             self._foreseen = question, prediction
         return self._foreseen[1]
 
-    def forecast_held(self, ahead: tuple[float, float] | None, horizon_s: float, voltage_v: float) -> Array | None:
+    def forecast_held(self, ahead: tuple[Any, Any] | None, horizon_s: float, voltage_v: Any) -> Array | None:
         """Forecast the torque after a voltage has been held for a while; changes nothing.
 
         Args:
@@ -78,20 +86,26 @@ class MotorObserver:
         return prediction, self.repeat(sample)
 
     def repeat(self, sample: Sample) -> Estimate | None:
-        """Learn a sample, which has been predicted and scored; return the estimate where it has changed."""
+        """Learn a sample, which has been predicted and scored; return the estimates that have changed."""
         changed = self.context_nodes.learn(sample)
         self._foreseen = None
         if not changed:
+            self.changed = _NOBODY
             return None
-        estimate = self.context_nodes.estimate()
-        self._covariance = self._known(estimate)
+        self.changed = _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
+        which: Any = slice(None) if self.changed.size == self.motors else self.changed
+        estimate = self.context_nodes.estimate(which)
+        self._know(estimate, which)
         return estimate
 
-    def _known(self, estimate: Estimate) -> Array:
-        """Keep whether all is identified, which freezing does not undo; return the covariance."""
+    def _know(self, estimate: Estimate, which: Any) -> None:
+        """Keep the covariance of some motors, and whether all is identified, which freezing does not undo."""
         if not self._frozen:
-            self._identified = np.array([estimate.identified(motor) for motor in range(estimate.value.shape[0])])
-        return estimate.covariance
+            self._identified[which] = [estimate.identified(motor) for motor in range(estimate.value.shape[0])]
+        if estimate.value.shape[0] == self.motors:
+            self._covariance = estimate.covariance
+        else:
+            self._covariance[which] = estimate.covariance
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning, of the context nodes and of the predictor; predictions and the alarm go on."""
@@ -105,19 +119,27 @@ class MotorObserver:
         """Whether every parameter was identified when learning went on last: freezing does not make it unknown."""
         return bool(self._identified.all())
 
+    def identified_of(self, motor: int) -> bool:
+        """The same of one motor."""
+        return bool(self._identified[motor])
+
+    def delay_of(self, motor: int) -> DelayEstimate:
+        """What is known of the delay of one motor."""
+        return self.delay.estimate if isinstance(self.delay, DelayWatch) else self.delay.estimate_of(motor)
+
     def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
         self.context_nodes.verdict_rules = verdicts
-        self._covariance = self._known(self.context_nodes.estimate())
+        self._know(self.context_nodes.estimate(), slice(None))
         if self.alarm is not None:
             self.alarm.rules = alarm
         if self.predictor is not None:
             self.predictor.share(core_share)
 
     @property
-    def alarmed(self) -> bool:
-        """Whether the alarm stands for any of these motors."""
-        return self.alarm is not None and bool(self.alarm.raised.any())
+    def alarmed(self) -> NDArray[np.bool_]:
+        """For which of these motors the alarm stands, shape (motor,)."""
+        return np.zeros(self.motors, dtype=bool) if self.alarm is None else self.alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
@@ -136,15 +158,24 @@ class MotorObserver:
             self.predictor.refill(content)
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
-        self._covariance = self._known(context_nodes.estimate())
+        self._know(context_nodes.estimate(), slice(None))
         self._foreseen = None
 
-    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays, for a checkpoint."""
-        plain, arrays = self.context_nodes.state()
-        network = {} if self.predictor is None else self.predictor.state()
-        content = {'white_box': self.white_box.to_dict(), 'context_nodes': plain, 'delay': self.delay.state()}
-        alarm = {} if self.alarm is None else {**self.alarm.state(), 'identified': self._identified}
+    def white_box_of(self, motor: int) -> MotorWhiteBox:
+        """Return the physics of one motor, its constants plain numbers."""
+        if self.motors == 1:
+            return self.white_box
+        known = {name: float(value[motor]) for name, value in self.white_box.known.items()}
+        return replace(self.white_box, torque_constant=float(self.white_box.torque_constant[motor]), known=known)
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
+        plain, arrays = self.context_nodes.state(motor)
+        network = {} if self.predictor is None else self.predictor.state(motor)
+        delay = self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
+        content = {'white_box': self.white_box_of(motor).to_dict(), 'context_nodes': plain, 'delay': delay}
+        identified = self._identified[motor : motor + 1].copy()
+        alarm = {} if self.alarm is None else {**self.alarm.state(motor), 'identified': identified}
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
         return content, {f'{group}/{name}': array for group, part in groups.items() for name, array in part.items()}
 
@@ -153,18 +184,26 @@ class MotorObserver:
         if self.predictor is not None:
             self.predictor.close()
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave."""
-        self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'))
-        self._covariance = self._known(self.context_nodes.estimate())
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor."""
+        which = slice(motor, motor + 1)
+        self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'), motor)
+        self._know(self.context_nodes.estimate(which), which)
         if self.predictor is not None:
-            self.predictor.restore(_group(arrays, 'network'))
+            self.predictor.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
-            self._identified = alarm.pop('identified').copy()
-            self.alarm.restore(alarm)
+            self._identified[which] = alarm.pop('identified')
+            self.alarm.restore(alarm, motor)
         if 'delay' in plain:
-            self.delay.restore(plain['delay'])
+            if isinstance(self.delay, DelayWatch):
+                self.delay.restore(plain['delay'])
+            else:
+                self.delay.restore(plain['delay'], motor)
+
+
+_NOBODY = np.arange(0)
+_FIRST = np.arange(1)
 
 
 def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:

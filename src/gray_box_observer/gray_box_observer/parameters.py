@@ -96,7 +96,19 @@ def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool,
 
 
 OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
-    ParameterSpec('motors', ['motor'], 'Names of the motors, as in JointState.name.'),
+    ParameterSpec('motors', ['motor'], 'Names of the motors, as in JointState.name; m[1..9] stands for m1 to m9.'),
+    ParameterSpec(
+        'group_from',
+        8,
+        'From so many motors in the same messages on they are computed together: they share one network, and no '
+        'residual is learnt.',
+        2,
+        1_000_000,
+    ),
+    ParameterSpec(
+        'motor_topics', True, 'Publish topics of every motor; false: ~/estimates and ~/predicted_torque only.'
+    ),
+    ParameterSpec('estimates_period_s', 1.0, 'Time between two messages on ~/estimates, in s; 0: none.', 0.0, 1e6),
     ParameterSpec('autostart', True, 'Configure and activate the node by itself when it starts.'),
     ParameterSpec(
         'context_update',

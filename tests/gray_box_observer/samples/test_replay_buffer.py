@@ -86,3 +86,28 @@ def test_content_is_a_copy() -> None:
 def test_a_buffer_of_nothing_is_refused(motors: int, capacity: int) -> None:
     with pytest.raises(ConfigurationError, match='capacity'):
         ReplayBuffer(motors, capacity)
+
+
+@pytest.mark.parametrize('capacity', [5, 40])
+def test_every_motor_has_a_stream_of_its_own(capacity: int) -> None:
+    random, motors = np.random.default_rng(5), 3
+    buffer = ReplayBuffer(motors, capacity)
+    streams: list[list[float]] = [[] for _ in range(motors)]
+    for step in range(7 * capacity):
+        new = sample(random, motors)
+        present = random.uniform(size=motors) < [1.0, 0.9, 0.3]
+        buffer.append(Sample(0, new.interval_s, new.voltage_v, new.torque_nm, new.speed_rad_s, present))
+        for motor in np.flatnonzero(present):
+            streams[motor].append(new.torque_nm[motor])
+        if step == 3 * capacity:
+            buffer.forget(2, [1])
+            streams[1] = [0.0] * (len(streams[1]) - 2) + streams[1][-2:]
+    np.testing.assert_array_equal(buffer.received, [len(stream) for stream in streams])
+    for motor, stream in enumerate(streams):
+        one = slice(motor, motor + 1)
+        kept = int(buffer.remembered(one)[0])
+        assert kept == min(capacity, len(stream) - stream.count(0.0))
+        np.testing.assert_array_equal(buffer.newest(kept, one)[2, 0], stream[-kept:])
+    place = buffer.received - [3, 1, 2]  # some have not come to the newest yet
+    ends = [stream[: int(end)][-2:] for stream, end in zip(streams, place, strict=True)]
+    np.testing.assert_array_equal(buffer.newest(2, np.arange(motors), place)[2], ends)

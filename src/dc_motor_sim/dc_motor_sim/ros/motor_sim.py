@@ -46,6 +46,8 @@ SETTLE_S = 0.25
 MIRROR_PERIOD_S = 1.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 WARNING_INTERVAL_S = 5.0
+MOST_NAMED = 10
+"""Motors that get a line of the log at the start."""
 OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
 """What `qos_overrides.<topic>.publisher.<policy>` may change of what is published."""
 
@@ -129,10 +131,12 @@ class MotorSim(Node):
             ) from error
 
     def _log_start(self, settings: parameters.Settings) -> None:
-        for motor, excitation in settings.excitation.items():
+        for motor, excitation in list(settings.excitation.items())[:MOST_NAMED]:
             self.get_logger().info(
                 f'{motor}: {excitation} at {self._options.sample_rate_hz:g} Hz, {settings.motors[motor]}'
             )
+        if len(settings.motors) > MOST_NAMED:
+            self.get_logger().info(f'and {len(settings.motors) - MOST_NAMED} motors more')
         if self._options.wait_for_subscribers:
             self.get_logger().info(
                 f'waiting for {self._options.wait_for_subscribers} subscriber(s) of {topics.TORQUE.name}'

@@ -98,6 +98,7 @@ class NodeParameters:
 
     def __post_init__(self) -> None:
         check_fields(self, ConfigurationError)
+        object.__setattr__(self, 'motors', _expanded(self.motors))
         _check_names(self.motors)
         if self.clock_speed_up != 1.0 and not self.publish_clock:
             raise ConfigurationError(f'clock_speed_up is {self.clock_speed_up:g}, which needs publish_clock: true')
@@ -231,6 +232,15 @@ def _descriptor(quantity: Quantity, *, live: bool, of: Field[Any] | None = None)
     elif isinstance(default, int) and not isinstance(default, bool):
         descriptor.integer_range = [IntegerRange(from_value=int(quantity.low), to_value=int(quantity.high), step=1)]
     return descriptor
+
+
+def _expanded(motors: tuple[str, ...]) -> tuple[str, ...]:
+    """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3."""
+    names: list[str] = []
+    for text in motors:
+        found = re.fullmatch(r'([A-Za-z][A-Za-z0-9_]*)\[(\d{1,6})\.\.(\d{1,6})\]', text)
+        names += [f'{found[1]}{k}' for k in range(int(found[2]), int(found[3]) + 1)] if found else [text]
+    return tuple(names)
 
 
 def _check_names(motors: tuple[str, ...]) -> None:

@@ -3,7 +3,8 @@
 from gray_box_observer.context_nodes.base import ContextUpdate
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictRules
 from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate
-from gray_box_observer.context_nodes.recursive import RecursiveRules, RecursiveUpdate
+from gray_box_observer.context_nodes.recursive import RecursiveUpdate
+from gray_box_observer.context_nodes.rules import RecursiveRules
 
 __all__ = [
     'ContextUpdate',

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
@@ -19,24 +22,28 @@ class ContextUpdate(Protocol):
     verdict_rules: VerdictRules
     """When a parameter counts as identified; may be changed at any time."""
 
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimate the last sample has changed, shape (motor,)."""
+
     def learn(self, sample: Sample) -> bool:
-        """Take one sample; tell whether the estimate has changed."""
+        """Take one sample; tell whether an estimate has changed."""
 
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter); positive and inside their bounds."""
 
-    def estimate(self) -> Estimate:
-        """Return the present values with covariance and verdicts."""
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
 
-    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays, for a checkpoint."""
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave."""
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor."""
 
-    def counters(self) -> dict[str, int]:
-        """What the rule has met so far, by a name for diagnostics."""
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """What the rule has met so far, by a name for diagnostics; of one motor or of all."""
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""

@@ -7,6 +7,7 @@ error, and the result stands at the Cramer-Rao bound (docs/METHOD.md, The bound)
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,6 @@ from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, rob
 from gray_box_observer.context_nodes.trajectory import (
     Linearised,
     Stretch,
-    Trajectory,
     find_kicks,
     follow,
     linearise,
@@ -38,7 +38,6 @@ GAINS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
 
 GAIN_EVIDENCE = 8.0
 """Log-likelihood that a gain must bring: what is not there must not cost efficiency."""
-
 
 RAMP_EVIDENCE = 12.0
 """Chi-square, of one degree of freedom, from which a coordinate is taken to have drifted during a stretch."""
@@ -73,17 +72,32 @@ def batch_fit(
         trusting: steps taken before any sample may be left out; more where the start may be far off, for then what does
             not fit is what tells.
     """
-    search = _Search(white_box, stretch, start, prior, noise_floor)
-    search.run(trusting)
-    if search.choose_gain():
-        search.run(trusting)
-    return search.result()
+    arrived = []
+    for search in _Search(white_box, stretch, start, prior, noise_floor).run(trusting):
+        for part, disturbed in search.split(search.choose_gain()):
+            arrived += part.run(trusting) if disturbed else [part]
+    found = [search.result() for search in arrived]
+    if len(found) == 1:
+        return found[0]
+    order = np.argsort(np.concatenate([search.motors for search in arrived]))
+    beliefs = [fit.belief.arrays() for fit in found]
+    belief = Belief(**{name: np.concatenate([arrays[name] for arrays in beliefs])[order] for name in beliefs[0]})
+    ramp, left_out = (np.concatenate([getattr(fit, name) for fit in found])[order] for name in ('ramp', 'left_out'))
+    return Fit(belief, ramp, left_out)
 
 
 class _Search:
-    """Gauss-Newton on one stretch; what every iteration leaves for the next."""
+    """Gauss-Newton on one stretch; what every iteration leaves for the next.
+
+    Every motor searches for itself: how far it steps, what it leaves out and when it has arrived is its own affair, so
+    that it finds what it would find alone. Those that have arrived leave the others to go on.
+
+    Attributes:
+        motors: which motors of the stretch it is about.
+    """
 
     def __init__(self, white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> None:
+        self.motors: NDArray[np.intp] = np.arange(start.shape[0])
         self._white_box = white_box
         self._prior = prior
         self._precision = np.linalg.inv(prior.covariance)
@@ -98,24 +112,59 @@ class _Search:
         self._about = self._measured_near
         self._first = self._about[:, 0]
         self._gain = np.zeros(measured.shape[0])
-        self._scale = np.full(measured.shape[0], np.inf)
+        self._scale = self._noise = np.full_like(self._size, np.inf)
+        self._frame, self._covariance = Frame(self._size, self._p), prior.covariance  # until the first step
+        self._begin()
 
-    def run(self, trusting: int) -> None:
-        """Iterate until nothing moves."""
-        best_scale, best_p, damping = np.full_like(self._scale, np.inf), self._p, 1.0
+    def _begin(self) -> None:
+        self._best_scale, self._best_p = np.full_like(self._scale, np.inf), self._p
+        self._damping = np.ones_like(self._scale)
+
+    def of(self, which: NDArray[np.bool_]) -> _Search:
+        """Return the search of some of the motors."""
+        if np.all(which):
+            return self
+        index = np.flatnonzero(which)
+        part = copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(part, name, value[index])
+            else:
+                setattr(part, name, value.of_motors(index) if value is self._white_box else value.of(index))
+        return part
+
+    def split(self, which: NDArray[np.bool_]) -> list[tuple[_Search, bool]]:
+        """Return the searches of the motors that a mask marks and of those that it does not, where there are any."""
+        return [(self.of(mask), marked) for mask, marked in ((which, True), (~which, False)) if np.any(mask)]
+
+    def run(self, trusting: int) -> list[_Search]:
+        """Iterate until nothing moves; return the searches that have come to an end."""
+        arrived, search = [], self
+        search._begin()
         for iteration in range(MAX_STEPS):
-            self._evaluate(robust=iteration >= trusting)
-            worse = ~(self._scale <= 2.0 * best_scale)
-            if np.any(worse) and iteration > 0:  # stepped too far: back, and shorter
-                damping *= 0.3
-                self._p = np.where(worse[:, None], best_p, self._p)
-                self._about = np.where(worse[:, None], self._measured_near, self._about)
-                self._first = self._about[:, 0]
-                continue
-            best_p = np.where((self._scale < best_scale)[:, None], self._p, best_p)
-            best_scale = np.minimum(self._scale, best_scale)
-            if self._step(damping) < TOLERANCE and iteration > trusting:
-                break
+            search._evaluate(robust=iteration >= trusting)
+            worse = ~(search._scale <= 2.0 * search._best_scale) & (iteration > 0)
+            if np.any(worse):  # stepped too far: back, and shorter
+                search._go_back(worse)
+                if np.all(worse):
+                    continue
+            best = ~worse & (search._scale < search._best_scale)
+            search._best_p = np.where(best[:, None], search._p, search._best_p)
+            search._best_scale = np.where(worse, search._best_scale, np.minimum(search._scale, search._best_scale))
+            there = ~worse & (search._step(~worse) < TOLERANCE)
+            if iteration > trusting and np.any(there):
+                arrived.append(search.of(there))
+                if np.all(there):
+                    return arrived
+                search = search.of(~there)
+        return [*arrived, search]
+
+    def _go_back(self, worse: NDArray[np.bool_]) -> None:
+        """Return to the best coordinates so far, for some of the motors, and step less from there."""
+        self._damping = np.where(worse, 0.3 * self._damping, self._damping)
+        self._p = np.where(worse[:, None], self._best_p, self._p)
+        self._about = np.where(worse[:, None], self._measured_near, self._about)
+        self._first = self._about[:, 0]
 
     def _evaluate(self, *, robust: bool) -> None:
         """Predict the stretch from where we stand, and weigh its samples."""
@@ -133,7 +182,7 @@ class _Search:
         self._weights = (self._valid & near if robust else self._valid).astype(float)
 
     def _predict(self, maps: Linearised, gain: Array) -> None:
-        self._path: Trajectory = follow(maps, self._stretch, self._first, gain)
+        self._path = follow(maps, self._stretch, self._first, gain)
         self._residual = self._stretch.state - self._path.state
         self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
 
@@ -150,33 +199,41 @@ class _Search:
         first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
         return np.concatenate([first, ~self._stretch.restart], axis=1)
 
-    def _step(self, damping: float) -> float:
-        """One Gauss-Newton step; return the largest relative move."""
+    def _step(self, which: NDArray[np.bool_]) -> Array:
+        """One Gauss-Newton step of some of the motors; return the largest relative move of each."""
         n, p, prior = self._p.shape[1], self._p, self._prior
-        self._frame = Frame(self._size, p)
-        jacobian = self._frame.jacobian(self._path)
+        frame = Frame(self._size, p)
+        jacobian = frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
         finite = np.all(np.isfinite(information), axis=(1, 2)) & np.all(np.isfinite(right), axis=1)
         information = np.where(finite[:, None, None], information, 0.0)  # numbers no float can square say nothing
         right = np.where(finite[:, None], right, 0.0)
         freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
-        self._noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
+        noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
-        pull[:, 1:, 1:] = self._precision * self._noise[:, None, None] ** 2
+        pull[:, 1:, 1:] = self._precision * noise[:, None, None] ** 2
         pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2) + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
-        self._covariance = np.linalg.inv(information + pull)
-        step = damping * (self._covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
+        covariance = np.asarray(np.linalg.inv(information + pull), dtype=float)
+        step = self._damping[:, None] * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
-        self._about = self._path.state + (jacobian @ step[..., None])[..., 0]
-        self._first = self._about[:, 0]
-        self._p = within_bounds(self._white_box, p * (1.0 + step[:, 1:]))
-        return float(np.max(np.abs(step)))
+        about = self._path.state + (jacobian @ step[..., None])[..., 0]
+        moved = within_bounds(self._white_box, p * (1.0 + step[:, 1:]))
+        if not np.all(which):
+            one, two = which[:, None], which[:, None, None]
+            frame = Frame(self._size, np.where(one, p, self._frame.p))
+            noise = np.where(which, noise, self._noise)
+            covariance = np.where(two, covariance, self._covariance)
+            about, moved = np.where(one, about, self._about), np.where(one, moved, p)
+        self._frame, self._noise, self._covariance = frame, noise, covariance
+        self._about, self._first, self._p = about, about[:, 0], moved
+        furthest: Array = np.max(np.abs(step), axis=1)
+        return furthest
 
-    def choose_gain(self) -> bool:
-        """Take the gain that explains the stretch best, if the evidence is clear; tell whether it is not zero."""
+    def choose_gain(self) -> NDArray[np.bool_]:
+        """Take the gain that explains the stretch best, if the evidence is clear; tell where it is not zero."""
         count = np.sum(self._weights, axis=1)
         trust = self._weights.astype(bool)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
@@ -186,7 +243,8 @@ class _Search:
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
-        return bool(np.any(best > 0.0))
+        disturbed: NDArray[np.bool_] = best > 0.0
+        return disturbed
 
     def _spread(self, residual: Array, trust: NDArray[np.bool_]) -> Array:
         spread: Array = np.sqrt(np.sum(trust * residual**2, axis=1) / np.maximum(np.sum(trust, axis=1), 1))

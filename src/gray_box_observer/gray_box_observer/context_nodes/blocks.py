@@ -6,14 +6,15 @@ outliers of torque left out, a wrong voltage sample met by letting the state go.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, weighted
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
 from gray_box_observer.context_nodes.trajectory import (
     Stretch,
     Trajectory,
@@ -39,6 +40,10 @@ class Block:
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
         kicked: shape (motor,): whether the state was let go.
+        samples: shape (motor,): how many are valid.
+        used: shape (motor,): how many are kept.
+        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
+        right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning and testing ask for.
     """
 
     stretch: Stretch
@@ -49,6 +54,15 @@ class Block:
     valid: NDArray[np.bool_]
     kept: NDArray[np.bool_]
     kicked: NDArray[np.bool_]
+    samples: NDArray[np.int_]
+    used: NDArray[np.int_]
+    information: Array
+    right: Array
+
+    def of(self, index: NDArray[np.intp]) -> Block:
+        """Return the block of the chosen motors."""
+        signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
+        return Block(self.stretch.of(index), self.path.of(index), *signals)
 
 
 def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
@@ -78,7 +92,10 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
-    return Block(stretch, path, residual[:, 1:], jacobian[:, 1:], spread[:, 1:], valid, kept, kicked)
+    residual, jacobian = residual[:, 1:], jacobian[:, 1:]
+    counts = valid.sum(axis=1), kept.sum(axis=1)
+    normal = weighted(jacobian, kept.astype(float), residual)
+    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *counts, *normal)
 
 
 def _from(
@@ -103,10 +120,9 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
         walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms have walked over it.
     """
     n = belief.p.shape[1]
-    information, right = weighted(block.jacobian, block.kept.astype(float), block.residual)
-    posterior = np.linalg.solve(np.eye(n + 1) + belief.covariance @ information, belief.covariance)
+    posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
     posterior = 0.5 * (posterior + np.swapaxes(posterior, 1, 2))
-    step = (posterior @ right[..., None])[..., 0]
+    step = (posterior @ block.right[..., None])[..., 0]
     step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
     transfer = belief.frame.transfer(block.path)
@@ -120,29 +136,58 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 
 
-def whitened(belief: Belief, block: Block, columns: Array) -> tuple[Array, Array, Array]:
-    """Make innovations white and of unit variance; zero where a sample is not to be used.
+def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
+    """Score and information of a block about coordinates that had always been others; zero where nothing can be said.
+
+    With ``W = (I + J P J')^-1``, which makes innovations white, and sensitivities ``S = J T`` to coordinates that were
+    wrong since the sensitivity of the state was last zero, these are ``S'W r`` and ``S'W S``, here without any matrix
+    of the size of the block: ``S'W = T' (I + A P)^-1 J'``.
 
     Args:
         belief: what the block was predicted from.
         block: the block.
-        columns: shape (motor, k, column): turned along with them.
 
     Returns:
-        The columns, the innovations of shape (motor, k), and the logarithm of their determinant, shape (motor,).
+        Shapes (motor, coordinate) and (motor, coordinate, coordinate).
     """
-    use: NDArray[np.bool_] = block.kept & ~block.kicked[:, None]
-    jacobian = block.jacobian * use[..., None]
-    ones = np.eye(use.shape[1])
-    spread = jacobian @ belief.covariance @ np.swapaxes(jacobian, 1, 2) + ones
-    try:
-        root = np.linalg.cholesky(spread)
-    except np.linalg.LinAlgError:  # rounding has made the covariance indefinite: mend it
-        spread = jacobian @ semidefinite(belief.covariance) @ np.swapaxes(jacobian, 1, 2) + ones
-        if not np.all(np.linalg.eigvalsh(np.nan_to_num(spread)) > 0.0):
-            return 0.0 * columns, 0.0 * block.residual, np.zeros(use.shape[0])  # nothing can be said with this block
-        root = np.linalg.cholesky(spread)
-    stacked = np.concatenate([columns, block.residual[..., None]], axis=2) * use[..., None]
-    white = np.linalg.solve(root, stacked) / belief.noise[:, None, None]
-    size = np.sum(np.log(np.diagonal(root, axis1=1, axis2=2)), axis=1)
-    return white[..., :-1], white[..., -1], size
+    n = belief.p.shape[1]
+    both = np.concatenate([block.information, block.right[..., None]], axis=2)
+    reached = solved(np.eye(n + 1) + block.information @ belief.covariance, both)
+    sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
+    if not np.all(sound):  # rounding has made the covariance indefinite: mend it
+        mended = semidefinite(belief.covariance)
+        again = solved(np.eye(n + 1) + block.information @ mended, both)
+        reached = np.where(sound[:, None, None], reached, again)
+        sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
+    turned = belief.sensitivity[:, :, None] * reached[:, :1, :] + reached[:, 1:, :]
+    information = turned[:, :, :1] * belief.sensitivity[:, None, :] + turned[:, :, 1:-1]
+    unit = sound / belief.noise**2
+    return _cleared(turned[:, :, -1], unit), _cleared(information, unit)
+
+
+def _cleared(values: Array, unit: Array) -> Array:
+    """Values times a factor a motor; exactly zero, whatever they are, where that is zero."""
+    factor = unit.reshape((-1,) + (1,) * (values.ndim - 1))
+    cleared: Array = np.where(factor > 0.0, values * factor, 0.0)
+    return cleared
+
+
+def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.int_]]:
+    """How well a block was predicted, each of shape (motor,).
+
+    Args:
+        belief: what the block was predicted from.
+        block: the block.
+
+    Returns:
+        The sum of its squared white innovations, the logarithm of the determinant of what made them white, and of how
+        many samples: none where the state was kicked or nothing can be said.
+    """
+    n = belief.p.shape[1]
+    gram = np.eye(n + 1) + block.information @ belief.covariance
+    sign, logarithm = np.linalg.slogdet(gram)
+    explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
+    squares = (np.sum(block.kept * block.residual**2, axis=1) - explained) / belief.noise**2
+    told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
+    count = np.where(told, block.used, 0)
+    return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count

@@ -43,48 +43,42 @@ UNCHANGED = 1e-4
 
 MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
 
+Scores = tuple[Array, Array]
+"""Scores, shape (motor, memory, coordinate), and their information, shape (motor, memory, coordinate, coordinate)."""
+
 
 class DriftTest:
     """Exponentially weighted score tests of the coordinates.
 
     Args:
-        motors: number of motors.
-        coordinates: number of coordinates.
         threshold: of the chi-square statistic.
     """
 
-    def __init__(self, motors: int, coordinates: int, threshold: float) -> None:
+    def __init__(self, threshold: float) -> None:
         self._threshold = threshold
-        self._keep = np.exp(-1.0 / np.array(MEMORIES_BLOCKS))[:, None, None]
-        shape = (len(MEMORIES_BLOCKS), motors, coordinates)
-        self.score = np.zeros(shape)
-        self.information = np.zeros((*shape, coordinates))
+        self._keep = np.exp(-1.0 / np.array(MEMORIES_BLOCKS))[:, None]
 
-    def reset(self) -> None:
-        """Forget, after an alarm."""
-        self.score = np.zeros_like(self.score)
-        self.information = np.zeros_like(self.information)
-
-    def take(self, sensitivity: Array, innovation: Array) -> tuple[NDArray[np.bool_], Array]:
+    def take(self, before: Scores, score: Array, information: Array) -> tuple[Scores, NDArray[np.bool_], Array]:
         """Take one block.
 
         Args:
-            sensitivity: shape (motor, k, coordinate): derivative of the samples, 0 where a sample is left out.
-            innovation: shape (motor, k), of unit variance.
+            before: scores and information so far, shapes (motor, memory, coordinate, ...).
+            score: shape (motor, coordinate): of the block (:func:`~gray_box_observer.context_nodes.blocks.surprise`).
+            information: shape (motor, coordinate, coordinate): likewise.
 
         Returns:
-            alarm, shape (motor,), and the memory in blocks of the test that raised it, shape (motor,).
+            Scores and information with the block; alarm, shape (motor,), and the memory in blocks of the test that
+            raised it, shape (motor,).
         """
-        turned = np.swapaxes(sensitivity, 1, 2)
-        self.score = self._keep * self.score + (turned @ innovation[..., None])[..., 0]
-        self.information = self._keep[..., None] ** 2 * self.information + turned @ sensitivity
-        n = self.score.shape[-1]
-        ridge = 1e-6 * np.trace(self.information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
-        solved = np.linalg.solve(self.information + ridge * np.eye(n), self.score[..., None])[..., 0]
-        statistic = np.sum(self.score * solved, axis=-1)
-        worst = np.argmax(statistic > self._threshold, axis=0)
-        alarm: NDArray[np.bool_] = np.any(statistic > self._threshold, axis=0)
-        return alarm, np.array(MEMORIES_BLOCKS)[worst]
+        scores = self._keep * before[0] + score[:, None]
+        all_information = self._keep[..., None] ** 2 * before[1] + information[:, None]
+        n = scores.shape[-1]
+        ridge = 1e-6 * np.trace(all_information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
+        reached = np.linalg.solve(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
+        statistic = np.sum(scores * reached, axis=-1)
+        worst = np.argmax(statistic > self._threshold, axis=1)
+        alarm: NDArray[np.bool_] = np.any(statistic > self._threshold, axis=1)
+        return (scores, all_information), alarm, np.array(MEMORIES_BLOCKS)[worst]
 
 
 @dataclass(frozen=True, slots=True)

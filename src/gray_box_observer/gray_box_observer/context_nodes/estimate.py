@@ -38,6 +38,11 @@ class Estimate:
     covariance: Array
     verdicts: tuple[tuple[Verdict, ...], ...]
 
+    def of(self, motor: int) -> Estimate:
+        """Return the estimate of one motor, with a motor axis of one."""
+        one = slice(motor, motor + 1)
+        return Estimate(self.stamp_ns, self.parameters, self.value[one], self.covariance[one], self.verdicts[one])
+
     @property
     def std(self) -> Array:
         """Standard deviations, shape (motor, parameter)."""
@@ -76,16 +81,13 @@ class VerdictRules:
         """Judge every parameter of every motor from its value and standard deviation, shape (motor, parameter)."""
         if frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
-        return tuple(
-            tuple(self._judge_one(p, float(v), float(s)) for p, v, s in zip(parameters, values, stds, strict=True))
-            for values, stds in zip(value, std, strict=True)
-        )
+        lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (value >= upper * (1.0 - self.bound_tolerance))
+        known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
+        code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)
+        codes = np.where(at_bound, _IMPLAUSIBLE, code)
+        return tuple(tuple(_VERDICTS[j] for j in row) for row in codes.tolist())
 
-    def _judge_one(self, parameter: Parameter, value: float, std: float) -> Verdict:
-        at_lower = value <= parameter.lower * (1.0 + self.bound_tolerance)
-        at_upper = value >= parameter.upper * (1.0 - self.bound_tolerance)
-        if at_lower or at_upper:
-            return Verdict.IMPLAUSIBLE
-        if not std <= self.excited_relative_std * value:
-            return Verdict.UNEXCITED
-        return Verdict.IDENTIFIED if std <= self.identified_relative_std * value else Verdict.CONVERGING
+
+_VERDICTS = tuple(Verdict)
+_IDENTIFIED, _CONVERGING, _UNEXCITED, _FROZEN, _IMPLAUSIBLE = range(len(_VERDICTS))

@@ -103,7 +103,12 @@ class GradientUpdate:
         theta: Array = np.exp(self._z)
         return theta
 
-    def counters(self) -> dict[str, int]:
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Every update changes the estimate of every motor; they are updated together."""
+        return np.ones(self._z.shape[0], dtype=bool)
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
         """The gradient rule keeps no count."""
         return {}
 
@@ -112,12 +117,12 @@ class GradientUpdate:
         self._resumes = self._frozen and not frozen
         self._frozen = frozen
 
-    def estimate(self) -> Estimate:
-        """Return the present values with covariance and verdicts."""
-        theta = self.theta
-        std = np.sqrt(np.diagonal(self._covariance, axis1=1, axis2=2))
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
+        theta, covariance = self.theta[which], self._covariance[which]
+        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
-        return Estimate(self._stamp_ns, self._white_box.parameters, theta, self._covariance, verdicts)
+        return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
         """Remember one sample; on every full batch of them, update. Tell whether the estimate has changed."""
@@ -142,8 +147,8 @@ class GradientUpdate:
         self._covariance = self._sandwich()
         return True
 
-    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays."""
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays; motors of this rule are kept one by one."""
         plain = {
             'random': self._random.bit_generator.state,
             'new': self._new,
@@ -153,7 +158,7 @@ class GradientUpdate:
         arrays = {name: getattr(self, f'_{name}') for name in _STATE}
         return plain, {**arrays, 'replay': self.replay.content()}
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave.
 
         Raises:

@@ -27,6 +27,10 @@ class Frame:
     current_a: Array
     p: Array
 
+    def of(self, index: NDArray[np.intp]) -> Frame:
+        """Return the units of the chosen motors."""
+        return Frame(self.current_a[index], self.p[index])
+
     def jacobian(self, path: Trajectory) -> Array:
         """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
         by_start = path.by_start * self.current_a[:, None]
@@ -63,6 +67,16 @@ def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, A
     """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor, unknown)."""
     turned = np.swapaxes(jacobian * weights[..., None], 1, 2)
     return turned @ jacobian, (turned @ residual[..., None])[..., 0]
+
+
+def solved(matrix: Array, right: Array) -> Array:
+    """Solve one system a motor; NaN for a motor whose matrix is singular, which must not end the others."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        if matrix.shape[0] == 1:
+            return np.full_like(right, np.nan)
+        return np.concatenate([solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])])
 
 
 def semidefinite(matrix: Array) -> Array:

@@ -8,67 +8,38 @@ so that the recursion stands where the batch estimate stands; with white torque 
 Robust: outliers of torque are weighted out; a wrong voltage sample shows as a kick of the state and is met by letting
 the state, not the parameters, go. A changed motor is detected (:mod:`drift`), the estimate settles on the new data; a
 winding that heats is given freedom to walk (:mod:`walk`); a voltage held for long moves nothing else (:mod:`holds`).
+
+:mod:`learner` does the work; here it is dealt out. Motors learn what each would learn alone, from its own stream of
+samples; where many are due at once they take turns over the next samples, by number of samples and never by a clock.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import blocks, walk
-from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, Fit, batch_fit
 from gray_box_observer.context_nodes.belief import Belief, Prior
-from gray_box_observer.context_nodes.blocks import Block
-from gray_box_observer.context_nodes.drift import (
-    CHANGE_EVIDENCE,
-    LEFT_OUT,
-    LEFT_OUT_MEMORY,
-    MEMORIES_BLOCKS,
-    SUSPICIOUS_BLOCKS,
-    UNCHANGED,
-    DriftTest,
-    changes,
-    evidence_for,
-)
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
-from gray_box_observer.context_nodes.holds import Holds
-from gray_box_observer.context_nodes.linear_start import linear_start
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.holds import HoldState
+from gray_box_observer.context_nodes.learner import WALK_AGAIN, Group, Learner
+from gray_box_observer.context_nodes.learnt import Learnt, copied, put
+from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
 
+UPDATES = 128
+"""Motors, at least, whose blocks are learnt at one sample of the group; of many motors a sixteenth."""
 
-@dataclass(frozen=True, slots=True)
-class RecursiveRules:
-    """Settings of the recursive rule.
+HEAVY = 4096
+"""Samples, of one motor or of several together, that are fitted or examined at one sample of the group."""
 
-    Attributes:
-        block: samples between two updates.
-        first_fit: samples before the first fit.
-        replay_capacity: samples remembered for repeated fits; beyond, linearisation errors no longer matter.
-        prior_relative_std: of the initial guess, in every coordinate.
-        drift_relative_std: how far a coordinate may have gone when the motor has changed.
-        drift_threshold: of the chi-square statistic; 60 is passed by chance once in 1e11 for four parameters.
-        noise_floor: smallest noise of the current that is believed, as a fraction of its size.
-        noise_memory: samples over which the noise level is followed.
-        long_hold_s: in a longer hold of the voltage the winding warms, and its level moves only what heats.
-    """
-
-    block: int = 32
-    first_fit: int = 40
-    replay_capacity: int = 4096
-    prior_relative_std: float = 2.0
-    drift_relative_std: float = 0.4
-    drift_threshold: float = 60.0
-    noise_floor: float = 1e-5
-    noise_memory: int = 3000
-    long_hold_s: float = 60.0
+NEVER = np.iinfo(np.int64).max
 
 
 class RecursiveUpdate:
@@ -100,52 +71,53 @@ class RecursiveUpdate:
         self._lower = np.array([p.lower for p in parameters])
         self._upper = np.array([p.upper for p in parameters])
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
-        motors, n = theta.shape
-        vague = self._rules.prior_relative_std
-        if initial_relative_std is None or not np.any(initial_relative_std > 0.0):
-            self._prior = Prior.vague(to_coordinates(theta), vague)
-        else:
-            std = np.where(initial_relative_std > 0.0, initial_relative_std, vague)
-            self._prior = Prior.of_parameters(to_coordinates(theta), std)
-        self._belief = Belief.before_data(self._prior)
-        self._noise_count = 0
-        self._suspicion = np.zeros(motors)
-        self._since = np.zeros(motors, dtype=int)
-        self._left_out = np.zeros(motors)
+        motors = theta.shape[0]
+        prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
+        if initial_relative_std is not None and np.any(told := initial_relative_std > 0.0):
+            std = np.where(told, initial_relative_std, self._rules.prior_relative_std)
+            told_any = np.any(told, axis=1)[:, None, None]
+            prior = Prior(prior.p, np.where(told_any, Prior.of_parameters(prior.p, std).covariance, prior.covariance))
+        self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
-        self._drift = DriftTest(motors, n, self._rules.drift_threshold)
-        self._walk = walk.Walk.still(parameters, motors)
-        self._anchor, self._anchored = self._belief, 0
-        measured = white_box.speed_measured
-        self._holds = Holds(parameters, motors, self._rules.long_hold_s, speed_measured=measured)
-        self._new = 0
-        self._next_fit = self._rules.first_fit
-        self._started = False
+        self._learner = Learner(white_box, self._rules, self.replay)
+        self._nobody = np.zeros(motors, dtype=bool)
+        self._changed = self._nobody
+        self._due, self._fits = np.zeros(motors, dtype=int), self._nobody.copy()
+        self._reckon(slice(None))
+        self._wake = 0
         self._stamp_ns = 0
         self._frozen = False
-        self._resumes = False
+        self._resumes: NDArray[np.bool_] | None = None
         self._speed = np.zeros(motors)
-        self.alarms = 0
-        self.outliers = np.zeros(motors, dtype=int)
-        self.kicks = np.zeros(motors, dtype=int)
 
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
-        return np.clip(to_parameters(self._belief.p), self._lower, self._upper)
+        return np.clip(to_parameters(self._learnt.belief.p), self._lower, self._upper)
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimate the last sample has changed, shape (motor,)."""
+        return self._changed
 
     @property
     def noise_std_nm(self) -> Array:
         """Estimated standard deviation of the torque noise in N m, shape (motor,)."""
-        return self._white_box.output(self._belief.noise)
+        return self._white_box.output(self._learnt.belief.noise)
 
-    def counters(self) -> dict[str, int]:
-        """Samples left out, kicks of the state, changes of the motor, and whether it drifts."""
+    @property
+    def alarms(self) -> int:
+        """How often a motor was found changed."""
+        return int(self._learnt.alarms.sum())
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """Samples left out, kicks of the state, changes of the motor, and whether it drifts; of one motor or of all."""
+        which, known = slice(None) if motor is None else slice(motor, motor + 1), self._learnt
         return {
-            'torque outliers': int(self.outliers.sum()),
-            'state kicks': int(self.kicks.sum()),
-            'motor changes': self.alarms,
-            'motors that drift': int(np.sum(self._walk.rate > 0.0)),
+            'torque outliers': int(known.outliers[which].sum()),
+            'state kicks': int(known.kicks[which].sum()),
+            'motor changes': int(known.alarms[which].sum()),
+            'motors that drift': int(np.sum(known.walk_rate[which] > 0.0)),
         }
 
     def freeze(self, frozen: bool) -> None:
@@ -153,227 +125,185 @@ class RecursiveUpdate:
         if frozen == self._frozen:
             return
         self._frozen = frozen
-        self._resumes = not frozen
+        self._resumes = None if frozen else np.ones_like(self._nobody)
 
-    def estimate(self) -> Estimate:
-        """Return the present values with covariance and verdicts."""
-        theta, p = self.theta, self._belief.p
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
+        belief = self._learnt.belief
+        p = belief.p[which]
+        theta = np.clip(to_parameters(p), self._lower, self._upper)
         by_relative = parameter_jacobian(p) * p[:, None, :]
-        covariance = by_relative @ self._belief.posterior @ np.swapaxes(by_relative, 1, 2)
+        posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
+        covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
         covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample; update when a block is full. Tell whether the estimate has changed."""
+        """Take one sample and do what is due. Tell whether an estimate has changed; ``changed`` says whose."""
         if self._white_box.speed_measured:  # a torque that came without its speed: the speed before holds on
-            self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
+            told = np.isfinite(sample.speed_rad_s)
+            told = told if sample.present is None else told & sample.present
+            self._speed = np.where(told, sample.speed_rad_s, self._speed)
         self._stamp_ns = sample.stamp_ns
+        self._changed = self._nobody
         if self._frozen:
             return False
-        self.replay.append(sample.beginning() if self._resumes else sample, self._speed)
-        self._resumes = False
-        self._new += 1
-        fit = len(self.replay) >= self._next_fit and self._next_fit <= self._rules.replay_capacity
-        fit = fit and not self._walk.walking  # a fit takes the parameters for constant
-        if not fit and (not self._started or self._new < self._rules.block):
+        if self._resumes is not None:
+            sample = self._resumed(sample, self._resumes)
+        self.replay.append(sample, self._speed)
+        if self.replay.total < self._wake:
             return False
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
-            if fit:
-                self._fit()
+            return self._serve()
+
+    def _resumed(self, sample: Sample, waiting: NDArray[np.bool_]) -> Sample:
+        """Begin a new signal history of every motor at its first sample after learning was stopped."""
+        waits = self._nobody if sample.present is None else waiting & ~sample.present
+        self._resumes = waits if np.any(waits) else None
+        return sample.beginning(waiting)
+
+    def _serve(self) -> bool:
+        """Do what is due, as much of it as one sample's turn allows."""
+        received = self.replay.received
+        self._changed = self._nobody.copy()
+        self._update(received)
+        while self._heavy(received) > self.replay.capacity // 4:  # what is to be read must still be remembered
+            pass
+        missing = self._due - received
+        self._wake = self.replay.total + max(1, int(missing.min()))
+        return bool(self._changed.any())
+
+    def _update(self, received: NDArray[np.int_]) -> None:
+        """Learn the blocks of motors that are due, of those first that have waited longest."""
+        motors = np.flatnonzero((received >= self._due) & ~self._fits & (self._learnt.asked == 0))
+        most = max(UPDATES, self._due.size // 16)
+        if motors.size > most:
+            waited = received[motors] - self._due[motors]
+            motors = np.sort(motors[np.argsort(-waited, kind='stable')[:most]])
+        if motors.size:
+            self._work(motors, self._due[motors] - self._learnt.at[motors], self._learner.update)
+
+    def _heavy(self, received: NDArray[np.int_]) -> int:
+        """Fit or examine the motors that have waited longest; return for how many samples others wait on."""
+        asked = self._learnt.asked
+        motors = np.flatnonzero((received >= self._due) & (self._fits | (asked != 0)))
+        if motors.size == 0:
+            return 0
+        waited = received[motors] - self._due[motors]
+        motors = motors[np.argsort(-waited, kind='stable')]
+        remembered = self.replay.remembered(motors, self._due[motors])
+        samples = np.where(asked[motors] > 0, np.minimum(asked[motors], remembered), remembered)
+        kind = np.sign(asked[motors])
+        alike = (samples == samples[0]) & (kind == kind[0])
+        chosen = np.sort(motors[alike][: max(1, HEAVY // int(samples[0]))])
+        work = {0: self._learner.fit, 1: self._learner.examine, WALK_AGAIN: self._walk_again}[int(kind[0])]
+        self._work(chosen, np.full(chosen.size, samples[0]), work)
+        return int(np.max(received - self._due))
+
+    def _walk_again(self, group: Group, samples: int) -> None:
+        self._learner.walk_again(group)
+
+    def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
+        """Do a piece of work for some motors, in order, those with equally many samples together."""
+        self._learnt.at[motors] = self._due[motors]
+        counts = samples[:1] if np.all(samples == samples[0]) else np.unique(samples)
+        for count in counts.tolist():
+            alike = motors if counts.size == 1 else motors[samples == count]
+            if alike.size == self._due.size:
+                work(Group(self._white_box, slice(None), self._learnt), count)
+                if alike.size > 1:  # nothing that is written to later may be shared
+                    self._learnt = copied(self._learnt)
             else:
-                self._update(self._new)
-        self._new = 0
-        return True
+                group = self._learner.part_of(self._white_box, self._learnt, alike)
+                work(group, count)
+                put(self._learnt, group.which, group.learnt)
+        which: Any = slice(None) if motors.size == self._due.size else motors
+        self._changed[which] = True
+        self._reckon(which)
 
-    def _fit(self) -> None:
-        """Fit everything remembered; the next time when it has doubled."""
-        stretch = Stretch.newest(self._white_box, self.replay, len(self.replay))
-        start = self._belief.p
-        if not self._started:
-            start = linear_start(self._white_box, self._prior.p, stretch, min(20, len(self.replay) // 4))
-        fit = batch_fit(self._white_box, stretch, start, self._prior, self._rules.noise_floor)
-        self._started = True
-        everyone = np.ones(self._suspicion.size, dtype=bool)
-        self._take(fit.belief, everyone)
-        self._anchor, self._anchored = self._open(fit.belief, stretch), self.replay.total - stretch.restart.shape[1]
-        if np.any(drifting := fit.ramp > RAMP_EVIDENCE):
-            self._drifts(drifting)
-        self._belief = self._holds.cut(self._belief)
+    def _reckon(self, which: Any) -> None:
+        """Reckon at which place in the stream of some motors the next piece of work is due, and whether it is a fit."""
+        known = self._learnt
+        at, started = known.at[which], known.started[which]
+        still = known.walk_rate[which] == 0.0  # a fit takes the parameters for constant
+        fits = still & (known.next_fit[which] <= self._rules.replay_capacity)
+        fit_at = np.where(fits, np.maximum(self.replay.begin(which) + known.next_fit[which], at + 1), NEVER)
+        update_at = np.where(started, at + self._rules.block, NEVER)
+        asked = known.asked[which] != 0
+        self._due[which] = np.where(asked, at, np.minimum(fit_at, update_at))
+        self._fits[which] = ~asked & (fit_at <= update_at)
 
-    def _open(self, found: Belief, stretch: Stretch) -> Belief:
-        """What could be believed at the beginning of a stretch that has been fitted, were it not for the stretch."""
-        loose = walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
-        covariance = np.zeros_like(found.covariance)
-        covariance[:, 1:, 1:] = np.minimum(self._prior.covariance, loose) / found.noise[:, None, None] ** 2
-        return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
+        which = slice(motor, motor + 1)
+        known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
+        received = int(self.replay.received[motor])
+        plain: dict[str, Any] = {
+            'new': received - int(known.at[0]),
+            'next_fit': int(known.next_fit[0]),
+            'started': bool(known.started[0]),
+            'stamp_ns': self._stamp_ns,
+            'noise_count': int(known.noise_count[0]),
+            'resumes': self._resumes is not None and bool(self._resumes[motor]),
+            'parameters': [p.name for p in self._white_box.parameters],
+            'anchored': int(known.anchored[0]) - received,  # a buffer that is refilled counts anew
+            'asked': int(known.asked[0]),
+        }
+        arrays = {name: getattr(known, name).copy() for name in _ARRAYS}
+        arrays |= {'prior_p': known.prior.p.copy(), 'prior_covariance': known.prior.covariance.copy()}
+        arrays |= {
+            'drift_score': np.moveaxis(known.score, 1, 0),
+            'drift_information': np.moveaxis(known.information, 1, 0),
+        }
+        arrays |= {'speed': self._speed[which].copy(), 'replay': self.replay.content(which)}
+        parts: dict[str, Any] = {'belief': known.belief, 'anchor': known.anchor, 'holds': known.hold}
+        for part, content in parts.items():
+            arrays |= {f'{part}.{f.name}': getattr(content, f.name).copy() for f in fields(content)}
+        return plain, arrays
 
-    def _take(self, found: Belief, which: NDArray[np.bool_]) -> None:
-        """Go on from a fit of everything remembered, for some of the motors; never from one that is not finite."""
-        self._belief = self._belief.overwritten(found, which & found.finite)
-        self._noise_count = len(self.replay)
-        self._next_fit = 2 * len(self.replay)
-        self._drift.reset()
-
-    def _update(self, samples: int) -> None:
-        """Learn one block of samples."""
-        stretch = Stretch.newest(self._white_box, self.replay, samples + 1)
-        block = blocks.predict(self._white_box, self._belief, stretch)
-        self.outliers += np.sum(block.valid & ~block.kept, axis=1)
-        self.kicks += block.kicked
-        if self._changed(block):
-            return
-        walked = self._walk.spread(np.sum(stretch.interval_s, axis=1))
-        self._belief = blocks.learn(self._white_box, self._belief, block, walked)
-        self._follow_noise(block)
-        self._belief = self._holds.take(self._belief, block.stretch, block.path.factor)
-        if self.replay.total - self._anchored < self._anchor_samples:
-            return
-        if self._walk.walking:  # does it still walk, and how fast?
-            self._drifts(self._walk.rate > 0.0)
-        self._anchor_here()
-
-    def _anchor_here(self) -> None:
-        """Reckon the likelihood of a drift from the present belief on."""
-        self._anchor, self._anchored = self._belief, self.replay.total
-
-    @property
-    def _anchor_samples(self) -> int:
-        """After so many samples the likelihood of a drift is reckoned from the present belief on."""
-        return self._rules.replay_capacity // (2 if self._walk.walking else 1)
-
-    def _changed(self, block: Block) -> bool:
-        """Whether the motor has changed; then start over from the newest samples, from where we stand."""
-        belief, valid = self._belief, block.valid
-        before = belief.sensitivity * belief.current_a[:, None]
-        total = block.jacobian[..., 1:] + block.path.by_start[:, 1:, None] * before[:, None, :]
-        self._belief = replace(belief, sensitivity=total[:, -1] / belief.current_a[:, None])
-        alarm, memory = self._drift.take(*blocks.whitened(belief, block, total)[:2])
-        lost = np.mean(block.kept, axis=1) < 0.5 * np.mean(valid, axis=1)
-        self._suspicion = np.where(lost, self._suspicion + 1.0, 0.0)
-        fresh = np.where(self._suspicion == 1.0, np.sum(np.cumsum(~block.kept & valid, axis=1) > 0, axis=1), 0)
-        self._since = np.where(lost, self._since + np.where(fresh > 0, fresh, valid.shape[1]), 0)
-        sudden: NDArray[np.bool_] = self._suspicion >= SUSPICIOUS_BLOCKS
-        self._left_out = LEFT_OUT_MEMORY * self._left_out + np.mean(valid & ~block.kept, axis=1)
-        # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
-        misfit = (self._left_out > LEFT_OUT) & ~lost
-        suspects = alarm | sudden | misfit
-        if not np.any(suspects):
-            return False
-        if np.any(sudden):
-            samples = int(np.max(self._since[sudden]))
-        else:
-            blocks_back = np.max(np.where(alarm, memory, MEMORIES_BLOCKS[0]))
-            samples = max(self._rules.first_fit, int(blocks_back * self._rules.block))
-        return self._start_over(samples, suspects)
-
-    def _start_over(self, samples: int, suspects: NDArray[np.bool_]) -> bool:
-        """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
-        belief = self._belief
-        stretch = Stretch.newest(self._white_box, self.replay, min(samples, len(self.replay)))
-        known = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
-        held = self._fit_from(stretch, known)
-        self._suspicion, self._since, self._left_out = 0.0 * self._suspicion, 0 * self._since, 0.0 * self._left_out
-        self._drift.reset()
-        found = []
-        for change in changes(self._white_box.parameters, self._rules.drift_relative_std):
-            prior = known.loosened(change.directions)
-            found.append((prior, self._fit_from(stretch, prior), change.penalty))
-        evidence = np.array([evidence_for(stretch, held, fit) - penalty for _, fit, penalty in found])
-        best = np.argmax(np.max(np.where(suspects, evidence, -np.inf), axis=1))
-        changed = suspects & (evidence[best] > CHANGE_EVIDENCE)
-        if not np.any(changed):
-            usable = suspects & held.belief.finite
-            units = (held.belief.noise * held.belief.current_a / (belief.noise * belief.current_a)) ** 2
-            covariance = belief.covariance.copy()
-            covariance[:, 0, 0] += np.where(usable, units * held.belief.covariance[:, 0, 0], 0.0)
-            state = np.where(usable, held.belief.state, belief.state)
-            self._belief = replace(self._belief, state=state, covariance=covariance)
-            return True
-        if self._drifts(changed, samples):
-            return True
-        self.alarms += int(np.sum(changed))
-        self.replay.forget(samples)
-        prior, fit, _ = found[best]
-        self._prior = Prior(known.p, np.where(changed[:, None, None], prior.covariance, 2.0 * known.covariance))
-        self._take(fit.belief, changed)
-        self._anchor_here()
-        return True
-
-    def _fit_from(self, stretch: Stretch, prior: Prior) -> Fit:
-        return batch_fit(self._white_box, stretch, self._belief.p, prior, self._rules.noise_floor, trusting=5)
-
-    def _drifts(self, which: NDArray[np.bool_], jumped_before: int | None = None) -> bool:
-        """Whether motors drift, by the samples since the anchor; then go on as is likeliest, and walk.
-
-        Args:
-            which: shape (motor,): motors that are asked about.
-            jumped_before: so many samples ago they may have changed suddenly instead.
-        """
-        stretch = Stretch.newest(self._white_box, self.replay, self.replay.total - self._anchored + 1)
-        jump = None
-        if jumped_before is not None:
-            freedom = self._rules.drift_relative_std * np.eye(self._belief.p.shape[1])
-            jump = walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
-        rate, after = walk.likeliest(self._white_box, self._anchor, stretch, self._walk, self._rules.block, jump)
-        before = self._walk.rate > 0.0
-        self._walk = replace(self._walk, rate=np.where(which, rate, self._walk.rate))
-        walking = which & (rate > 0.0)
-        self.alarms += int(np.sum(walking & ~before))
-        if np.any(walking):
-            self._take(after, walking)
-            self._anchor_here()
-        return bool(np.any(walking))
-
-    def _follow_noise(self, block: Block) -> None:
-        count = block.residual.shape[1]
-        self._noise_count = min(self._noise_count + count, self._rules.noise_memory)
-        seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
-        seen = seen / np.maximum(np.sum(block.kept, axis=1), 1)
-        share = np.where(np.any(block.kept, axis=1), count / self._noise_count, 0.0)
-        before = self._belief.noise
-        variance = before**2 + share * (seen - before**2)
-        noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * self._belief.current_a)
-        self._belief = replace(self._belief, noise=np.where(np.isfinite(noise), noise, before))
-
-    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays."""
-        plain = {name: getattr(self, f'_{name}') for name in _PLAIN}
-        plain['parameters'] = [p.name for p in self._white_box.parameters]
-        plain['anchored'] = self._anchored - self.replay.total  # a buffer that is refilled counts anew
-        arrays = {name: getattr(self, f'_{name}') for name in _ARRAYS}
-        arrays |= {'prior_p': self._prior.p, 'prior_covariance': self._prior.covariance}
-        arrays |= {'drift_score': self._drift.score, 'drift_information': self._drift.information}
-        arrays |= {'walk_rate': self._walk.rate, 'replay': self.replay.content()}
-        parts = {'belief': self._belief.arrays(), 'anchor': self._anchor.arrays(), 'holds': self._holds.state()}
-        return plain, arrays | {f'{part}.{k}': v for part, named in parts.items() for k, v in named.items()}
-
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave.
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor.
 
         Raises:
-            ConfigurationError: it was learnt of other parameters or another number of motors.
+            ConfigurationError: it was learnt of other parameters.
         """
-        names = [p.name for p in self._white_box.parameters]
-        if plain['parameters'] != names or arrays['belief.p'].shape != self._belief.p.shape:
+        names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
+        if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
-        for name in _PLAIN:
-            setattr(self, f'_{name}', plain[name])
-        for name in _ARRAYS:
-            setattr(self, f'_{name}', arrays[name])
-        self._prior = Prior(arrays['prior_p'], arrays['prior_covariance'])
-        self._drift.score, self._drift.information = arrays['drift_score'], arrays['drift_information']
-        self._walk = replace(self._walk, rate=arrays['walk_rate'])
-        self.replay.refill(arrays['replay'])
-        self._anchored = plain['anchored'] + self.replay.total
-        self._belief, self._anchor = Belief(**_below('belief', arrays)), Belief(**_below('anchor', arrays))
-        self._holds.restore(_below('holds', arrays))
+        self.replay.refill(arrays['replay'], which)
+        received = self.replay.received[which]
+        counts: dict[str, Any] = {name: np.array([plain[name]]) for name in ('next_fit', 'started', 'noise_count')}
+        counts |= {name: arrays[name] for name in _ARRAYS}
+        known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
+        part = Learnt(
+            Belief(**_below('belief', arrays)),
+            Prior(arrays['prior_p'], arrays['prior_covariance']),
+            Belief(**_below('anchor', arrays)),
+            received + plain['anchored'],
+            received - plain['new'],
+            asked=np.array([plain.get('asked', 0)]),
+            score=np.moveaxis(arrays['drift_score'], 1, 0),
+            information=np.moveaxis(arrays['drift_information'], 1, 0),
+            hold=HoldState(**_below('holds', arrays)),
+            outliers=known.outliers,
+            kicks=known.kicks,
+            alarms=known.alarms,
+            **counts,
+        )
+        put(self._learnt, which, part)
+        self._speed[which] = arrays['speed']
+        self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
+        if plain['resumes']:
+            self._resumes = np.zeros_like(self._nobody) if self._resumes is None else self._resumes
+            self._resumes[motor] = True
+        self._reckon(which)
+        self._wake = 0
 
 
-def _below(part: str, arrays: dict[str, Array]) -> dict[str, Array]:
+def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:
     return {name[len(part) + 1 :]: array for name, array in arrays.items() if name.startswith(f'{part}.')}
 
 
-_PLAIN = ('new', 'next_fit', 'started', 'stamp_ns', 'noise_count', 'resumes')
-_ARRAYS = ('suspicion', 'since', 'left_out', 'speed')
+_ARRAYS = ('suspicion', 'since', 'left_out', 'walk_rate')

@@ -11,6 +11,7 @@ that the whole stretch follows from one linear recurrence, worked out for all mo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,11 @@ class Stretch:
         """Return the stretch with further restarts, shape (motor, k)."""
         return replace(self, restart=self.restart | at)
 
+    def of(self, index: NDArray[np.intp]) -> Stretch:
+        """Return the stretch of the chosen motors."""
+        voltage, interval, speed = self.voltage_v[index], self.interval_s[index], self.speed_rad_s[index]
+        return Stretch(self.state[index], voltage, interval, speed, self.restart[index])
+
     def part(self, begin: int, end: int) -> Stretch:
         """Return samples ``begin`` ... ``end`` as a stretch."""
         between, samples = slice(begin, end), slice(begin, end + 1)
@@ -66,13 +72,28 @@ class Stretch:
         )
 
     @classmethod
-    def newest(cls, white_box: WhiteBox, replay: ReplayBuffer, samples: int) -> Stretch:
-        """Take the newest samples of a replay buffer, the first of them as where the stretch starts."""
-        interval = replay.interval_s(samples)[:, 1:]
+    def newest(
+        cls,
+        white_box: WhiteBox,
+        replay: ReplayBuffer,
+        samples: int,
+        which: Any = slice(None),
+        until: NDArray[np.int_] | None = None,
+    ) -> Stretch:
+        """Take samples out of a replay buffer, the first of them as where the stretch starts.
+
+        Args:
+            white_box: of the chosen motors.
+            replay: where they are.
+            samples: how many, at most.
+            which: index of the motors.
+            until: place of the last one in each motor's stream; None: the newest.
+        """
+        samples = min(samples, int(replay.remembered(which, until).min()))
+        interval, voltage, torque, speed = replay.newest(samples, which, until)
+        interval = interval[:, 1:]
         restart = interval <= 0.0
-        voltage = np.where(restart, 0.0, replay.voltage_v(samples)[:, 1:])
-        state = white_box.state(replay.torque_nm(samples))
-        return cls(state, voltage, interval, replay.speed_rad_s(samples), restart)
+        return cls(white_box.state(torque), np.where(restart, 0.0, voltage[:, 1:]), interval, speed, restart)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +112,10 @@ class Trajectory:
     by_coordinate: Array
     factor: Array
 
+    def of(self, index: NDArray[np.intp]) -> Trajectory:
+        """Return the trajectories of the chosen motors."""
+        return Trajectory(self.state[index], self.by_start[index], self.by_coordinate[:, index], self.factor[index])
+
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
@@ -105,6 +130,10 @@ class Linearised:
     decay: Array
     offset: Array
     by_coordinate: Array
+
+    def of(self, index: NDArray[np.intp]) -> Linearised:
+        """Return the intervals of the chosen motors."""
+        return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
 
 
 def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:

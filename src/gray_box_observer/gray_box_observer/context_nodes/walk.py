@@ -133,15 +133,12 @@ def _run(
     white_box: WhiteBox, belief: Belief, stretch: Stretch, walk: Walk, block: int, jump: Jump | None = None
 ) -> tuple[Belief, _Fitted]:
     """Learn a stretch block by block; return what is believed then, and how well it was predicted."""
-    squares, size, count = [], [], []
+    told = []
     for begin in range(0, stretch.restart.shape[1], block):
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))
         if jump is not None and begin <= jump.at < begin + block:
             belief = belief.loosened(jump.directions)
         predicted = blocks.predict(white_box, belief, part)
-        _, innovation, determinant = blocks.whitened(belief, predicted, np.zeros((*part.restart.shape, 0)))
-        squares.append(np.sum(innovation**2, axis=1))
-        size.append(determinant)
-        count.append(np.sum(innovation != 0.0, axis=1))
+        told.append(blocks.likelihood(belief, predicted))
         belief = blocks.learn(white_box, belief, predicted, walk.spread(np.sum(part.interval_s, axis=1)))
-    return belief, _Fitted(np.array(squares), np.array(size), np.array(count))
+    return belief, _Fitted(*(np.array(column) for column in zip(*told, strict=True)))

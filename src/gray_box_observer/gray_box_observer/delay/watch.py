@@ -123,19 +123,20 @@ class DelayWatch:
         self._work: Generator[None, None, _Found | None] | None = None
         self._before: _Found | None = None
 
-    def take(self, history: RawHistory, stamp_ns: int) -> float | None:
-        """Go on by one sample.
+    def take(self, history: RawHistory, stamp_ns: int, samples: int = 1) -> float | None:
+        """Go on by one piece of work, where there is any.
 
         Args:
             history: raw measurements that led to the samples so far.
-            stamp_ns: stamp of the sample.
+            stamp_ns: stamp of the newest sample.
+            samples: how many have come since it was last called.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
         """
         if history.restarts != self._restarts:
             self._restart(history.restarts)
-        self._count += 1
+        self._count += samples
         if self._work is None:
             if self._count < self._next:
                 return None
@@ -148,6 +149,11 @@ class DelayWatch:
             self._work = None
             return None if end.value is None else self._judge(end.value)
         return None
+
+    @property
+    def searching(self) -> bool:
+        """Whether a search is under way."""
+        return self._work is not None
 
     def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
         """Search once, a piece of work at a time; return what was found, None where the data do not speak of it."""

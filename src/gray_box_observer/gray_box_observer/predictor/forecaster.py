@@ -41,7 +41,9 @@ class Forecaster(Protocol):
         The memory is what :meth:`remember` takes if the sample comes.
         """
 
-    def remember(self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None) -> None:
+    def remember(
+        self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None
+    ) -> None:
         """Go on to the next sample.
 
         Args:
@@ -49,6 +51,7 @@ class Forecaster(Protocol):
             measured_nm: shape (motor,): what it was.
             anew: shape (motor,): whether the signal history starts with it.
             memory: what came with the forecast.
+            present: shape (motor,): who was sampled; the others stay where they are. None: all.
         """
 
     def adopt(self, result: dict[str, Any]) -> None:

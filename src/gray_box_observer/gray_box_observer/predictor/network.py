@@ -89,6 +89,11 @@ class Memory:
         """Return the memory of a network that has seen nothing."""
         return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
 
+    def where(self, motors: Mask, other: Memory) -> Memory:
+        """Return this memory for the motors that a mask of shape (motor,) marks, another for the rest."""
+        chosen = motors[:, None]
+        return Memory(np.where(chosen, self.hidden, other.hidden), np.where(chosen, self.cell, other.cell))
+
     def cleared(self, motors: Mask) -> Memory:
         """Return this memory, blank for the motors that a mask of shape (motor,) marks."""
         if not motors.any():

@@ -36,6 +36,11 @@ class OperatingRange:
             _grown(self.speed_rad_s, speed_rad_s),
         )
 
+    def joined(self, other: OperatingRange) -> OperatingRange:
+        """Return the range that holds both."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__slots__)
+        return OperatingRange(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
+
     def tells(self, speed_measured: bool) -> bool:
         """Whether enough was seen to draw from: an interval, and a speed where speed is a signal."""
         speed = not speed_measured or self.speed_rad_s[0] <= self.speed_rad_s[1]

@@ -50,7 +50,8 @@ class PhysicsTrainer:
     """
 
     def __init__(self, configuration: Mapping[str, Any]) -> None:
-        self._white_box = MotorWhiteBox.from_dict(configuration['white_box'], _constant)
+        self._group = MotorWhiteBox.from_dict(configuration['white_box'], _constant)
+        self._white_box = self._group
         self._rules = TrainingRules.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
         self._random = np.random.default_rng([self._seed, 1])
@@ -66,6 +67,9 @@ class PhysicsTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
+        if 'motor' in job:
+            motor = int(job['motor'])
+            self._white_box = self._group.of_motors(slice(motor, motor + 1))
         told = self._teach(job)
         if job.get('residual_anew'):
             self._residual = ResidualTrainer(self._seed)

@@ -17,7 +17,7 @@ from gray_box_observer.predictor.forecaster import Forecaster, Question
 from gray_box_observer.predictor.inputs import InputLayout, Variant
 from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.relaxation import Course, course, flow
+from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
 from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
@@ -87,7 +87,8 @@ class Predictor:
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        self.replay = ReplayBuffer(motors, rules.replay_capacity)
+        # of a group no residual is learnt, and a job carries its newest samples only
+        self.replay = ReplayBuffer(motors, rules.replay_capacity if motors == 1 else rules.job_samples)
         self.scores = Scores(motors)
         self.jobs_done = 0
         self.jobs_late = 0
@@ -96,7 +97,8 @@ class Predictor:
         self._resumes = False
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
-        self._settled: tuple[Array, OperatingRange] | None = None
+        self._settled: dict[int, tuple[Array, OperatingRange]] = {}
+        self._turn = 0
         self._job: dict[str, Any] = {}
         self._learning: dict[str, Array] = {}
 
@@ -117,7 +119,10 @@ class Predictor:
         axis, ops = self._axis, self._axis.ops
         start = ops.where(question.usable, self._white_box.state(axis.take(self._rollout_nm)), 0.0)
         length_s = ops.where(question.usable, axis.take(interval_s), 0.0)
-        end = flow(ops, self._white_box, question.way, start, length_s)
+        if axis.single:
+            end = flow(ops, self._white_box, question.way, start, length_s)
+        else:
+            end = flow_each(self._white_box, question.way, start, length_s)
         rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
         torque_nm, memory = self._forecaster.forecast(question)
         correction_nm, learnt = self.residual.correct(question, torque_nm)
@@ -176,12 +181,13 @@ class Predictor:
         }
         self.scores.add(sample.torque_nm, rivals)
         physics_nm = _physics_of(prediction)
-        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory)
+        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
         self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
-        self._rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
-        self._previous_torque = sample.torque_nm
+        self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
+        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
         if self._frozen:
@@ -206,48 +212,52 @@ class Predictor:
         self.replay.refill(content)
         self._begin_residual_anew(from_number=self.replay.total - len(self.replay))
 
-    def state(self) -> dict[str, Array]:
-        """The network, where the motors have run and everything that training depends on, as arrays.
+    def state(self, motor: int = 0) -> dict[str, Array]:
+        """The network, where the motors have run and everything that training one motor depends on, as arrays.
 
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
         replay = {
-            'replay': self.replay.content(),
+            'replay': self.replay.content(slice(motor, motor + 1)),
             'total': np.array(self.replay.total),
             **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
         }
         settled = {}
-        if self._settled is not None:
-            settled = {'settled_theta': self._settled[0], **_named('settled_seen', self._settled[1].to_dict())}
+        if motor in self._settled:
+            theta, seen = self._settled[motor]
+            settled = {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
+        common = {**self._forecaster.state(), **learnt, **_named('seen', self._seen.to_dict()), **replay, **settled}
+        if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
+            return common
         return {
-            **self._forecaster.state(),
-            **learnt,
-            **_named('seen', self._seen.to_dict()),
-            **replay,
-            **settled,
+            **common,
             **self._learning,
             **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
             **_named('job_seen', self._job.get('seen', {})),
         }
 
-    def restore(self, arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave; training goes on from there.
+    def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave of one motor; training goes on from there.
 
         Raises:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
+        if 'replay' in arrays:  # a network alone may be taken over too
+            self.replay.refill(arrays['replay'], slice(motor, motor + 1))
+        self._settled.pop(motor, None)
+        if 'settled_theta' in arrays:
+            self._settled[motor] = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+        if self._motors > 1:
+            self._seen = self._seen.joined(_range(arrays, 'seen'))
+            self._start_from = self._forecaster.start()
+            return
         self.residual.adopt(arrays)
         self._seen = _range(arrays, 'seen')
-        if 'replay' in arrays:  # a network alone may be taken over too
-            self.replay.refill(arrays['replay'])
+        if 'replay' in arrays:
             self.replay.total = int(arrays['total'])
-            schedule = {name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')}
-            self._schedule.restore(schedule)
-        self._settled = None
-        if 'settled_theta' in arrays:
-            self._settled = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+            self._schedule.restore({name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')})
         self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
         self._start_from = {
             **self._forecaster.start(),
@@ -306,19 +316,24 @@ class Predictor:
         if self._schedule.moved(theta):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew()
         residual = self._schedule.due(self.replay)
-        idle = self._nothing_to_gain(theta) and not residual
-        if self._training.resting or idle or len(self.replay) < self._rules.length:
+        turn, which = self._turn, slice(self._turn, self._turn + 1)
+        self._turn = (self._turn + 1) % self._motors
+        idle = self._nothing_to_gain(turn, theta[which]) and not residual
+        remembered = int(self.replay.remembered(which)[0])
+        if self._training.resting or idle or remembered < self._rules.length:
             return
         anew = residual and self._schedule.anew
-        samples = self._schedule.job(self.replay) if residual else newest(self.replay, self._rules.job_samples)
+        count = min(remembered, self._rules.job_samples)
+        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
         self._submit(
             {
                 **samples,
-                'theta': theta.copy(),
-                'covariance': covariance.copy(),
+                'theta': theta[which].copy(),
+                'covariance': covariance[which].copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
+                'motor': turn,
             }
         )
 
@@ -331,22 +346,29 @@ class Predictor:
         self._training.submit({**job, **self._start_from})
         self._start_from = {}
 
-    def _nothing_to_gain(self, theta: Array) -> bool:
-        if self._settled is None:
+    def _nothing_to_gain(self, motor: int, theta: Array) -> bool:
+        if motor not in self._settled:
             return False
-        settled, seen = self._settled
+        settled, seen = self._settled[motor]
         return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
 
     def _adopt(self, result: dict[str, Any], theta: Array) -> None:
         self.jobs_done += 1
-        self._job = {}
+        motor, self._job = int(self._job.get('motor', 0)), {}
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
-        self._settled = (theta, self._seen) if result.get('settled') else None
+        self._settled.pop(motor, None)
+        if result.get('settled'):
+            self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
         self.loss = result.get('loss', self.loss)
         if not self._schedule.anew:  # else it was learnt of parameters that are no more
             self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)
+
+
+def _of_present(sample: Sample, now: Array, before: Array) -> Array:
+    """What is now of the motors that were sampled, what was before of the others."""
+    return now if sample.present is None else np.where(sample.present, now, before)
 
 
 def _physics_of(prediction: Prediction) -> Array:

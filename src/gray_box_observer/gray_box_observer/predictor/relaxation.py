@@ -20,7 +20,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gray_box_observer.white_box.base import WhiteBox
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.white_box.base import Array, WhiteBox
 
 NEWTON_LIMIT = 80
 """More than safeguarded Newton ever needed; every third step at least halves the bracket."""
@@ -64,6 +67,11 @@ class Course:
     speed_rad_s: Any
     steady_a: Any
     settling: Any
+
+    def of(self, index: NDArray[np.intp]) -> Course:
+        """Return the courses of the chosen motors; only of arrays."""
+        signals = (signal[index] for signal in (self.voltage_v, self.speed_rad_s, self.steady_a, self.settling))
+        return Course([parameter[index] for parameter in self.theta], *signals)
 
 
 def gap_v(white_box: WhiteBox, theta: Sequence[Any], voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
@@ -145,8 +153,7 @@ def flow(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any
         The current at the end.
     """
     here = chord(ops, white_box, way, state)
-    fastest = ops.maximum(ops.maximum(here, way.settling), SLOWEST)
-    length = ops.log1p(fastest * interval_s)
+    fastest, length = _scale(ops, way, here, interval_s)
     steps = max(1, math.ceil(float(ops.max(length)) / step))
     distance = state - way.steady_a
     left, time_s = 0.0 * distance, 0.0 * distance
@@ -157,10 +164,30 @@ def flow(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any
         k2 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k1))
         k3 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k2))
         k4 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - h * k3))
-        left = left - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        left = ops.where(left < -ARRIVED, left, left - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
         if ops.all(left < -ARRIVED):
             break
     return state + distance * ops.expm1(left)
+
+
+def _scale(ops: Any, way: Course, here: Any, interval_s: Any) -> tuple[Any, Any]:
+    """Fastest rate on the way in 1/s, and ``log(1 + time * fastest rate)``, which :func:`flow` cuts into steps."""
+    fastest = ops.maximum(ops.maximum(here, way.settling), SLOWEST)
+    return fastest, ops.log1p(fastest * interval_s)
+
+
+def flow_each(white_box: WhiteBox, way: Course, state: Array, interval_s: Array) -> Array:
+    """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take alone."""
+    length = _scale(np, way, chord(np, white_box, way, state), interval_s)[1]
+    counts = np.maximum(1.0, np.ceil(length / FLOW_STEP))
+    end = np.empty_like(state)
+    for count in np.unique(counts):
+        which = np.flatnonzero(counts == count)
+        if which.size == state.size:
+            whole: Array = flow(np, white_box, way, state, interval_s)
+            return whole
+        end[which] = flow(np, white_box.of_motors(which), way.of(which), state[which], interval_s[which])
+    return end
 
 
 @dataclass(frozen=True, slots=True)

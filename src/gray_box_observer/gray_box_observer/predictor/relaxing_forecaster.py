@@ -76,11 +76,17 @@ class RelaxingForecaster:
         torque_nm, memory = question.origin
         return self._axis.take(self._white_box.state(torque_nm)), memory
 
-    def remember(self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None) -> None:
+    def remember(
+        self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None
+    ) -> None:
         """Go on from the forecast; from the measured torque where a history begins."""
         begins = anew | ~np.isfinite(torque_nm)
+        before = self._memory, self._current
         self._memory = (self._memory if memory is None else memory).cleared(begins)
         self._current = self._axis.take(self._white_box.state(np.where(begins, measured_nm, torque_nm)))
+        if present is not None:
+            self._memory = self._memory.where(present, before[0])
+            self._current = np.where(present, self._current, before[1])
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a better network run from here on."""

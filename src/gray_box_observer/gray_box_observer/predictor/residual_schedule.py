@@ -32,7 +32,7 @@ class ResidualSchedule:
     """
 
     def __init__(self, motors: int, rules: TrainingRules) -> None:
-        self._learns = rules.residual and rules.variant is Variant.PHYSICS
+        self._learns = rules.residual and rules.variant is Variant.PHYSICS and motors == 1
         self._capacity = rules.replay_capacity
         self._theta = np.zeros((0, 0))
         self._asked = self._from = 0
@@ -111,8 +111,15 @@ class ResidualSchedule:
         self._store.restore(arrays)
 
 
-def newest(replay: ReplayBuffer, count: int) -> dict[str, Any]:
-    """Copy the newest samples, as many of ``count`` as there are: each of SIGNALS, and ``number``, which they are."""
+def newest(replay: ReplayBuffer, count: int, which: slice = slice(None)) -> dict[str, Any]:
+    """Copy the newest samples, as many of ``count`` as there are: each of SIGNALS, and ``number``, which they are.
+
+    Args:
+        replay: remembers them.
+        count: how many.
+        which: of which motors; where it is not all, they have to remember as many.
+    """
     count = min(count, len(replay))
-    signals = {name: getattr(replay, name)(count).copy() for name in SIGNALS}
+    interval_s, voltage_v, torque_nm, speed_rad_s = (signal.copy() for signal in replay.newest(count, which))
+    signals = {'interval_s': interval_s, 'voltage_v': voltage_v, 'torque_nm': torque_nm, 'speed_rad_s': speed_rad_s}
     return {**signals, 'number': np.arange(replay.total - count, replay.total)}

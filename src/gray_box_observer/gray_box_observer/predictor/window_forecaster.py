@@ -42,8 +42,10 @@ class WindowForecaster:
         torque = self._normalisation.torque.denormalise(output)
         return np.where(self._warm >= self._rules.context, torque, np.nan), memory
 
-    def remember(self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None) -> None:
-        """Keep the memory, or begin to warm up again."""
+    def remember(
+        self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None
+    ) -> None:
+        """Keep the memory, or begin to warm up again; all motors of this network are sampled together."""
         if memory is not None:
             self._memory = memory.cleared(anew)
         elif self._memory is not None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.sensitivity import sensitivity
-from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
@@ -112,7 +112,7 @@ class Collector:
         )
 
 
-def _sensitivity(motor: MotorObserver) -> dict[str, dict[str, float]] | None:
+def _sensitivity(motor: Any) -> dict[str, dict[str, float]] | None:
     """How an error of the known constants goes into the estimate, from what the rule remembers."""
     return sensitivity(motor.white_box, motor.context_nodes.replay, motor.context_nodes.theta)
 

@@ -14,6 +14,12 @@ from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.ros.traffic import TrafficMeter
 
+AT_ONCE = 100
+"""Motors, at least, that one message tells of."""
+
+ROUNDS = 4
+"""Messages that tell of all motors, however many; a viewer takes what it has not heard of for 5 s for stale."""
+
 
 class Diagnoser:
     """Publishes diagnostics.
@@ -33,6 +39,7 @@ class Diagnoser:
         self._meter = meter
         self._keeper = keeper
         self._has_warned_of_strangers = False
+        self._turn = 0
         topic = topics.DIAGNOSTICS
         self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
 
@@ -50,7 +57,7 @@ class Diagnoser:
         array.header.stamp = now.to_msg()
         name = self._node.get_fully_qualified_name()
         if observer is None or intake is None:
-            array.status = [idle_status(motor, name, state, {}) for motor in self._motors]
+            array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
         else:
             self._warn_of_strangers(observer, intake)
             situation = Situation(
@@ -66,8 +73,14 @@ class Diagnoser:
                 now.nanoseconds,
                 simulated=clock.ros_time_is_active,
             )
-            array.status = [status_of(motor, situation) for motor in self._motors]
+            array.status = [status_of(motor, situation) for motor in self._next()]
         self._publisher.publish(array)
+
+    def _next(self) -> list[str]:
+        """Motors that are told of in this round: all of few, in turn those of many."""
+        share = max(AT_ONCE, -(-len(self._motors) // ROUNDS))
+        first, self._turn = self._turn, (self._turn + share if self._turn + share < len(self._motors) else 0)
+        return self._motors[first : first + share]
 
     def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
         """Say once where messages speak of other motors while a configured one is never spoken of."""

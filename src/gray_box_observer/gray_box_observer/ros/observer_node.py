@@ -18,6 +18,7 @@ from gray_box_observer.checkpoint_folder import CheckpointFolder, default_folder
 from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.configuration import NODE_NAME, Configuration
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
+from gray_box_observer.group import Group
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
@@ -32,6 +33,9 @@ from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, 
 from gray_box_observer.ros.traffic import TrafficMeter
 
 DIAGNOSTICS_PERIOD_S = 1.0
+
+MOST_NAMED = 10
+"""Motors named in a line of the log."""
 
 Transition = TransitionCallbackReturn
 
@@ -63,6 +67,8 @@ class ObserverNode(LifecycleNode):
         diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
         self._diagnose = Chore(DIAGNOSTICS_PERIOD_S, lambda: diagnoser.tell(self._state, self._observer, self._intake))
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose.do, clock=self._steady)
+        if self._configuration['estimates_period_s'] > 0.0:
+            self.create_timer(self._configuration['estimates_period_s'], self._tell_estimates, clock=self._steady)
         survive_impossible_transitions(self)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/save', self._save)
@@ -152,7 +158,7 @@ class ObserverNode(LifecycleNode):
         if self._state != 'active':
             return
         self._announce()
-        names = ', '.join(self._configuration.motors)
+        names = _in_words(list(self._configuration.motors))
         self.get_logger().info(f'active: listening for {names} on {self._inputs.in_words}')
         if unused := unused_overrides(self):
             self.get_logger().warning(f'no such topic here, ignored: {", ".join(unused)}; a slip of the pen?')
@@ -191,21 +197,21 @@ class ObserverNode(LifecycleNode):
             except ConfigurationError as error:
                 self._stop(error)
                 return
-            self._meter.take(taken.results)
-            self._outputs.results(taken.results)
-            if name == 'voltage':
-                for motor, _ in taken.values:
-                    self._foretell(self._observer, self._outputs, motor, taken.stamp_ns)
+            self._meter.take(taken.groups)
+            self._outputs.results(taken.groups)
+            if name == 'voltage' and taken.names:
+                for group in self._observer.groups(taken.names):
+                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
 
-    def _foretell(self, observer: Observer, outputs: Outputs, motor: str, stamp_ns: int) -> None:
+    def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
         """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
-        forecast = observer.forecast(motor, stamp_ns)
-        if forecast is not None:
-            outputs.prediction(forecast.motor, forecast.stamp_ns, forecast.torque_nm)
+        torque_nm = observer.forecast_group(group, stamp_ns)
+        if torque_nm is not None:
+            outputs.prediction(group.names, stamp_ns, torque_nm)
         horizon_s = self._configuration['horizon_s']
-        held = observer.forecast_held(motor, horizon_s) if horizon_s > 0.0 else None
+        held = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
         if held is not None:
-            outputs.forecast(held.motor, held.stamp_ns, held.torque_nm)
+            outputs.forecast(group.names, *held)
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._observer is None:
@@ -283,9 +289,15 @@ class ObserverNode(LifecycleNode):
         """Publish what is known now: latched topics must not go on telling what was forgotten."""
         if self._observer is None or self._outputs is None or self._state != 'active':
             return
-        for motor in self._configuration.motors:
+        self._tell_estimates()
+        for motor in self._configuration.motors if self._configuration['motor_topics'] else ():
             self._outputs.alarm(motor, self._observer.alarm(motor))
             self._outputs.estimate(motor, *self._observer.known(motor))
+
+    def _tell_estimates(self) -> None:
+        """Publish what is known of every motor, in one message."""
+        if self._observer is not None and self._outputs is not None and self._state == 'active':
+            self._outputs.all_estimates(list(self._configuration.motors), self._observer.every_group)
 
     def _drop_observer(self) -> None:
         if self._observer is not None:
@@ -297,6 +309,12 @@ class ObserverNode(LifecycleNode):
         default = default_folder(self.get_fully_qualified_name())
         folder = CheckpointFolder(configuration['checkpoint.folder'], path, default)
         return CheckpointKeeper(folder, path, automatic=configuration['checkpoint.resume'])
+
+
+def _in_words(names: list[str]) -> str:
+    """Name motors, as far as a line of a log bears it."""
+    more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return ', '.join(names[:MOST_NAMED]) + more
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
+from array import array
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.observer import Result
+from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.pairing import MAX_WAITING_VOLTAGES
 from gray_box_observer.white_box import Parameter
+from gray_box_observer.white_box.base import Array
 
 Publish = Callable[[Any], None]
 
@@ -29,17 +32,19 @@ class Outputs:
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
-        self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in configuration.motors}
-        self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in configuration.motors}
-        self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in configuration.motors}
+        self._estimates = self._create(node, topics.ESTIMATES)
+        told = configuration.motors if configuration['motor_topics'] else {}
+        self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in told}
+        self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in told}
+        self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in told}
         self._parameters = {
             (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
-            for m, motor in configuration.motors.items()
+            for m, motor in told.items()
             for p in motor.values['context_nodes']
         }
-        self._awaited: dict[str, dict[int, bool]] = {m: {} for m in configuration.motors}
-        self._foretold: dict[str, int] = {}
-        self._alarmed: dict[str, bool] = {}
+        self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
+        self._foretold: dict[tuple[str, ...], int] = {}
+        self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False, **names: str) -> Publish:
@@ -49,41 +54,87 @@ class Outputs:
         publish: Publish = publisher.publish
         return publish
 
-    def results(self, results: Iterable[Result]) -> None:
+    def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
         for result in results:
-            foretold = self._awaited[result.motor].pop(result.sample.stamp_ns, False)
+            names = result.group.names
+            foretold = self._awaited.setdefault(names, {}).pop(result.sample.stamp_ns, False)
             if result.prediction is not None and not foretold:
-                self._predict(result.motor, result.sample.stamp_ns, float(result.prediction.torque_nm[0]))
-            if result.estimate is not None:
-                self.estimate(result.motor, result.estimate)
-            if result.alarm != self._alarmed.get(result.motor):
-                self.alarm(result.motor, result.alarm)
+                self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
+            if self._alarm and result.estimate is not None:
+                self._changed(names, result.changed.tolist(), result.estimate)
+            if self._alarm:
+                self._alarms(names, result.alarm)
 
-    def prediction(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
-        """Publish the torque predicted for a stamp whose torque is still to come, once."""
-        awaited = self._awaited[motor]
-        if stamp_ns in awaited or not math.isfinite(torque_nm):
+    def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
+        """Publish the torques predicted of motors that come together for a stamp still without torque, once."""
+        awaited = self._awaited.setdefault(names, {})
+        if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
             return
         awaited[stamp_ns] = True
         if len(awaited) > MAX_WAITING_VOLTAGES:  # torque that never came
             del awaited[next(iter(awaited))]
-        self._predict(motor, stamp_ns, torque_nm)
 
-    def _predict(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
-        if math.isfinite(torque_nm):
-            self._predicted(torque_message(motor, stamp_ns, torque_nm))
+    def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
+        message = torque_message(names, stamp_ns, torque_nm)
+        if message is None:
+            return False
+        self._predicted(message)
+        return True
 
-    def forecast(self, motor: str, stamp_ns: int, torque_nm: float) -> None:
-        """Publish the torque at the horizon if the newest voltage is held until then, once a voltage."""
+    def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
+        """Publish the torques at the horizon if the newest voltage is held until then, once a voltage."""
         if self._forecast is None:  # asked for while the node runs
             self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
-        if self._foretold.get(motor) != stamp_ns:
-            self._foretold[motor] = stamp_ns
-            self._forecast(torque_message(motor, stamp_ns, torque_nm))
+        if self._foretold.get(names) == stamp_ns:
+            return
+        message = torque_message(names, stamp_ns, torque_nm)
+        if message is not None:
+            self._foretold[names] = stamp_ns
+            self._forecast(message)
+
+    def _changed(self, names: tuple[str, ...], changed: list[int], estimate: Estimate) -> None:
+        for row, motor in enumerate(changed):
+            self.estimate(names[motor], estimate if len(changed) == 1 else estimate.of(row))
+
+    def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
+        told = self._alarmed.get(names)
+        if told is not None and np.array_equal(told, raised):
+            return
+        self._alarmed[names] = raised.copy()
+        for motor, name in enumerate(names):
+            if told is None or told[motor] != raised[motor]:
+                self.alarm(name, bool(raised[motor]))
+
+    def all_estimates(self, motors: Sequence[str], groups: Iterable[Group]) -> None:
+        """Publish value and standard deviation of every parameter of every motor, in one message.
+
+        Args:
+            motors: names of the configured motors, which are the rows.
+            groups: those that have been seen; NaN stands for the others.
+        """
+        rows, columns = {name: row for row, name in enumerate(motors)}, {}
+        seen = [(g.names, g.observer.context_nodes.estimate()) for g in groups if g.observer is not None]
+        for _, estimate in seen:
+            for parameter in estimate.parameters:
+                columns.setdefault(parameter.name, len(columns))
+        if not columns:
+            return
+        table = np.full((len(rows), len(columns), 2), np.nan)
+        for names, estimate in seen:
+            at = np.array([rows[name] for name in names])[:, None], [columns[p.name] for p in estimate.parameters]
+            table[at] = np.stack([estimate.value, estimate.std], axis=-1)
+        message = Float64MultiArray(data=array('d', table.tobytes()))
+        labels, stride = (','.join(rows), ','.join(columns), 'value,std'), table.size
+        for label, size in zip(labels, table.shape, strict=True):
+            message.layout.dim.append(MultiArrayDimension(label=label, size=size, stride=stride))
+            stride //= size
+        self._estimates(message)
 
     def estimate(self, motor: str, estimate: Estimate, identified: bool | None = None) -> None:
         """Publish values, covariance and whether all is identified; None: by the verdicts."""
+        if motor not in self._covariance:
+            return
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             self._parameters[motor, parameter.name](Float64(data=float(value)))
         self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
@@ -91,13 +142,22 @@ class Outputs:
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the alarm on the prediction's residual stands."""
-        self._alarmed[motor] = raised
+        if motor not in self._alarm:
+            return
         self._alarm[motor](Bool(data=raised))
 
 
-def torque_message(motor: str, stamp_ns: int, torque_nm: float) -> JointState:
-    """Build the message of one torque in N m at its stamp."""
-    message = JointState(name=[motor], effort=[torque_nm])
+def torque_message(names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> JointState | None:
+    """Build the message of torques in N m at their stamp, of those motors of which there is one; None of none."""
+    known = np.isfinite(torque_nm)
+    if not known.all():
+        names, torque_nm = (
+            tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
+            torque_nm[known],
+        )
+    if not names:
+        return None
+    message = JointState(name=names, effort=array('d', torque_nm))
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     return message
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -22,20 +21,16 @@ def declare(node: Node) -> Configuration:
     """
     given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
     configuration = Configuration.from_flat(given)
-    for spec in OBSERVER_PARAMETERS:
-        _declare(node, spec.name, configuration[spec.name], spec)
+    declared = [(spec.name, configuration[spec.name], describe(spec)) for spec in OBSERVER_PARAMETERS]
+    described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
     for name, motor in configuration.motors.items():
-        for spec in MOTOR_PARAMETERS:
-            _declare(node, f'{name}.{spec.name}', motor.values[spec.name], spec)
+        declared += [(f'{name}.{own}', motor.values[own], descriptor) for own, descriptor in described.items()]
+    # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared as it was understood
+    node.declare_parameters('', declared, ignore_override=True)
     if configuration.unknown:
         names = ', '.join(configuration.unknown)
         node.get_logger().warning(f'not a parameter of the observer, ignored: {names}; a slip of the pen?')
     return configuration
-
-
-def _declare(node: Node, name: str, value: Any, spec: ParameterSpec) -> None:
-    # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared as it was understood
-    node.declare_parameter(name, value, describe(spec), ignore_override=True)
 
 
 def describe(spec: ParameterSpec) -> ParameterDescriptor:

@@ -53,6 +53,12 @@ COVARIANCE = Topic(
     LATCHED_QOS,
     'Covariance of the estimates, row by row; both dimensions are labelled with the parameter names.',
 )
+ESTIMATES = Topic(
+    '~/estimates',
+    Float64MultiArray,
+    LATCHED_QOS,
+    'Value and standard deviation of every parameter of every motor, labelled; every `estimates_period_s`.',
+)
 PREDICTED_TORQUE = Topic(
     '~/predicted_torque',
     JointState,

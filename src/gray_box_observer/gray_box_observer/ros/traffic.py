@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from gray_box_observer.intake import Intake
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
@@ -56,7 +56,6 @@ class TrafficMeter:
 
     Attributes:
         rhythms: how regularly each motor's samples come.
-        newest_ns: stamp of each motor's newest sample.
     """
 
     def __init__(self) -> None:
@@ -69,7 +68,8 @@ class TrafficMeter:
         self._counted: Counter[tuple[str, str]] = Counter()
         self._settled: Counter[str] = Counter()
         self.rhythms: dict[str, Rhythm] = {}
-        self.newest_ns: dict[str, int] = {}
+        self._of_group: dict[tuple[str, ...], Rhythm] = {}
+        self._newest_of_group: dict[tuple[str, ...], int] = {}
 
     @contextmanager
     def busy(self) -> Iterator[None]:
@@ -80,14 +80,21 @@ class TrafficMeter:
         finally:
             self._busy_s += time.perf_counter() - begin_s
 
-    def take(self, results: list[Result]) -> None:
+    def take(self, results: list[GroupResult]) -> None:
         """Note what one message has led to."""
         for result in results:
-            rhythm = self.rhythms.get(result.motor)
-            if rhythm is None:
-                rhythm = self.rhythms[result.motor] = Rhythm()
-            rhythm.take(float(result.sample.interval_s[0]))
-            self.newest_ns[result.motor] = result.sample.stamp_ns
+            names = result.group.names
+            rhythm = self._of_group.get(names)
+            if rhythm is None:  # motors that come together have one rhythm
+                rhythm = self._of_group[names] = Rhythm()
+                self.rhythms.update(dict.fromkeys(names, rhythm))
+            rhythm.take(float(result.sample.interval_s.max()))
+            self._newest_of_group[names] = result.sample.stamp_ns
+
+    @property
+    def newest_ns(self) -> dict[str, int]:
+        """Stamp of each motor's newest sample."""
+        return {name: stamp_ns for names, stamp_ns in self._newest_of_group.items() for name in names}
 
     def read(self, observer: Observer, intake: Intake) -> Traffic:
         """Return what has come since the last reading."""

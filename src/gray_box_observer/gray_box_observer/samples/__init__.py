@@ -1,7 +1,8 @@
 """Samples: what comes in, how voltage and torque are paired by stamp, and what is refused and why."""
 
-from gray_box_observer.samples.pairing import Pairing, Rejection
+from gray_box_observer.samples.pairing import Pairing
 from gray_box_observer.samples.raw_history import RawHistory
+from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample, seconds
 

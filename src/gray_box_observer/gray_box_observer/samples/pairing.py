@@ -7,6 +7,9 @@ the wall clock, so that live topics and a replayed bag make the same samples.
 
 Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
 all that follows sees signals that belong together.
+
+Values are plain floats for one motor and arrays of shape (motor,) for a group that comes in the same messages; stamps
+are shared. What stamps decide is decided here, what values decide in :mod:`joining`.
 """
 
 from __future__ import annotations
@@ -15,23 +18,15 @@ import math
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
 from gray_box_observer.samples.raw_history import RawHistory
-from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, Sample, nanoseconds, seconds
-
-
-class Rejection(str, Enum):
-    """Why something that came in was not used."""
-
-    NON_FINITE = 'non_finite'
-    DUPLICATE = 'duplicate'
-    OUT_OF_ORDER = 'out_of_order'
-    NO_VOLTAGE = 'no_voltage'
-    NO_SPEED = 'no_speed'
-    ABSURD = 'absurd'
-    MALFORMED = 'malformed'
-
+from gray_box_observer.samples.rejection import Rejection
+from gray_box_observer.samples.sample import Sample, nanoseconds
 
 MAX_WAITING_VOLTAGES = 10_000
 
@@ -52,31 +47,56 @@ class PairingRules:
     jump_back_s: float = 1.0
 
 
+@dataclass(frozen=True, slots=True)
+class PairingCounts:
+    """What became of one motor's messages; see :class:`Pairing`."""
+
+    refused: dict[str, Counter[Rejection]]
+    received_torque: int
+    received_voltage: int
+    taken_voltage: int
+    used: int
+    waiting: int
+    restarts: int
+    held: int
+    delay_ns: int
+
+    @property
+    def rejected(self) -> Counter[Rejection]:
+        """What could not be used, by reason, whatever signal it was of."""
+        return sum(self.refused.values(), Counter())
+
+
 class Pairing:
-    """Turns stamped voltages and torques of one motor into samples, counting what cannot be used.
+    """Turns stamped voltages and torques into samples, counting what cannot be used.
 
     Everything that comes in is used or counted under its reason. Of torque, ``received = used + refused + waiting``; of
-    voltage, ``received = taken + refused``.
+    voltage, ``received = taken + refused``. Of a group :meth:`of` tells what became of each motor's.
 
     Args:
         rules: how patient it is.
+        motors: how many come together.
         own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
         delay_s: voltage acts that much later than its stamp says; negative where its stamp comes late.
 
     Attributes:
         history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
-        refused: what could not be used, by signal and reason.
+        refused: what could not be used, by signal and reason; of a group, messages that were refused as a whole.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
-    def __init__(self, rules: PairingRules | None = None, *, own_speed: bool = False, delay_s: float = 0.0) -> None:
+    def __init__(
+        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False, delay_s: float = 0.0
+    ) -> None:
+        self.motors = motors
         self._own_speed = own_speed
         self.needs_speed = own_speed
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
         self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
+        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(self.refused, motors)
         self.received_torque = 0
         self.received_voltage = 0
         self.taken_voltage = 0
@@ -106,10 +126,11 @@ class Pairing:
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
-        self._voltages: deque[tuple[int, float]] = deque()
-        self._torques: deque[tuple[int, float, float]] = deque()
+        self._voltages: deque[tuple[int, Any]] = deque()
+        self._torques: deque[tuple[int, Any, Any]] = deque()
         self._speeds: deque[tuple[int, float]] = deque()
-        self._held_v = math.nan  # the voltage in force
+        self._held_v: Any = self._joining.blank  # the voltage in force
+        self._joining.restart()
         self._newest_speed_ns: int | None = None
         self._newest_voltage_ns: int | None = None
         self._newest_torque_ns: int | None = None
@@ -160,7 +181,7 @@ class Pairing:
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
         counts = self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held
-        refused, waited = {signal: counter.copy() for signal, counter in self.refused.items()}, self.waiting
+        refused, waited = {name: counter.copy() for name, counter in self.refused.items()}, self.waiting
         self._set_delay(delay_s)
         self._restart()
         self.history.clear()
@@ -168,7 +189,9 @@ class Pairing:
         for signal, stamp_ns, values in events:
             samples += self._take[signal](stamp_ns, *values)
         self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held = counts
-        self.refused = refused
+        for name, counter in self.refused.items():
+            counter.clear()
+            counter.update(refused[name])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
@@ -178,10 +201,18 @@ class Pairing:
         """Whether a sample was given out before, paired under another delay."""
         return self._repeated_until_ns is not None and sample.stamp_ns <= self._repeated_until_ns
 
-    def voltage(self, stamp_ns: int, voltage_v: float) -> list[Sample]:
-        """Take one voltage sample in V; return the samples it completes, oldest first."""
+    def voltage(self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None) -> list[Sample]:
+        """Take one voltage sample in V; return the samples it completes, oldest first.
+
+        Args:
+            stamp_ns: its stamp.
+            voltage_v: the voltage; of a group an array of shape (motor,).
+            missing: which motors of the group the message does not speak of; None: none.
+        """
         self.received_voltage += 1
-        if not self._usable('voltage', voltage_v):
+        newest_v = self._voltages[-1][1] if self._voltages else self._held_v
+        voltage_v = self._joining.voltage(voltage_v, newest_v, missing)
+        if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
         done = self._order('voltage', stamp_ns, self._newest_voltage_ns)
@@ -197,7 +228,7 @@ class Pairing:
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
-        if not self._usable('speed', speed_rad_s):
+        if not self._joining.usable('speed', speed_rad_s):
             return []
         done = self._order('speed', stamp_ns, self._newest_speed_ns)
         if done is None:
@@ -209,12 +240,16 @@ class Pairing:
             self._speeds.popleft()
         return done + self._complete(self._known_ns())
 
-    def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Sample]:
-        """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes."""
+    def torque(
+        self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any = math.nan, missing: NDArray[np.bool_] | None = None
+    ) -> list[Sample]:
+        """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes.
+
+        The arguments are as in :meth:`voltage`.
+        """
         self.received_torque += 1
-        if not self._usable('torque', torque_nm) or not (
-            math.isnan(speed_rad_s) or self._usable('torque', speed_rad_s)
-        ):
+        torque_nm = self._joining.torque(torque_nm, speed_rad_s, missing)
+        if torque_nm is None:
             return []
         done = self._order('torque', stamp_ns, self._newest_torque_ns)
         if done is None:
@@ -233,7 +268,7 @@ class Pairing:
         return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
 
     @property
-    def newest_voltage(self) -> tuple[int, float] | None:
+    def newest_voltage(self) -> tuple[int, Any] | None:
         """Instant in ns from which the newest voltage acts, and the voltage in V; None before the first."""
         if self._newest_voltage_ns is None:
             return None
@@ -244,7 +279,7 @@ class Pairing:
         """Stamp of the last sample of the signal history; None before the first."""
         return self._previous_ns
 
-    def ahead(self, stamp_ns: int) -> tuple[float, float] | None:
+    def ahead(self, stamp_ns: int) -> tuple[Any, Any] | None:
         """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
 
         None where torque before that stamp still waits, where the voltage is not known up to it (with a negative delay
@@ -255,20 +290,27 @@ class Pairing:
             return None
         if stamp_ns - start_ns > self._gap_ns:
             return None
-        return seconds(stamp_ns - start_ns), self._mean_voltage(start_ns, stamp_ns)
+        return self._joining.ahead(stamp_ns - start_ns, self._mean_voltage(start_ns, stamp_ns), self._gap_ns)
+
+    def of(self, motor: int) -> PairingCounts:
+        """Return what became of one motor's messages."""
+        missed, used = self._joining.missed(motor), self._joining.lost(motor)
+        received_voltage, refused = self.received_voltage - missed['voltage'], self._joining.refused(motor)
+        return PairingCounts(
+            refused=refused,
+            received_torque=self.received_torque - missed['torque'],
+            received_voltage=received_voltage,
+            taken_voltage=received_voltage - refused['voltage'].total(),
+            used=self.used - used,
+            waiting=self.waiting,
+            restarts=self.restarts,
+            held=self.held,
+            delay_ns=self._delay_ns,
+        )
 
     def flush(self) -> list[Sample]:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
         return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
-
-    def _usable(self, signal: str, value: float) -> bool:
-        if not math.isfinite(value):
-            self.refused[signal][Rejection.NON_FINITE] += 1
-            return False
-        if abs(value) > ABSURD_MAGNITUDE:
-            self.refused[signal][Rejection.ABSURD] += 1
-            return False
-        return True
 
     def _order(self, signal: str, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
@@ -288,22 +330,27 @@ class Pairing:
                 self.used += 1
         return samples
 
-    def _pair(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
+    def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
         """Join a torque sample with the voltage that was held since the one before it, and with the speed then."""
         if self._own_speed:
             speed_rad_s = self._speed_at(stamp_ns)
-        if self.needs_speed and math.isnan(speed_rad_s):
-            self.refused['torque'][Rejection.NO_SPEED] += 1
-            return None
+        if self.needs_speed:
+            torque_nm = self._joining.with_speed(torque_nm, speed_rad_s)
+            if torque_nm is None:
+                return None
         start_ns = self._previous_ns
-        anew = start_ns is None or stamp_ns - start_ns > self._gap_ns
-        mean_v = math.nan if anew or start_ns is None else self._mean_voltage(start_ns, stamp_ns)
+        goes_on = start_ns is not None and stamp_ns - start_ns <= self._gap_ns
+        mean_v = self._mean_voltage(start_ns, stamp_ns) if goes_on and start_ns is not None else self._joining.blank
         while self._voltages and self._voltages[0][0] < stamp_ns:
             self._held_v = self._voltages.popleft()[1]
-        if anew or start_ns is None:
-            return self._begin(stamp_ns, torque_nm, speed_rad_s)
-        self._previous_ns = stamp_ns
-        return Sample.of_one_motor(stamp_ns, seconds(stamp_ns - start_ns), mean_v, torque_nm, speed_rad_s)
+        at_once_v = self._voltages[0][1] if self._voltages and self._voltages[0][0] == stamp_ns else self._joining.blank
+        passed_ns = stamp_ns - start_ns if goes_on and start_ns is not None else None
+        sample = self._joining.join(
+            stamp_ns, passed_ns, mean_v, (self._held_v, at_once_v), torque_nm, speed_rad_s, self._gap_ns
+        )
+        if sample is not None or passed_ns is not None:
+            self._previous_ns = stamp_ns
+        return sample
 
     def _speed_at(self, stamp_ns: int) -> float:
         """Speed at a stamp: linear between its samples, held after the last for a gap at most; else NaN."""
@@ -317,18 +364,7 @@ class Pairing:
         after_ns, after = self._speeds[1]
         return before + (after - before) * (stamp_ns - before_ns) / (after_ns - before_ns)
 
-    def _begin(self, stamp_ns: int, torque_nm: float, speed_rad_s: float) -> Sample | None:
-        """Start the signal history at a torque sample; not before a voltage is known there."""
-        held_v = self._held_v
-        if math.isnan(held_v) and self._voltages and self._voltages[0][0] == stamp_ns:
-            held_v = self._voltages[0][1]
-        if math.isnan(held_v):
-            self.refused['torque'][Rejection.NO_VOLTAGE] += 1
-            return None
-        self._previous_ns = stamp_ns
-        return Sample.of_one_motor(stamp_ns, 0.0, held_v, torque_nm, speed_rad_s)
-
-    def _mean_voltage(self, start_ns: int, end_ns: int) -> float:
+    def _mean_voltage(self, start_ns: int, end_ns: int) -> Any:
         """Mean of the held voltage over an interval of the signal history, which never begins before a voltage."""
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
         for since_ns, voltage_v in self._voltages:

@@ -1,4 +1,4 @@
-"""The newest raw voltages and torques of one motor, as they came in, so that they can be paired again.
+"""The newest raw voltages and torques, as they came in, so that they can be paired again.
 
 Pairing forgets how a sample's mean voltage was made. Whoever asks whether voltage and torque are shifted against each
 other needs the stamps themselves. Bounded, in the order of arrival; what is read out depends on stamps alone, so that
@@ -61,26 +61,26 @@ class RawSignals:
 
 
 class RawHistory:
-    """Bounded memory of the raw measurements of one motor that pairing has taken, in the order of stamps.
+    """Bounded memory of the raw measurements that pairing has taken, in the order of stamps; of a group, arrays.
 
     Attributes:
         restarts: how often the clock was set back: what came before does not belong to what is remembered.
     """
 
     def __init__(self) -> None:
-        self._voltages: deque[tuple[int, float]] = deque(maxlen=VOLTAGES + SLACK)
-        self._torques: deque[tuple[int, float, float]] = deque(maxlen=TORQUES + SLACK)
+        self._voltages: deque[tuple[int, Any]] = deque(maxlen=VOLTAGES + SLACK)
+        self._torques: deque[tuple[int, Any, Any]] = deque(maxlen=TORQUES + SLACK)
         self._speeds: deque[tuple[int, float]] = deque(maxlen=TORQUES + SLACK)
         self.restarts = 0
 
     def __len__(self) -> int:
         return len(self._voltages) + len(self._torques) + len(self._speeds)
 
-    def voltage(self, stamp_ns: int, voltage_v: float) -> None:
+    def voltage(self, stamp_ns: int, voltage_v: Any) -> None:
         """Remember one voltage in V."""
         self._voltages.append((stamp_ns, voltage_v))
 
-    def torque(self, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> None:
+    def torque(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any = math.nan) -> None:
         """Remember one torque in N m, with the speed in rad/s that came with it."""
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
 
@@ -107,6 +107,18 @@ class RawHistory:
         rows += [(at, 2, ('torque', at, (torque, speed))) for at, torque, speed in self._torques]
         rows.sort(key=lambda row: row[:2])
         return (event for _, _, event in rows)
+
+    def of(self, motor: int) -> RawHistory:
+        """Return what is remembered of one motor of a group; what cannot be used of it is left out."""
+        made = RawHistory()
+        made.restarts = self.restarts
+        made._voltages.extend((at, float(volt[motor])) for at, volt in self._voltages if volt[motor] == volt[motor])
+        made._torques.extend(
+            (at, float(torque[motor]), float(speed[motor]) if isinstance(speed, np.ndarray) else math.nan)
+            for at, torque, speed in self._torques
+            if torque[motor] == torque[motor]
+        )
+        return made
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
         """Read out what is known for certain once the torque of a stamp is complete under a delay.

@@ -1,10 +1,12 @@
-"""The newest samples of a group of motors, in order, as contiguous arrays."""
+"""The newest samples of a group of motors, each motor's in order, as contiguous arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.sample import Sample
@@ -12,51 +14,150 @@ from gray_box_observer.white_box.base import Array
 
 _INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
 
+STAGE = 32
+"""Samples gathered as they come, motor beside motor, before each motor's are put behind those it has."""
+
 
 class ReplayBuffer:
-    """Bounded memory of samples.
+    """Bounded memory of samples, one stream a motor.
 
-    Views are contiguous and cost nothing: the storage is twice the capacity, and when it is full the newest half moves
-    to the front, so that appending costs a constant amount on average.
+    A motor's samples are counted by their place in its stream, from 1 on; what is absent from a sample of the group is
+    not part of the stream. Views are contiguous and cost nothing where all motors have come with every sample: the
+    storage is twice the capacity, and when it is full the newest part moves to the front, so that appending costs a
+    constant amount on average. At least half a capacity beyond what is remembered is kept, for those who read with
+    ``until`` and have not come to the newest sample yet.
 
     Args:
         motors: number of motors.
-        capacity: how many samples are remembered.
+        capacity: how many samples of each are remembered.
+
+    Attributes:
+        motors: how many streams there are.
+        capacity: as given.
+        total: how many samples the group has been given.
     """
 
     def __init__(self, motors: int, capacity: int) -> None:
         if motors < 1 or capacity < 1:
             raise ConfigurationError(f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}')
+        self.motors = motors
         self.capacity = capacity
         self._data = np.zeros((4, motors, 2 * capacity))
-        self._end = 0
+        stage = max(1, min(STAGE, capacity // 2))
+        self._stage = np.zeros((stage, 4, motors))
+        self._present = np.ones((stage, motors), dtype=bool)
+        self._staged = 0
+        self._gaps = False
+        self._end = np.zeros(motors, dtype=int)  # column behind the newest sample
+        self._gone = np.zeros(motors, dtype=int)  # samples that stood before column 0
+        self._begin = np.zeros(motors, dtype=int)  # place before the oldest that is remembered
+        self._even = True
         self.total = 0
 
     def __len__(self) -> int:
-        return min(self._end, self.capacity)
+        return int(self.remembered().max())
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
         """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s`` replaces its speed."""
-        if self._end == 2 * self.capacity:
-            self._data[:, :, : self.capacity] = self._data[:, :, self.capacity :]
-            self._end = self.capacity
-        column = self._data[:, :, self._end]
-        column[_INTERVAL] = sample.interval_s
-        column[_VOLTAGE] = sample.voltage_v
-        column[_TORQUE] = sample.torque_nm
-        column[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
-        self._end += 1
+        row = self._stage[self._staged]
+        row[_INTERVAL] = sample.interval_s
+        row[_VOLTAGE] = sample.voltage_v
+        row[_TORQUE] = sample.torque_nm
+        row[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
+        if sample.present is not None:
+            self._present[self._staged], self._gaps = sample.present, True
+        self._staged += 1
         self.total += 1
+        if self._staged == self._stage.shape[0]:
+            self._settle()
 
-    def forget(self, keep: int) -> None:
-        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another motor)."""
-        keep = min(keep, len(self))
-        self._data[:, :, :keep] = self._data[:, :, self._end - keep : self._end]
+    def _settle(self) -> None:
+        """Put what is staged behind what every motor has."""
+        count, self._staged = self._staged, 0
+        if count == 0:
+            return
+        if int(self._end.max()) + count > self._data.shape[2]:
+            self._move_to_front()
+        if self._gaps:
+            self._scatter(count)
+        elif self._even:
+            end = int(self._end[0])
+            self._data[:, :, end : end + count] = self._stage[:count].transpose(1, 2, 0)
+            self._end += count
+        else:
+            columns = self._end[:, None] + np.arange(count)
+            self._data[:, np.arange(self._end.size)[:, None], columns] = self._stage[:count].transpose(1, 2, 0)
+            self._end += count
+
+    def _scatter(self, count: int) -> None:
+        """Put what is staged behind what those motors have that were there."""
+        present = self._present[:count]
+        columns = self._end + np.cumsum(present, axis=0) - 1
+        row, motor = np.nonzero(present)
+        self._data[:, motor, columns[row, motor]] = self._stage[row, :, motor].T
+        self._end += np.sum(present, axis=0)
+        self._even = bool(np.all(self._end == self._end[0]))
+        self._present[:count], self._gaps = True, False
+
+    def _move_to_front(self) -> None:
+        keep = np.minimum(self._end, self.capacity + self.capacity // 2)
+        most = int(keep.max())
+        if self._even:
+            end = int(self._end[0])
+            self._data[:, :, :most] = self._data[:, :, end - most : end]
+        else:  # from behind, so that the newest of each stand where the next will follow
+            columns = np.minimum((self._end - keep)[:, None] + np.arange(most), self._data.shape[2] - 1)
+            self._data[:, :, :most] = self._data[:, np.arange(self._end.size)[:, None], columns]
+        self._gone += self._end - keep
         self._end = keep
 
-    def content(self) -> Array:
-        """Everything remembered, shape (signal, motor, n), for a checkpoint."""
-        return self._data[:, :, self._end - len(self) : self._end].copy()
+    @property
+    def received(self) -> NDArray[np.int_]:
+        """Place of every motor's newest sample in its stream, shape (motor,)."""
+        self._settle()
+        received: NDArray[np.int_] = self._gone + self._end
+        return received
+
+    def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
+        """Return the place before the oldest sample that has not been told to be forgotten, shape (motor,)."""
+        begin: NDArray[np.int_] = self._begin[which]
+        return begin
+
+    def remembered(self, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> NDArray[np.int_]:
+        """Return how many samples are remembered, shape (motor,).
+
+        Args:
+            which: index of the motors.
+            until: place in each stream after which nothing counts; None: to the newest.
+        """
+        place = self.received[which] if until is None else until
+        remembered: NDArray[np.int_] = np.minimum(place - self._begin[which], self.capacity)
+        return remembered
+
+    def forget(self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> None:
+        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another motor)."""
+        place = self.received[which] if until is None else until
+        self._begin[which] = np.maximum(self._begin[which], place - np.minimum(keep, self.capacity))
+
+    def newest(self, count: int, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> Array:
+        """Return samples of some motors, shape (signal, motor, count): interval, voltage, torque, speed.
+
+        Args:
+            count: how many; all the motors must have as many.
+            which: index of the motors.
+            until: place in each stream of the last one; None: the newest.
+        """
+        self._settle()
+        ends = self._end[which] if until is None else until - self._gone[which]
+        end = int(ends[0])
+        if ends.size == 1 or np.all(ends == end):
+            return self._data[:, which, end - count : end]
+        motors = np.arange(self._end.size)[which]
+        return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
+
+    def content(self, which: Any = slice(None)) -> Array:
+        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor has."""
+        return self.newest(int(self.remembered(which).min()), which).copy()
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
@@ -68,28 +169,31 @@ class ReplayBuffer:
             made.append(sample, speed)
         return made
 
-    def refill(self, content: Array) -> None:
-        """Take back what :meth:`content` gave, as much as fits; the signal history ends there."""
+    def refill(self, content: Array, which: Any = slice(None)) -> None:
+        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors ends there."""
+        self._settle()
         keep = min(content.shape[2], self.capacity)
-        self._data[:, :, :keep] = content[:, :, content.shape[2] - keep :]
-        self._end = keep
+        self._data[:, which, :keep] = content[:, :, content.shape[2] - keep :]
+        self._end[which], self._gone[which], self._begin[which] = keep, 0, 0
+        self._even = bool(np.all(self._end == self._end[0]))
 
-    def _newest(self, row: int, count: int | None) -> Array:
-        length = len(self) if count is None else min(count, len(self))
-        return self._data[row, :, self._end - length : self._end]
+    def _row(self, row: int, count: int | None) -> Array:
+        length = int(self.remembered().min())
+        signal: Array = self.newest(length if count is None else min(count, length))[row]
+        return signal
 
     def interval_s(self, count: int | None = None) -> Array:
         """Shape (motor, n): time since the previous sample; 0 where the history starts anew."""
-        return self._newest(_INTERVAL, count)
+        return self._row(_INTERVAL, count)
 
     def voltage_v(self, count: int | None = None) -> Array:
         """Shape (motor, n): mean voltage of the interval before each sample."""
-        return self._newest(_VOLTAGE, count)
+        return self._row(_VOLTAGE, count)
 
     def torque_nm(self, count: int | None = None) -> Array:
         """Shape (motor, n): torque at each sample."""
-        return self._newest(_TORQUE, count)
+        return self._row(_TORQUE, count)
 
     def speed_rad_s(self, count: int | None = None) -> Array:
         """Shape (motor, n): measured speed at each sample."""
-        return self._newest(_SPEED, count)
+        return self._row(_SPEED, count)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.white_box.base import Array
 
@@ -35,6 +36,8 @@ class Sample:
         voltage_v: shape (motor,): mean voltage over that interval; the held value where it did not change in between.
         torque_nm: shape (motor,): torque at the stamp.
         speed_rad_s: shape (motor,): measured speed at the stamp; NaN where none is measured.
+        present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays hold of the others
+            is not to be used.
     """
 
     stamp_ns: int
@@ -42,10 +45,18 @@ class Sample:
     voltage_v: Array
     torque_nm: Array
     speed_rad_s: Array
+    present: NDArray[np.bool_] | None = None
 
-    def beginning(self) -> Sample:
-        """Return the sample as the first of a signal history: no interval leads to it."""
-        return replace(self, interval_s=np.zeros_like(self.interval_s))
+    def beginning(self, which: NDArray[np.bool_] | None = None) -> Sample:
+        """Return the sample as the first of a signal history, of some motors or all: no interval leads to it."""
+        begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
+        return replace(self, interval_s=np.where(begins, 0.0, self.interval_s))
+
+    def of(self, index: NDArray[np.intp]) -> Sample:
+        """Return the sample of the chosen motors."""
+        voltage_v, torque_nm, speed_rad_s = (x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s))
+        present = None if self.present is None else self.present[index]
+        return Sample(self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present)
 
     @classmethod
     def of_one_motor(

@@ -54,6 +54,9 @@ class WhiteBox(Protocol):
     def speed_measured(self) -> bool:
         """Whether the terms use a measured speed."""
 
+    def of_motors(self, index: Any) -> WhiteBox:
+        """Return the white box of the chosen motors, in the order of ``index``."""
+
     def state(self, torque_nm: Array) -> Array:
         """Turn the measured output into the state (torque to current). Elementwise."""
 

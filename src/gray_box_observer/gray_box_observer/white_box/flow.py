@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -19,6 +20,9 @@ LARGEST_STEP = 0.35
 
 MAX_STEPS = 16
 """Where more Runge-Kutta steps were needed, exponential ones are taken: they settle where Runge-Kutta would burst."""
+
+STIFF = MAX_STEPS + 1
+"""Number of steps that stands for MAX_STEPS exponential ones."""
 
 _Rate = tuple[Array, Array, Array]
 """Rate of the state, its derivative by the state, and by every coordinate (shape (coordinate, motor, k))."""
@@ -68,6 +72,11 @@ class _Interval:
     end_speed_rad_s: Array
     length_s: Array
 
+    def of(self, index: NDArray[np.intp]) -> _Interval:
+        """Return those of the chosen motors."""
+        speeds = self.speed_rad_s[index], self.end_speed_rad_s[index]
+        return _Interval(self.voltage_v[index], *speeds, self.length_s[index])
+
     def parts(self, count: int) -> Iterator[_Interval]:
         """Cut into equal parts, the first one first."""
         slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
@@ -101,7 +110,8 @@ def flow(
 ) -> Flow:
     """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
 
-    As many steps as the fastest decay asks for; beyond MAX_STEPS, exponential steps, which are stable however stiff.
+    As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which are stable however
+    stiff.
 
     Args:
         white_box: the physics.
@@ -114,16 +124,32 @@ def flow(
     """
     interval = _Interval(voltage_v, speed_rad_s, end_speed, interval_s)
     here = _rate(white_box, p, start, voltage_v, speed_rad_s)
-    stiffness = float(np.max(np.abs(here[1]) * interval_s, initial=0.0))
-    steps = min(MAX_STEPS, max(1, int(np.ceil(stiffness / LARGEST_STEP)))) if np.isfinite(stiffness) else MAX_STEPS
-    if steps == 1:
+    stiffness = np.max(np.abs(here[1]) * interval_s, axis=1, initial=0.0)
+    if np.all(stiffness <= LARGEST_STEP):
         return _runge_kutta_step(white_box, p, start, here, interval)
-    step = _runge_kutta_step if stiffness <= steps * LARGEST_STEP else _exponential_step
+    steps = np.where(stiffness <= MAX_STEPS * LARGEST_STEP, np.ceil(stiffness / LARGEST_STEP), STIFF)
+    first = steps[0]
+    if np.all(steps == first):
+        return _in_steps(white_box, p, start, here, interval, int(first))
+    ends, slopes, forced = np.empty_like(start), np.empty_like(start), np.empty((p.shape[1], *start.shape))
+    for count in np.unique(steps).tolist():  # no motor moves otherwise than it would alone
+        which = np.flatnonzero(steps == count)
+        rate = (here[0][which], here[1][which], here[2][:, which])
+        moved = _in_steps(white_box.of_motors(which), p[which], start[which], rate, interval.of(which), int(count))
+        ends[which], slopes[which], forced[:, which] = moved.end, moved.by_state, moved.by_coordinate
+    return Flow(ends, slopes, forced)
+
+
+def _in_steps(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval, count: int) -> Flow:
+    """Move intervals on in equal steps; ``here`` is the rate at the start."""
+    step, count = (_runge_kutta_step, max(1, count)) if count <= MAX_STEPS else (_exponential_step, MAX_STEPS)
+    if count == 1:
+        return step(white_box, p, start, here, interval)
     state, by_state = start, np.ones_like(start)
     by_coordinate = np.zeros((p.shape[1], *start.shape))
-    for j, part in enumerate(interval.parts(steps)):
+    for j, part in enumerate(interval.parts(count)):
         if j > 0:
-            here = _rate(white_box, p, state, voltage_v, part.speed_rad_s)
+            here = _rate(white_box, p, state, interval.voltage_v, part.speed_rad_s)
         moved = step(white_box, p, state, here, part)
         state, by_state = moved.end, moved.by_state * by_state
         by_coordinate = moved.by_state * by_coordinate + moved.by_coordinate

@@ -1,0 +1,287 @@
+"""What does a motor-sample cost when there are more motors? Against as many filterpy filters, and against the machine.
+
+One process, one thread, CPU time (so that a busy machine does not count against anybody), everything in one run. Motors
+are the thesis's, identified before the clock starts, each with its own noise; what is timed is the context nodes'
+update and, apart from it, the prediction. The first minute, with the seven fits of settling in, is told beside it.
+Ends with one line of JSON.
+
+The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what it has to compute
+(:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
+
+Profile of 1,000 motors (cProfile, shares of the update): flow and its sensitivities 34 %, recurrences 7 %, variance of
+the innovations 10 %, the test for a change 16 %, learning a block 13 %, of all these small solves by LAPACK 9 %;
+holds, noise and bookkeeping 10 %; choosing motors and putting them back 6 %, samples into memory 4 %. Every step is one
+pass of numpy over arrays in the second-level cache; a compiled loop over motors would keep them in registers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import math
+import os
+import sys
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
+
+import numpy as np
+
+MOTORS = (1, 10, 100, 1000, 10_000)
+TAUGHT = 6000
+"""Samples that the motor is identified from before the clock starts; by then there are no more fits."""
+
+KEPT = 64
+"""Samples of these that every motor remembers: the update reads a block and one sample more."""
+
+MOST_FILTERS = 100
+"""Copies of filterpy's filter that are really run: they share nothing, so more cost as many times more."""
+
+PARAMETERS, BLOCK = 3, 32
+UNKNOWNS = PARAMETERS + 1
+
+BYTES = 3 * 8 * 3 + 2 * 8 * (2 * UNKNOWNS**2 + 4 * PARAMETERS * (PARAMETERS + 1) + 24) / BLOCK
+"""Bytes of memory that a motor-sample must move: interval, voltage and torque come in, are stored, and are read once;
+and once a block, both ways, the covariance, that of long holds, four score tests and two dozen numbers."""
+
+FLOPS = (
+    4 * 20 + 20  # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
+    + 4 * (3 + 3 * PARAMETERS) + 8 * UNKNOWNS  # the variational equation
+    + 2 * (2 + PARAMETERS)  # recurrences: current, by the first current, by every coordinate
+    + 2 * UNKNOWNS**2 + 2 * UNKNOWNS  # variance of the innovation
+    + 2 * UNKNOWNS**2 + 2 * UNKNOWNS + 12  # normal equations, residual, limits
+    + (8 * UNKNOWNS**3 + 4 * PARAMETERS**3 + 16 * PARAMETERS**2) / BLOCK  # solves, transfer, score tests
+)  # fmt: skip
+"""Operations that the update of a motor-sample needs, products and sums alike."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark; return the exit status."""
+    parser = argparse.ArgumentParser(prog='scale', description=str(__doc__).partition('\n')[0])
+    parser.add_argument('--quick', action='store_true', help='fewer samples, up to 1,000 motors: no verdicts')
+    options = parser.parse_args(arguments)
+    if importlib.util.find_spec('filterpy') is None:
+        print(
+            'scale: error: filterpy is missing; install ros_ws/requirements/bench.txt (make bench does it)',
+            file=sys.stderr,
+        )
+        return 2
+    from common.figures import Figure, last_line, table
+
+    counts = [n for n in MOTORS if n <= 1000 or not options.quick]
+    repeats = 2 if options.quick else 5
+    nodes, samples = taught()
+    bandwidth, arithmetic = machine()
+    limit_us = 1e6 * max(BYTES / bandwidth, FLOPS / arithmetic)
+    few = 200 if options.quick else 1000
+    filter_us, update_us = dict.fromkeys(counts, math.inf), dict.fromkeys(counts, math.inf)
+    for n in 2 * counts:  # in turns, so that both meet the same weather
+        filter_us[n] = min(filter_us[n], filters_us(min(n, MOST_FILTERS), few))
+        update_us[n] = min(update_us[n], update(nodes, samples, n, repeats))
+    predict_us = {n: prediction(samples, n, repeats) for n in counts}
+    kilobytes = {n: memory(nodes, n) for n in counts}
+    rows = []
+    for n in counts:
+        ratios = filter_us[n] / update_us[n], update_us[1] / update_us[n], update_us[n] / limit_us
+        costs = f'{update_us[n]:.3f}', f'{predict_us[n]:.3f}', f'{filter_us[n]:.1f}'
+        rows.append([f'{n:,}', *costs, *(f'{ratio:.1f}' for ratio in ratios), f'{kilobytes[n]:.0f}'])
+    header = ['motors', 'update us', 'predict us', 'EKF us', 'EKF/update', 'one/many', 'x limit', 'kB a motor']
+    print('CPU time of a motor-sample\n\n' + table(header, rows))
+    moved, worked = (f'{1e9 * x:.1f} ns' for x in (BYTES / bandwidth, FLOPS / arithmetic))
+    print(f'\nlimit: {BYTES:.0f} bytes at {bandwidth / 1e9:.1f} GB/s are {moved}; ', end='')
+    print(f'{FLOPS:.0f} operations at {arithmetic / 1e9:.1f} Gflop/s are {worked}')
+    settle_us = {n: settling(n, 1500 if options.quick else 6000) for n in (1, 100)}
+    for n, cost_us in settle_us.items():
+        print(f'the first {15 if options.quick else 60} s, fits included, {n:,} motors: {cost_us:.2f} us')
+    whole = not options.quick
+    thousand, cores = update_us[1000], 0.1 * (update_us[1000] + predict_us[1000])
+    figures = [
+        Figure('update of one motor, times the EKF', update_us[1] / filter_us[1], 1.0, whole),
+        Figure('update, 1,000 motors, as a fraction of as many EKFs', thousand / filter_us[1000], 0.02, whole),
+        Figure('update, 1,000 motors, as a fraction of one motor', thousand / update_us[1], 0.01, whole),
+        Figure('update, 1,000 motors, times the limit', thousand / limit_us, 10.0, whole),
+        Figure('update and prediction, 1,000 motors at 100 Hz, cores', cores, 1.0, whole),
+        Figure('memory of context nodes, kB a motor at 1,000', kilobytes[1000], None),
+    ]
+    print(last_line('scale', 1, figures))
+    return 0
+
+
+def taught() -> tuple[Any, list[tuple[float, float]]]:
+    """Identify the motor of the thesis; return its context nodes and further voltages and torques without noise."""
+    from dc_motor_sim.plant import PlantParameters
+    from dc_motor_sim.simulation import Simulation
+
+    recording = Simulation({'m': PlantParameters()}, 'R[5,15]D[0.2,3]', seed=1).record(100.0)
+    nodes, noise = rule(1), np.random.default_rng(0).normal(0.0, NOISE_NM, recording.stamp_ns.size)
+    voltage, torque = recording.voltage_v[0], recording.torque_nm[0]
+    for k in range(TAUGHT):
+        nodes.learn(sample(k, np.array([voltage[max(k - 1, 0)]]), np.array([torque[k] + noise[k]])))
+    return nodes, [(float(voltage[k - 1]), float(torque[k])) for k in range(TAUGHT, recording.stamp_ns.size)]
+
+
+NOISE_NM = 1e-4
+STEP_NS = 10_000_000
+
+
+def rule(motors: int) -> Any:
+    """Context nodes that know nothing yet."""
+    from gray_box_observer.context_nodes import RecursiveUpdate
+
+    return RecursiveUpdate(white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)))
+
+
+def white_box(motors: int) -> Any:
+    """Physics of the thesis, of one motor or many."""
+    from gray_box_observer.white_box import MotorWhiteBox
+
+    constant: Any = 0.01 if motors == 1 else np.full(motors, 0.01)
+    return MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), constant, {'back_emf_constant': constant})
+
+
+def sample(k: int, voltage_v: Any, torque_nm: Any) -> Any:
+    """Sample k of motors that run alike."""
+    from gray_box_observer.samples import Sample
+
+    interval_s = np.full(voltage_v.size, 0.01 if k else 0.0)
+    return Sample(k * STEP_NS, interval_s, voltage_v, torque_nm, np.full(voltage_v.size, np.nan))
+
+
+def stream(samples: Sequence[tuple[float, float]], motors: int, count: int) -> list[Any]:
+    """Samples of many motors, each with its own noise."""
+    random = np.random.default_rng(motors)
+    return [
+        sample(TAUGHT + k, np.full(motors, v), t + random.normal(0.0, NOISE_NM, motors))
+        for k, (v, t) in enumerate(samples[:count])
+    ]
+
+
+def update(one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int) -> float:
+    """CPU time in us of a motor-sample's update: the least of some runs, each of whole rounds of blocks."""
+    plain, arrays = one.state()
+    arrays = {**arrays, 'replay': arrays['replay'][:, :, -KEPT:]}
+    nodes = rule(motors)
+    for motor in range(motors):
+        nodes.restore(plain, arrays, motor)
+    count = 4 * BLOCK if motors > 100 else 16 * BLOCK
+    given = stream(samples, motors, count)
+    costs = []
+    for _ in range(repeats + 1):
+        begin_s = time.process_time()
+        for s in given:
+            nodes.learn(s)
+        costs.append(1e6 * (time.process_time() - begin_s) / count / motors)
+    return min(costs[1:])
+
+
+def prediction(samples: Sequence[tuple[float, float]], motors: int, repeats: int) -> float:
+    """CPU time in us of predicting and scoring a motor-sample."""
+    from gray_box_observer.predictor import Predictor, TrainingRules
+
+    theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))
+    rules = TrainingRules(period=10**9)
+    predictor = Predictor(white_box(motors), motors, theta[0], rules, NoTraining(), speed_measured=False)
+    given = stream(samples, motors, 64 if motors > 100 else 256)
+    costs = []
+    for _ in range(repeats + 1):
+        begin_s = time.process_time()
+        for s in given:
+            predictor.learn(s, predictor.predict(s.interval_s, s.voltage_v, theta), theta)
+        costs.append(1e6 * (time.process_time() - begin_s) / len(given) / motors)
+    return min(costs[1:])
+
+
+class NoTraining:
+    """Trains nothing: only the prediction is timed."""
+
+    busy = False
+    resting = True
+    failure = None
+    share = 0.0
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Nothing is handed over while resting."""
+
+    def collect(self) -> None:
+        """Nothing was handed over."""
+
+    def close(self) -> None:
+        """Nothing runs."""
+
+
+def settling(motors: int, count: int) -> float:
+    """CPU time in us of a motor-sample from the first on, fits included."""
+    from dc_motor_sim.plant import PlantParameters
+    from dc_motor_sim.simulation import Simulation
+
+    plants = {f'm{k}': PlantParameters() for k in range(motors)}
+    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=2, torque_noise_std=NOISE_NM).record(count * 0.01)
+    given = [sample(k, r.voltage_v[:, max(k - 1, 0)].copy(), r.torque_nm[:, k].copy()) for k in range(count)]
+    nodes = rule(motors)
+    begin_s = time.process_time()
+    for s in given:
+        nodes.learn(s)
+    return 1e6 * (time.process_time() - begin_s) / count / motors
+
+
+def filters_us(motors: int, count: int) -> float:
+    """CPU time in us of a motor-sample of so many of filterpy's extended Kalman filters, one after another."""
+    from common.cases import CASES
+    from common.study import simulate
+    from common.tuning import estimators
+
+    case = next(case for case in CASES if case.name == 'short holds')
+    record = simulate(case, [0], 20.0).record(0, 0.01)
+    filters = [estimators(case)['ekf'](record) for _ in range(motors)]
+    count = min(count if motors < MOST_FILTERS else count // 5, record.stamp_ns.size)
+    costs = []
+    for _ in range(3):
+        begin_s = time.process_time()
+        for k in range(1, count):
+            for one in filters:
+                one.learn(k)
+        costs.append(1e6 * (time.process_time() - begin_s) / (count - 1) / motors)
+    return min(costs)
+
+
+def machine() -> tuple[float, float]:
+    """Bandwidth of a large copy in B/s, read and write counted, and speed of a large matrix product in flop/s."""
+    source = np.ones(20_000_000)
+    target, matrix = np.zeros_like(source), np.random.default_rng(0).normal(size=(1200, 1200))
+    copy_s = least(lambda: np.copyto(target, source))
+    product_s = least(lambda: matrix @ matrix)
+    return 2 * source.nbytes / copy_s, 2 * 1200**3 / product_s
+
+
+def least(work: Callable[[], Any], repeats: int = 7) -> float:
+    """Least CPU time in s of some calls."""
+    times = []
+    for _ in range(repeats):
+        begin_s = time.process_time()
+        work()
+        times.append(time.process_time() - begin_s)
+    return min(times)
+
+
+def memory(one: Any, motors: int) -> float:
+    """Arrays that context nodes hold, in kB a motor; what of the sample memory is not written to yet counts too."""
+    return nbytes(rule(motors), set()) / motors / 1e3
+
+
+def nbytes(thing: Any, seen: set[int]) -> int:
+    """Size of every array below an object, each once."""
+    if id(thing) in seen:
+        return 0
+    seen.add(id(thing))
+    if isinstance(thing, np.ndarray):
+        return int(thing.nbytes) if thing.base is None else 0
+    if isinstance(thing, (list, tuple)):
+        return sum(nbytes(part, seen) for part in thing)
+    names = [*getattr(thing, '__dict__', {}), *getattr(type(thing), '__slots__', ())]
+    return sum(nbytes(getattr(thing, name, None), seen) for name in names)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

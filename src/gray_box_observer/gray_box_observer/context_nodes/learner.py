@@ -1,0 +1,289 @@
+"""What the recursive rule does to a group of motors when a piece of work is due: fit, update, examine, walk again.
+
+Every motor of the group goes its own way: which of its samples are read is settled by its place in its own stream
+(``Learnt.at``), and nothing that is decided for one depends on another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import blocks, walk
+from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, Fit, batch_fit
+from gray_box_observer.context_nodes.belief import Belief, Prior
+from gray_box_observer.context_nodes.blocks import Block
+from gray_box_observer.context_nodes.drift import (
+    CHANGE_EVIDENCE,
+    LEFT_OUT,
+    LEFT_OUT_MEMORY,
+    MEMORIES_BLOCKS,
+    SUSPICIOUS_BLOCKS,
+    UNCHANGED,
+    DriftTest,
+    changes,
+    evidence_for,
+)
+from gray_box_observer.context_nodes.holds import Holds
+from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
+from gray_box_observer.context_nodes.linear_start import linear_start
+from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+WALK_AGAIN = -1
+"""Asked of a motor that drifts: does it still, and how fast? What is above 0 asks to examine so many samples."""
+
+LINEAR_WINDOW = 20
+"""Samples between the two ends of a difference where the search for a first estimate starts."""
+
+
+@dataclass(slots=True)
+class Group:
+    """Some motors: their physics, their place on the motor axis, and what is known of them."""
+
+    white_box: WhiteBox
+    which: Any
+    learnt: Learnt
+
+
+class Learner:
+    """The recursion.
+
+    Args:
+        white_box: of all motors.
+        rules: settings.
+        replay: samples of all motors.
+    """
+
+    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+        self._rules = rules
+        self._replay = replay
+        self._parameters = white_box.parameters
+        self._holds = Holds(white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured)
+        self._drift = DriftTest(rules.drift_threshold)
+        self._changes = changes(white_box.parameters, rules.drift_relative_std)
+        self._heats = np.array([float(p.heats) for p in white_box.parameters])
+
+    def fit(self, group: Group, samples: int) -> None:
+        """Fit everything remembered, so many samples; the next time when that has doubled."""
+        known = group.learnt
+        stretch, start = self._newest(group, samples), known.belief.p
+        fresh = ~known.started
+        if np.any(fresh):
+            window = min(LINEAR_WINDOW, samples // 4)
+            start = np.where(fresh[:, None], linear_start(group.white_box, known.prior.p, stretch, window), start)
+        fit = batch_fit(group.white_box, stretch, start, known.prior, self._rules.noise_floor)
+        known.started = np.ones_like(known.started)
+        self._take(group, fit.belief, np.ones_like(fresh))
+        known.anchor = copied(self._open(fit.belief, known.prior, stretch))
+        known.anchored = known.at - stretch.restart.shape[1]
+        if np.any(drifting := fit.ramp > RAMP_EVIDENCE):
+            self._drifts(group, drifting)
+        known.belief = self._holds.cut(known.hold, known.belief)
+
+    @staticmethod
+    def _open(found: Belief, prior: Prior, stretch: Stretch) -> Belief:
+        """What could be believed at the beginning of a stretch that has been fitted, were it not for the stretch."""
+        loose = walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
+        covariance = np.zeros_like(found.covariance)
+        covariance[:, 1:, 1:] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
+        return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
+
+    def update(self, group: Group, samples: int) -> None:
+        """Learn one block of samples; ask for an examination where the motor seems to have changed."""
+        known = group.learnt
+        block = blocks.predict(group.white_box, known.belief, self._newest(group, samples + 1))
+        known.outliers = known.outliers + (block.samples - block.used)
+        known.kicks = known.kicks + block.kicked
+        known.asked = self._suspects(known, block)
+        calm = known.asked == 0
+        if np.all(calm):
+            self._learn(group, block)
+        elif np.any(calm):
+            index = np.flatnonzero(calm)
+            part = self._part(group, index)
+            self._learn(part, block.of(index))
+            put(known, index, part.learnt)
+
+    def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
+        """How many of the newest samples to examine where the motor seems to have changed; 0 elsewhere."""
+        belief = known.belief
+        size = belief.current_a[:, None]
+        reached = block.jacobian[:, -1, 1:] + block.path.by_start[:, -1:] * (belief.sensitivity * size)
+        scores, alarm, memory = self._drift.take((known.score, known.information), *blocks.surprise(belief, block))
+        known.score, known.information = scores
+        known.belief = replace(belief, sensitivity=reached / size)
+        lost = block.used < 0.5 * block.samples
+        known.suspicion, known.since = self._suspicion(known, block, lost)
+        sudden = known.suspicion >= SUSPICIOUS_BLOCKS
+        known.left_out = LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
+        # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
+        misfit = (known.left_out > LEFT_OUT) & ~lost
+        blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
+        samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
+        asked: NDArray[np.int_] = np.where(alarm | sudden | misfit, np.where(sudden, known.since, samples), 0)
+        return asked
+
+    @staticmethod
+    def _suspicion(known: Learnt, block: Block, lost: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
+        """Count blocks in a row of which most does not fit, and the samples since the first of them began not to."""
+        if not np.any(lost):
+            return 0.0 * known.suspicion, 0 * known.since
+        suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
+        unfit = block.valid & ~block.kept
+        fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
+        return suspicion, np.where(lost, known.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0)
+
+    def _learn(self, group: Group, block: Block) -> None:
+        """Learn a block in which nothing is suspicious."""
+        known = group.learnt
+        drifting = walk.Walk(self._heats, known.walk_rate)
+        walked = drifting.spread(np.sum(block.stretch.interval_s, axis=1))
+        known.belief = blocks.learn(group.white_box, known.belief, block, walked)
+        self._follow_noise(known, block)
+        known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
+        walking = known.walk_rate > 0.0
+        due = known.at - known.anchored >= self._rules.replay_capacity // np.where(walking, 2, 1)
+        if np.any(due):
+            known.asked = np.where(due & walking, WALK_AGAIN, known.asked)
+            self._anchor_here(known, due & ~walking)
+
+    def examine(self, group: Group, samples: int) -> None:
+        """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
+        known, belief = group.learnt, group.learnt.belief
+        stretch = self._newest(group, samples)
+        before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
+        held = self._fit_from(group, stretch, before)
+        self._calm(known)
+        priors = [before.loosened(change.directions) for change in self._changes]
+        fits = [self._fit_from(group, stretch, prior) for prior in priors]
+        penalties = [change.penalty for change in self._changes]
+        pairs = zip(fits, penalties, strict=True)
+        evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
+        best = np.argmax(evidence, axis=0)
+        changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
+        known.belief = self._back_on_track(belief, held.belief, ~changed)
+        if not np.any(changed):
+            return
+        jumped = changed & ~self._drifts(group, changed, samples)
+        if not np.any(jumped):
+            return
+        known.alarms = known.alarms + jumped
+        index = np.flatnonzero(jumped)
+        self._replay.forget(samples, np.arange(self._replay.motors)[group.which][index], known.at[index])
+        found, freedom = fits[0].belief, priors[0].covariance
+        for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
+            found = found.overwritten(fit.belief, best == j)
+            freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
+        one = jumped[:, None]
+        p = np.where(one, before.p, known.prior.p)
+        known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
+        self._take(group, found, jumped)
+        self._anchor_here(known, jumped)
+
+    def walk_again(self, group: Group) -> None:
+        """Ask motors that drift how fast they do."""
+        known = group.learnt
+        known.asked = np.zeros_like(known.asked)
+        self._drifts(group, np.ones_like(known.started))
+        self._anchor_here(known, np.ones_like(known.started))
+
+    @staticmethod
+    def _calm(known: Learnt) -> None:
+        """Forget what has led to an examination."""
+        known.asked, known.since = 0 * known.asked, 0 * known.since
+        known.suspicion, known.left_out = 0.0 * known.suspicion, 0.0 * known.left_out
+        known.score, known.information = np.zeros_like(known.score), np.zeros_like(known.information)
+
+    @staticmethod
+    def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
+        """Go on with unchanged parameters from the state that a fit under them has found, for some of the motors."""
+        usable = which & held.finite
+        units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
+        covariance = belief.covariance.copy()
+        covariance[:, 0, 0] += np.where(usable, units * held.covariance[:, 0, 0], 0.0)
+        return replace(belief, state=np.where(usable, held.state, belief.state), covariance=covariance)
+
+    def _fit_from(self, group: Group, stretch: Stretch, prior: Prior) -> Fit:
+        start, floor = group.learnt.belief.p, self._rules.noise_floor
+        return batch_fit(group.white_box, stretch, start, prior, floor, trusting=5)
+
+    def _drifts(self, group: Group, which: NDArray[np.bool_], jumped_before: int | None = None) -> NDArray[np.bool_]:
+        """Find which motors drift, by the samples since the anchor; these go on as is likeliest, and walk.
+
+        Args:
+            group: the motors.
+            which: shape (motor,): those that are asked about.
+            jumped_before: so many samples ago they may have changed suddenly instead.
+        """
+        known, walking = group.learnt, np.zeros_like(which)
+        length = known.at - known.anchored + 1
+        for samples in np.unique(length[which]).tolist():
+            index = np.flatnonzero(which & (length == samples))
+            part = self._part(group, index)
+            walking[index] = self._walk(part, self._newest(part, samples), jumped_before)
+            put(known, index, part.learnt)
+        return walking
+
+    def _walk(self, group: Group, stretch: Stretch, jumped_before: int | None) -> NDArray[np.bool_]:
+        """The same for motors whose anchor lies equally far back."""
+        known, jump = group.learnt, None
+        if jumped_before is not None:
+            freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
+            jump = walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
+        still = walk.Walk(self._heats, known.walk_rate)
+        rate, after = walk.likeliest(group.white_box, known.anchor, stretch, still, self._rules.block, jump)
+        walking: NDArray[np.bool_] = rate > 0.0
+        known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
+        known.walk_rate = rate
+        if np.any(walking):
+            self._take(group, after, walking)
+            self._anchor_here(known, walking)
+        return walking
+
+    def _take(self, group: Group, found: Belief, which: NDArray[np.bool_]) -> None:
+        """Go on from a fit of everything remembered, for some of the motors; never from one that is not finite."""
+        known = group.learnt
+        known.belief = known.belief.overwritten(found, which & found.finite)
+        remembered = self._replay.remembered(group.which, known.at)
+        known.noise_count = np.where(which, remembered, known.noise_count)
+        known.next_fit = np.where(which, 2 * remembered, known.next_fit)
+        known.score = np.where(which[:, None, None], 0.0, known.score)
+        known.information = np.where(which[:, None, None, None], 0.0, known.information)
+
+    @staticmethod
+    def _anchor_here(known: Learnt, which: NDArray[np.bool_]) -> None:
+        """Reckon the likelihood of a drift from the present belief on."""
+        known.anchor = copied(known.anchor.overwritten(known.belief, which))
+        known.anchored = np.where(which, known.at, known.anchored)
+
+    def _follow_noise(self, known: Learnt, block: Block) -> None:
+        count = block.residual.shape[1]
+        known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
+        seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
+        seen = seen / np.maximum(block.used, 1)
+        share = np.where(block.used > 0, count / known.noise_count, 0.0)
+        before = known.belief.noise
+        variance = before**2 + share * (seen - before**2)
+        noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)
+        known.belief = replace(known.belief, noise=np.where(np.isfinite(noise), noise, before))
+
+    def _newest(self, group: Group, samples: int) -> Stretch:
+        return Stretch.newest(group.white_box, self._replay, samples, group.which, group.learnt.at)
+
+    def part_of(self, white_box: WhiteBox, learnt: Learnt, index: NDArray[np.intp]) -> Group:
+        """Return some of all motors, by their places in order; a run of neighbours is not copied."""
+        run = bool(index[-1] - index[0] + 1 == index.size)
+        which: Any = slice(int(index[0]), int(index[-1]) + 1) if run else index
+        return Group(white_box.of_motors(which), which, chosen(learnt, which))
+
+    def _part(self, group: Group, index: NDArray[np.intp]) -> Group:
+        if index.size == group.learnt.motors:
+            return group
+        which = np.arange(self._replay.motors)[group.which][index]
+        return Group(group.white_box.of_motors(index), which, chosen(group.learnt, index))

@@ -1,0 +1,70 @@
+"""The question of the delay, put to the motors of a group one after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from gray_box_observer.delay.watch import DelayEstimate, DelayWatch
+from gray_box_observer.samples.raw_history import RawHistory
+
+SPACING = 8
+"""Samples of the group between two pieces of work: a search must not cost more than all the motors' estimates."""
+
+
+class DelayRound:
+    """Watches the delays of a group of motors, of which none is estimated: one motor at a time.
+
+    Args:
+        motors: how many.
+        make: makes the watch of one.
+        applied_s: the delay that was declared for all of them.
+    """
+
+    def __init__(self, motors: int, make: Callable[[int], DelayWatch], applied_s: float) -> None:
+        self._make = make
+        self._watches: list[DelayWatch | None] = [None] * motors
+        self._asked = [0] * motors
+        self._idle = DelayEstimate(applied_s, False)
+        self._turn = 0
+        self._count = 0
+        self._history: RawHistory | None = None
+
+    def take(self, history: RawHistory, stamp_ns: int) -> None:
+        """Go on by one sample of the group; every so often a piece of work is done.
+
+        Args:
+            history: raw measurements of the group.
+            stamp_ns: stamp of the sample.
+        """
+        self._count += 1
+        if self._count % SPACING:
+            return
+        watch = self.watch(self._turn)
+        if not watch.searching:
+            self._history = history.of(self._turn)
+        assert self._history is not None
+        watch.take(self._history, stamp_ns, self._count - self._asked[self._turn])
+        self._asked[self._turn] = self._count
+        if not watch.searching:
+            self._turn = (self._turn + 1) % len(self._watches)
+
+    def watch(self, motor: int) -> DelayWatch:
+        """Return the watch of one motor."""
+        found = self._watches[motor]
+        if found is None:
+            found = self._watches[motor] = self._make(motor)
+        return found
+
+    def estimate_of(self, motor: int) -> DelayEstimate:
+        """Return what is known of one motor."""
+        found = self._watches[motor]
+        return self._idle if found is None else found.estimate
+
+    def state(self, motor: int) -> dict[str, Any]:
+        """What was found of one motor, for a checkpoint."""
+        return self.watch(motor).state()
+
+    def restore(self, plain: dict[str, Any], motor: int) -> None:
+        """Take back what :meth:`state` gave."""
+        self.watch(motor).restore(plain)

@@ -1,0 +1,201 @@
+"""Motors that come in the same messages: their pairing, their observer, what comes of them, and how to look at one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.motor_observer import MotorObserver
+from gray_box_observer.predictor import Prediction
+from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+
+
+@dataclass(slots=True)
+class Group:
+    """Motors that are computed together; a motor that comes alone is a group of one.
+
+    Attributes:
+        names: in the order of the motor axis.
+        pairing: makes their samples.
+        observer: learns them; None before the first.
+    """
+
+    names: tuple[str, ...]
+    pairing: Pairing
+    observer: MotorObserver | None = None
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing has come for any of them yet."""
+        return self.observer is None and not (self.pairing.received_voltage or self.pairing.received_torque)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What one sample of one motor has led to.
+
+    Attributes:
+        motor: its name.
+        sample: the sample that was learnt.
+        prediction: what had been predicted of it; None without predictor.
+        estimate: the new estimate; None where the sample did not change it.
+        alarm: whether the alarm on the prediction's residual stands after the sample.
+    """
+
+    motor: str
+    sample: Sample
+    prediction: Prediction | None
+    estimate: Estimate | None
+    alarm: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GroupResult:
+    """What one sample of a group has led to; iterating gives it motor by motor.
+
+    Attributes:
+        group: the motors.
+        sample: the sample that was learnt.
+        prediction: what had been predicted of it; None without predictor.
+        changed: places on the motor axis of those whose estimate has changed.
+        estimate: their new estimates, in that order; None where there is none.
+        alarm: shape (motor,): whether the alarm on the prediction's residual stands after the sample.
+    """
+
+    group: Group
+    sample: Sample
+    prediction: Prediction | None
+    changed: NDArray[np.intp]
+    estimate: Estimate | None
+    alarm: NDArray[np.bool_]
+
+    def __iter__(self) -> Iterator[Result]:
+        names, sample, prediction = self.group.names, self.sample, self.prediction
+        if len(names) == 1:
+            yield Result(names[0], sample, prediction, self.estimate, bool(self.alarm[0]))
+            return
+        row = dict(zip(self.changed.tolist(), range(self.changed.size), strict=True))
+        for motor, name in enumerate(names):
+            if sample.present is not None and not sample.present[motor]:
+                continue
+            one = slice(motor, motor + 1)
+            said = None
+            if prediction is not None:
+                said = Prediction(prediction.torque_nm[one], prediction.white_box_torque_nm[one], None, None)
+            estimate = self.estimate.of(row[motor]) if self.estimate is not None and motor in row else None
+            alone = Sample(
+                sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one], sample.torque_nm[one],
+                sample.speed_rad_s[one],
+            )  # fmt: skip
+            yield Result(name, alone, said, estimate, bool(self.alarm[motor]))
+
+
+class PairingOfOne:
+    """What became of one motor's messages, of a group; see :class:`~gray_box_observer.samples.Pairing`."""
+
+    def __init__(self, group: Group, motor: int) -> None:
+        self._group = group
+        self._motor = motor
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._group.pairing.of(self._motor), name)
+
+
+class OneOfGroup:
+    """One motor of a group in the form of a :class:`MotorObserver` of its own, to look at.
+
+    Args:
+        observer: of the group.
+        motor: its place on the motor axis.
+    """
+
+    def __init__(self, observer: MotorObserver, motor: int) -> None:
+        self._observer = observer
+        self._motor = motor
+        self._one = slice(motor, motor + 1)
+
+    @property
+    def white_box(self) -> MotorWhiteBox:
+        """Its physics."""
+        return self._observer.white_box_of(self._motor)
+
+    @property
+    def context_nodes(self) -> Any:
+        """Its context nodes."""
+        nodes, motor = self._observer.context_nodes, self._motor
+        return _NodesOfOne(nodes, motor)
+
+    @property
+    def predictor(self) -> Any:
+        """Its share of the group's predictor."""
+        whole = self._observer.predictor
+        if whole is None:
+            return None
+        residual = SimpleNamespace(size_nm=whole.residual.size_nm[self._one])
+        return SimpleNamespace(
+            failure=whole.failure, jobs_done=whole.jobs_done, jobs_late=whole.jobs_late, residual=residual
+        )
+
+    @property
+    def alarm(self) -> Any:
+        """Its alarm."""
+        whole, one = self._observer.alarm, self._one
+        if whole is None:
+            return None
+        return SimpleNamespace(
+            armed=whole.armed[one], spread=whole.spread[one], count=whole.count[one], raised=whole.raised[one]
+        )
+
+    @property
+    def delay(self) -> Any:
+        """What is known of its delay."""
+        return SimpleNamespace(estimate=self._observer.delay_of(self._motor))
+
+    @property
+    def identified(self) -> bool:
+        """Whether every parameter was identified when learning went on last."""
+        return self._observer.identified_of(self._motor)
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of it, for a checkpoint."""
+        return self._observer.state(self._motor)
+
+
+class _NodesOfOne:
+    """Context nodes of one motor of a group, to look at."""
+
+    def __init__(self, nodes: Any, motor: int) -> None:
+        self._nodes = nodes
+        self._motor = motor
+        self._one = slice(motor, motor + 1)
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (1, parameter)."""
+        return self.estimate().value
+
+    @property
+    def replay(self) -> ReplayBuffer:
+        """A copy of the samples remembered."""
+        content = self._nodes.replay.content(self._one)
+        made = ReplayBuffer(1, max(1, content.shape[2]))
+        made.refill(content)
+        return made
+
+    def estimate(self) -> Estimate:
+        """Return the present values with covariance and verdicts."""
+        estimate: Estimate = self._nodes.estimate(self._one)
+        return estimate
+
+    def counters(self) -> dict[str, int]:
+        """What the rule has met so far, by a name for diagnostics."""
+        counters: dict[str, int] = self._nodes.counters(self._motor)
+        return counters

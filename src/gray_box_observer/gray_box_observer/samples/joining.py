@@ -1,0 +1,267 @@
+"""What the values of a message decide: which are used, and what sample they make with the voltage held before.
+
+Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much an operation), and a
+group in arrays. A motor of the group whose value cannot be used is absent from that sample; its next interval begins
+where its last sample was, as if it had been alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.samples.rejection import Rejection
+from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, NANOSECONDS_PER_SECOND, Sample, seconds
+from gray_box_observer.white_box.base import Array
+
+Missing = NDArray[np.bool_] | None
+
+Refused = dict[str, Counter[Rejection]]
+"""What could not be used, by signal and reason."""
+
+NEVER_NS = 1 << 62
+"""Owed by a motor whose signal history has not begun."""
+
+
+class Joining(Protocol):
+    """Judges values and makes samples; ``blank`` is a value that says nothing."""
+
+    blank: Any
+
+    def restart(self) -> None:
+        """Begin a new signal history."""
+
+    def usable(self, signal: str, value: float) -> bool:
+        """Whether a plain number can be used; counted where not."""
+
+    def voltage(self, voltage_v: Any, newest_v: Any, missing: Missing) -> Any:
+        """Return the voltage as far as it can be used, that before in place of what cannot; None where nothing can."""
+
+    def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
+        """Return the torque as far as it can be used, NaN in place of what cannot; None where nothing can."""
+
+    def with_speed(self, torque_nm: Any, speed_rad_s: Any) -> Any:
+        """Return the torque of what came with its speed; None where nothing did."""
+
+    def ahead(self, passed_ns: int, mean_v: Any, gap_ns: int) -> tuple[Any, Any]:
+        """Return interval in s and mean voltage in V since the last sample; an interval of 0 where none leads there."""
+
+    def join(
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
+        speed_rad_s: Any, gap_ns: int,
+    ) -> Sample | None:  # fmt: skip
+        """Make a sample.
+
+        Args:
+            stamp_ns: of the torque.
+            passed_ns: since the torque before it; None where the signal history starts anew.
+            mean_v: mean voltage since then.
+            held_v: voltage in force before the stamp, and one that begins there.
+            torque_nm: the torque.
+            speed_rad_s: the speed.
+            gap_ns: a motor that was absent for longer starts its history anew.
+        """
+
+    def refused(self, motor: int) -> Refused:
+        """What was refused of one motor."""
+
+    def missed(self, motor: int) -> dict[str, int]:
+        """How many messages of each signal did not speak of a motor."""
+
+    def lost(self, motor: int) -> int:
+        """How many of the group's samples a motor was absent from."""
+
+
+class OneMotor:
+    """A single motor, in plain floats.
+
+    Args:
+        refused: counts what is refused.
+    """
+
+    blank = math.nan
+
+    def __init__(self, refused: Refused) -> None:
+        self._refused = refused
+
+    def restart(self) -> None:
+        """Nothing is owed to a single motor."""
+
+    def usable(self, signal: str, value: float) -> bool:
+        """See :class:`Joining`."""
+        if not math.isfinite(value):
+            self._refused[signal][Rejection.NON_FINITE] += 1
+            return False
+        if abs(value) > ABSURD_MAGNITUDE:
+            self._refused[signal][Rejection.ABSURD] += 1
+            return False
+        return True
+
+    def voltage(self, voltage_v: float, newest_v: float, missing: Missing) -> float | None:
+        """See :class:`Joining`."""
+        return voltage_v if self.usable('voltage', voltage_v) else None
+
+    def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
+        """See :class:`Joining`."""
+        good = self.usable('torque', torque_nm) and (math.isnan(speed_rad_s) or self.usable('torque', speed_rad_s))
+        return torque_nm if good else None
+
+    def with_speed(self, torque_nm: float, speed_rad_s: float) -> float | None:
+        """See :class:`Joining`."""
+        if math.isnan(speed_rad_s):
+            self._refused['torque'][Rejection.NO_SPEED] += 1
+            return None
+        return torque_nm
+
+    def ahead(self, passed_ns: int, mean_v: float, gap_ns: int) -> tuple[float, float]:
+        """See :class:`Joining`."""
+        return seconds(passed_ns), mean_v
+
+    def join(
+        self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float], torque_nm: float,
+        speed_rad_s: float, gap_ns: int,
+    ) -> Sample | None:  # fmt: skip
+        """See :class:`Joining`."""
+        if passed_ns is not None:
+            return Sample.of_one_motor(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s)
+        voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
+        if math.isnan(voltage_v):
+            self._refused['torque'][Rejection.NO_VOLTAGE] += 1
+            return None
+        return Sample.of_one_motor(stamp_ns, 0.0, voltage_v, torque_nm, speed_rad_s)
+
+    def refused(self, motor: int) -> Refused:
+        """See :class:`Joining`."""
+        return self._refused
+
+    def missed(self, motor: int) -> dict[str, int]:
+        """See :class:`Joining`."""
+        return {'voltage': 0, 'torque': 0}
+
+    def lost(self, motor: int) -> int:
+        """See :class:`Joining`."""
+        return 0
+
+
+class ManyMotors:
+    """A group of motors, in arrays of shape (motor,).
+
+    Args:
+        refused: counts messages that are refused as a whole.
+        motors: how many.
+    """
+
+    def __init__(self, refused: Refused, motors: int) -> None:
+        self.blank: Array = np.full(motors, np.nan)
+        self._messages = refused
+        signals = ('voltage', 'torque')
+        self._own = {signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection} for signal in signals}
+        self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
+        self._lost = np.zeros(motors, dtype=int)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new signal history."""
+        self._owed_ns = np.full(self.blank.size, NEVER_NS)
+        self._owed_vns = np.zeros(self.blank.size)
+        self._regular = False
+
+    def usable(self, signal: str, value: float) -> bool:
+        """Signals with a topic of their own come to single motors only."""
+        raise NotImplementedError
+
+    def voltage(self, voltage_v: Array, newest_v: Array, missing: Missing) -> Array | None:
+        """See :class:`Joining`."""
+        good = np.abs(voltage_v) <= ABSURD_MAGNITUDE  # NaN is not
+        if missing is None and np.all(good):
+            return voltage_v
+        self._count_bad(voltage_v, good, 'voltage', missing)
+        return np.where(good, voltage_v, newest_v) if np.any(good) else None
+
+    def torque(self, torque_nm: Array, speed_rad_s: Any, missing: Missing) -> Array | None:
+        """See :class:`Joining`."""
+        good = np.abs(torque_nm) <= ABSURD_MAGNITUDE
+        fast = np.abs(speed_rad_s) > ABSURD_MAGNITUDE  # NaN, where none is measured, is not
+        if missing is None and np.all(good) and not np.any(fast):
+            return torque_nm
+        self._count_bad(torque_nm, good, 'torque', missing)
+        if np.any(fast & good):
+            self._count_bad(speed_rad_s, ~fast | ~good, 'torque', None)
+        good = good & ~fast
+        return np.where(good, torque_nm, np.nan) if np.any(good) else None
+
+    def _count_bad(self, values: Array, good: NDArray[np.bool_], signal: str, missing: Missing) -> None:
+        bad = ~good
+        if missing is not None:
+            self._missed[signal] += missing
+            bad &= ~missing
+        finite = np.isfinite(values)
+        self._own[signal][Rejection.NON_FINITE] += bad & ~finite
+        self._own[signal][Rejection.ABSURD] += bad & finite
+
+    def with_speed(self, torque_nm: Array, speed_rad_s: Array) -> Array | None:
+        """See :class:`Joining`."""
+        without = np.isnan(speed_rad_s) & ~np.isnan(torque_nm)
+        if not np.any(without):
+            return torque_nm
+        self._own['torque'][Rejection.NO_SPEED] += without
+        return np.where(without, np.nan, torque_nm)
+
+    def ahead(self, passed_ns: int, mean_v: Array, gap_ns: int) -> tuple[Array, Array]:
+        """See :class:`Joining`."""
+        if self._regular:
+            return np.full(mean_v.size, seconds(passed_ns)), mean_v
+        span_ns = self._owed_ns + passed_ns
+        leads = span_ns <= gap_ns
+        return np.where(leads, span_ns / NANOSECONDS_PER_SECOND, 0.0), self._mean(span_ns, passed_ns, mean_v)
+
+    def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
+        owing = (self._owed_vns + mean_v * passed_ns) / span_ns
+        return np.where(self._owed_ns == 0, mean_v, owing)
+
+    def join(
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array], torque_nm: Array,
+        speed_rad_s: Any, gap_ns: int,
+    ) -> Sample | None:  # fmt: skip
+        """See :class:`Joining`."""
+        speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank
+        here = ~np.isnan(torque_nm)
+        everyone = bool(np.all(here))
+        if self._regular and everyone and passed_ns is not None:
+            return Sample(stamp_ns, np.full(here.size, seconds(passed_ns)), mean_v, torque_nm, speed)
+        span_ns = self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
+        begins = np.ones_like(here) if passed_ns is None else span_ns > gap_ns
+        first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
+        blind = here & begins & np.isnan(first_v)
+        self._own['torque'][Rejection.NO_VOLTAGE] += blind
+        here &= ~blind
+        mean_v = first_v if passed_ns is None else np.where(begins, first_v, self._mean(span_ns, passed_ns, mean_v))
+        owed_vns = 0.0 if passed_ns is None else np.where(begins, 0.0, mean_v * span_ns)
+        self._owed_ns = np.where(here, 0, np.where(begins, NEVER_NS, span_ns))
+        self._owed_vns = np.where(here, 0.0, owed_vns)
+        self._regular = bool(np.all(here))
+        if not np.any(here):
+            return None
+        self._lost += ~here
+        interval_s = np.where(begins | ~here, 0.0, span_ns / NANOSECONDS_PER_SECOND)
+        voltage_v = np.where(here, mean_v, 0.0)
+        return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, None if self._regular else here)
+
+    def refused(self, motor: int) -> Refused:
+        """See :class:`Joining`."""
+        told = {signal: counter.copy() for signal, counter in self._messages.items()}
+        for signal, counts in self._own.items():
+            told[signal].update({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
+        return told
+
+    def missed(self, motor: int) -> dict[str, int]:
+        """See :class:`Joining`."""
+        return {signal: int(count[motor]) for signal, count in self._missed.items()}
+
+    def lost(self, motor: int) -> int:
+        """See :class:`Joining`."""
+        return int(self._lost[motor])

@@ -1,0 +1,137 @@
+"""Motors in a group learn what each would learn alone, whatever happens to the others and whoever has to wait."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+from gray_box_observer.context_nodes import RecursiveUpdate, Verdict, recursive
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+
+NAMES = ('inductance', 'resistance', 'hysteresis')
+CALM, CHANGED, DISTURBED, RESTING, LATE, GONE, STIFF, PATCHY = range(8)
+MOTORS = 8
+START = np.tile([[1.5, 3.0, 30.0]], (MOTORS, 1))
+START[STIFF] = [3e-3, 3.0, 30.0]
+BOX = MotorWhiteBox(NAMES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(MOTORS, 0.01)})
+
+
+@pytest.fixture(scope='module')
+def samples() -> list[Sample]:
+    """Eight motors: one changes, one has outliers, one rests, one comes late, one goes, one is quick, one has gaps."""
+    plants = {f'm{k}': PlantParameters(resistance=1.0 + 0.1 * k) for k in range(MOTORS)}
+    plants[f'm{STIFF}'] = PlantParameters(inductance=1e-3, resistance=1.6)
+    excitation = dict.fromkeys(plants, 'R[5,15]D[0.2,3]') | {f'm{RESTING}': 'C[8]'}
+    schedule = (f'm{CHANGED}.resistance=1.6@15',)
+    r = Simulation(plants, excitation, seed=3, torque_noise_std=1e-4, schedule=schedule).record(30.0)
+    random, made = np.random.default_rng(1), []
+    torque = r.torque_nm.copy()
+    torque[DISTURBED, random.choice(np.arange(300, 3000), 60, replace=False)] *= 1.5
+    present = np.ones((r.stamp_ns.size, MOTORS), dtype=bool)
+    present[:777, LATE] = present[2100:, GONE] = False
+    present[random.choice(np.arange(100, 3000), 300, replace=False), PATCHY] = False
+    last = np.full(MOTORS, -1)
+    for k, stamp in enumerate(r.stamp_ns.tolist()):
+        before = np.maximum(last, 0)
+        interval = np.where(last < 0, 0.0, (k - last) * 0.01)
+        held = [r.voltage_v[m, before[m] : max(k, before[m] + 1)].mean() for m in range(MOTORS)]
+        made.append(Sample(stamp, interval, np.array(held), torque[:, k], np.full(MOTORS, np.nan), present[k]))
+        last = np.where(present[k], k, last)
+    return made
+
+
+def learnt_by(nodes: RecursiveUpdate, samples: list[Sample]) -> list[list[bytes]]:
+    """Every value and covariance that each motor's estimate has taken."""
+    taken: list[list[bytes]] = [[] for _ in range(nodes.theta.shape[0])]
+    for sample in samples:
+        if nodes.learn(sample):
+            estimate = nodes.estimate()
+            for motor in np.flatnonzero(nodes.changed):
+                taken[motor].append(estimate.value[motor].tobytes() + estimate.covariance[motor].tobytes())
+    return taken
+
+
+@pytest.fixture(scope='module')
+def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdate]]:
+    """What each motor learns alone, a sample where it was absent left out."""
+    taken, rules = [], []
+    for motor in range(MOTORS):
+        chosen = slice(motor, motor + 1)
+        nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
+        own = [replace(s.of(chosen), present=None) for s in samples if s.present is None or s.present[motor]]
+        taken += learnt_by(nodes, own)
+        rules.append(nodes)
+    return taken, rules
+
+
+def test_what_happens_to_one_motor_leaves_the_others_alone(
+    samples: list[Sample], alone: tuple[list[list[bytes]], list[RecursiveUpdate]]
+) -> None:
+    nodes = RecursiveUpdate(BOX, START)
+    together = learnt_by(nodes, samples)
+    for motor in range(MOTORS):
+        assert together[motor] == alone[0][motor][: len(together[motor])]
+        assert len(alone[0][motor]) - len(together[motor]) <= 1  # whoever is due last may still wait
+        assert nodes.counters(motor) == alone[1][motor].counters()
+    assert nodes.counters(CHANGED)['motor changes'] == 1
+    assert nodes.counters(CALM)['motor changes'] == 0
+    assert nodes.counters(DISTURBED)['torque outliers'] >= 50
+    np.testing.assert_allclose(nodes.theta[CHANGED], [0.5, 1.6, 10.0], rtol=0.02)
+    estimate = nodes.estimate()
+    assert set(estimate.verdicts[CALM]) == set(estimate.verdicts[LATE]) == {Verdict.IDENTIFIED}
+    assert estimate.verdicts[RESTING][2] is not Verdict.IDENTIFIED  # one transition does not tell hysteresis from R
+
+
+def test_whoever_has_to_wait_learns_the_same_later(
+    samples: list[Sample],
+    alone: tuple[list[list[bytes]], list[RecursiveUpdate]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(recursive, 'UPDATES', 2)
+    monkeypatch.setattr(recursive, 'HEAVY', 100)
+    together = learnt_by(RecursiveUpdate(BOX, START), samples)
+    for motor in range(MOTORS):
+        assert len(together[motor]) >= len(alone[0][motor]) - 2
+        assert together[motor] == alone[0][motor][: len(together[motor])]
+
+
+def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sample]) -> None:
+    whole = RecursiveUpdate(BOX, START)
+    learnt_by(whole, samples[:1500])
+    parts = []
+    for motor in range(MOTORS):
+        chosen = slice(motor, motor + 1)
+        nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
+        nodes.restore(*whole.state(motor))
+        parts.append(nodes)
+    again = RecursiveUpdate(BOX, START)
+    for motor in range(MOTORS):
+        again.restore(*parts[motor].state(), motor)
+    rest = [replace(samples[1500], interval_s=np.zeros(MOTORS)), *samples[1501:2000]]
+    together = learnt_by(again, rest)
+    for motor in range(MOTORS):
+        own = [replace(s.of(slice(motor, motor + 1)), present=None) for s in rest if s.present[motor]]
+        single = learnt_by(parts[motor], own)[0]
+        assert together[motor] == single[: len(together[motor])]
+        assert len(single) - len(together[motor]) <= 1
+
+
+def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
+    samples: list[Sample], record: Callable[..., object]
+) -> None:
+    nodes = RecursiveUpdate(BOX, START)
+    learnt_by(nodes, samples[:1000])
+    nodes.freeze(True)
+    assert learnt_by(nodes, samples[1000:1200]) == [[] for _ in range(MOTORS)]
+    nodes.freeze(False)
+    nodes.learn(replace(samples[1200], present=np.arange(MOTORS) != CALM))
+    nodes.learn(replace(samples[1201], present=None))
+    intervals = nodes.replay.newest(1)[0][:, 0]
+    assert intervals[CALM] == 0.0
+    assert np.all(np.delete(intervals, CALM) > 0.0)
