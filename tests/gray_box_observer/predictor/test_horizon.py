@@ -37,7 +37,7 @@ def warmed(idle: Any, motors: int, learnt: Correction | None) -> Predictor:
     rules = TrainingRules(period=10**6)  # nothing is learnt here
     one = Predictor(box_of(motors), motors, TRUTH[0], rules, idle, speed_measured=False)
     if learnt is not None:
-        one.restore(learnt.arrays())
+        one.residual.adopt(learnt.arrays())
     held_v = np.random.default_rng(0).uniform(-10.0, 10.0, (6, motors))
     for k in range(300):
         go_on(one, held_v[k // 50], motors, first=k == 0)

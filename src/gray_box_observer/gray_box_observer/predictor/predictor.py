@@ -220,7 +220,6 @@ class Predictor:
         replay = {
             'replay': self.replay.content(slice(motor, motor + 1)),
             'total': np.array(self.replay.total),
-            **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
         }
         settled = {}
         if motor in self._settled:
@@ -232,6 +231,7 @@ class Predictor:
             return common
         return {
             **common,
+            **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
             **self._learning,
             **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
             **_named('job_seen', self._job.get('seen', {})),
@@ -255,7 +255,7 @@ class Predictor:
             return
         self.residual.adopt(arrays)
         self._seen = _range(arrays, 'seen')
-        if 'replay' in arrays:
+        if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
             self.replay.total = int(arrays['total'])
             self._schedule.restore({name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')})
         self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
