@@ -84,6 +84,7 @@ class Learner:
         known.anchored = known.at - stretch.restart.shape[1]
         if np.any(drifting := fit.ramp > RAMP_EVIDENCE):
             self._drifts(group, drifting)
+        known.hold = self._holds.refitted(known.hold, known.belief, stretch)
         known.belief = self._holds.cut(known.hold, known.belief)
 
     @staticmethod
