@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief
+from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, Parameter
 
@@ -149,20 +150,29 @@ class Holds:
     def cut(self, held: HoldState, belief: Belief) -> Belief:
         """Give what does not heat back what was believed of it when the hold had settled.
 
-        In long holds, and in every hold where that was vague.
+        In long holds; of a motor of which something was vague then, in every hold, and then no coordinate moves.
+        """
+        vague = np.any(np.diagonal(held.covariance, axis1=1, axis2=2)[:, ~self._free[1:]] > VAGUE**2, axis=1)
+        vague &= held.settled
+        long = held.settled & ~vague & (held.held_s > self._long_s)
+        if np.any(vague):
+            belief = self._kept(held, belief, vague, np.arange(self._free.size) == 0)
+        if np.any(long) and not np.all(self._free):
+            belief = self._kept(held, belief, long, self._free)
+        return belief
+
+    @staticmethod
+    def _kept(held: HoldState, belief: Belief, which: NDArray[np.bool_], free: NDArray[np.bool_]) -> Belief:
+        """Give some motors back what was believed of the unknowns that are not free.
 
         The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c + A (k - m_k)`` and
         ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is the kept marginal.
         """
-        vague = np.any(np.diagonal(held.covariance, axis1=1, axis2=2)[:, ~self._free[1:]] > VAGUE**2, axis=1)
-        long: NDArray[np.bool_] = held.settled & (vague | (held.held_s > self._long_s))
-        if not np.any(long) or np.all(self._free):
-            return belief
-        f = int(np.sum(self._free))
-        order = np.argsort(~self._free, kind='stable')  # what is free first
+        f = int(np.sum(free))
+        order = np.argsort(~free, kind='stable')  # what is free first
         back, kept = np.argsort(order), order[f:] - 1
         covariance = belief.covariance[:, order][:, :, order]
-        a = np.swapaxes(np.linalg.solve(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
+        a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
         marginal = held.covariance[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
         joint = np.zeros_like(covariance)
         joint[:, f:, f:] = marginal
@@ -178,7 +188,7 @@ class Holds:
             p=belief.p * np.exp(shift[:, 1:]),
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
-        return belief.overwritten(restored, long & restored.finite)
+        return belief.overwritten(restored, which & restored.finite)
 
 
 def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:
