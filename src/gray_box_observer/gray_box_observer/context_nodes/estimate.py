@@ -62,7 +62,7 @@ class Estimate:
 
 
 LARGEST_VARIANCE = 4.0
-"""Of a logarithm (a factor of seven either way); what is wider is not known at all, and said to be no wider than that."""
+"""Of a logarithm (a factor of seven either way); what is wider is not known, and said to be no wider than that."""
 
 LOG_NORMAL = 0.3
 """Relative standard deviation up to which a log-normal is as good as a normal distribution."""

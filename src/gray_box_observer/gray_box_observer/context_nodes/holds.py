@@ -7,8 +7,8 @@ was when the hold began to be a mere level.
 
 What is known only vaguely is kept from the moment the transition is over: the recursion linearises block by block, each
 about a slightly different current, so that the one combination which the level tells seems to turn, and two directions
-that differ by noise alone would tell them apart. A fit has one linearisation for all its samples and is not deceived; so
-the next fit, not the level, has the word on what is vague.
+that differ by noise alone would tell them apart. A fit has one linearisation for all its samples and is not deceived;
+so the next fit, not the level, has the word on what is vague.
 """
 
 from __future__ import annotations
@@ -147,13 +147,18 @@ class Holds:
         steady: NDArray[np.bool_] = fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
         return steady
 
+    def vague(self, held: HoldState) -> NDArray[np.bool_]:
+        """Tell who is at a level while something that does not heat is known only vaguely, shape (motor,)."""
+        variance = np.diagonal(held.covariance, axis1=1, axis2=2)[:, ~self._free[1:]]
+        vague: NDArray[np.bool_] = held.settled & np.any(variance > VAGUE**2, axis=1)
+        return vague
+
     def cut(self, held: HoldState, belief: Belief) -> Belief:
         """Give what does not heat back what was believed of it when the hold had settled.
 
         In long holds; of a motor of which something was vague then, in every hold, and then no coordinate moves.
         """
-        vague = np.any(np.diagonal(held.covariance, axis1=1, axis2=2)[:, ~self._free[1:]] > VAGUE**2, axis=1)
-        vague &= held.settled
+        vague = self.vague(held)
         long = held.settled & ~vague & (held.held_s > self._long_s)
         if np.any(vague):
             belief = self._kept(held, belief, vague, np.arange(self._free.size) == 0)
