@@ -2,7 +2,7 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 RUN := ros_ws/run.sh
-SCRIPTS := bags/*.py ros_ws/*.py
+SCRIPTS := bags/*.py docs/*.py ros_ws/*.py
 PYTHON_SOURCES := src tests benchmarks $(SCRIPTS)
 CORES := src/dc_motor_sim/dc_motor_sim src/gray_box_observer/gray_box_observer
 
@@ -22,7 +22,7 @@ WORKERS ?= 2
 NAME ?=
 QUICK ?=
 
-.PHONY: help setup demo test lint format bench clean distclean
+.PHONY: help setup demo test lint format docs bench clean distclean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,6 +46,9 @@ lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 format: setup  ## let ruff format the code and mend what it can
 	$(RUN) python -m ruff check --fix $(wildcard $(PYTHON_SOURCES))
 	$(RUN) python -m ruff format $(wildcard $(PYTHON_SOURCES))
+
+docs: setup  ## write docs/API.md from the code
+	$(RUN) python docs/make_api.py
 
 bench: setup  ## run one benchmark (NAME=identification QUICK=1)
 	@[ -n '$(NAME)' ] || { echo "bench: error: NAME is missing; expected one of: $(basename $(notdir $(wildcard benchmarks/[a-z]*.py)))" >&2; exit 2; }

@@ -7,16 +7,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import random
 import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import psutil
 import rclpy
+from common.live.processes import cpu_s as cpu_of
+from common.live.processes import family, own_domain, running
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -45,25 +42,6 @@ class Watch(Node):
             self.facts = {entry.key: entry.value for entry in status.values}
 
 
-@contextmanager
-def running(module: str, *parameters: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Run one of our nodes, and end it."""
-    command = [sys.executable, '-m', module, '--ros-args']
-    for parameter in parameters:
-        command += ['-p', parameter]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        process.terminate()
-        process.wait(timeout=10.0)
-
-
-def family(process: psutil.Process) -> list[psutil.Process]:
-    """The observer and its training process."""
-    return [process, *process.children(recursive=True)]
-
-
 def main() -> int:
     """Print a table and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -71,14 +49,13 @@ def main() -> int:
     parser.add_argument('--rate', type=float, default=100.0, help='samples a second')
     options = parser.parse_args()
     duration_s = 20.0 if options.quick else 60.0
-    os.environ['ROS_DOMAIN_ID'] = str(random.SystemRandom().randint(1, 100))
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    own_domain()
     rclpy.init()
     watch = Watch()
     started_s = time.monotonic()
     with running('gray_box_observer.ros.observer_node') as observer:
-        begin = [f'duration_s:={duration_s}', f'sample_rate_hz:={options.rate}', 'wait_for_subscribers:=1']
-        with running('dc_motor_sim.ros.motor_sim', *begin) as simulator:
+        begin = {'duration_s': duration_s, 'sample_rate_hz': options.rate, 'wait_for_subscribers': 1}
+        with running('dc_motor_sim.ros.motor_sim', **begin) as simulator:
             memory, cpu_s = follow(watch, simulator, psutil.Process(observer.pid), duration_s)
         settled_s = time.monotonic()
         while time.monotonic() - settled_s < 3.0:
@@ -105,7 +82,7 @@ def main() -> int:
 
 
 def follow(
-    watch: Watch, simulator: subprocess.Popen[bytes], observer: psutil.Process, duration_s: float
+    watch: Watch, simulator: subprocess.Popen[str], observer: psutil.Process, duration_s: float
 ) -> tuple[list[int], float]:
     """Watch until the simulator ends; return memory in bytes over time and the CPU seconds used."""
     memory: list[int] = []
@@ -115,7 +92,7 @@ def follow(
         rclpy.spin_once(watch, timeout_sec=0.2)
         members = family(observer)
         memory.append(sum(member.memory_info().rss for member in members))
-        cpu_s = sum(sum(member.cpu_times()[:2]) for member in members)
+        cpu_s = cpu_of(members)
     return memory, cpu_s
 
 

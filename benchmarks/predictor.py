@@ -91,9 +91,11 @@ def main() -> int:
     """Print tables and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--quick', action='store_true', help='few seeds and short runs, under a minute')
-    parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 10, with --quick 2)')
+    parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 6, with --quick 2)')
     options = parser.parse_args()
-    seeds = options.seeds or (2 if options.quick else 10)
+    if options.seeds < 0:
+        parser.error(f'--seeds must be at least 1, got {options.seeds}')
+    seeds = options.seeds or (2 if options.quick else 6)
     duration_s = 10.0 if options.quick else 60.0
     bar = Progress(3 * seeds + len(SETS) * (3 * seeds + 2) + 1)
     own, truth = [THESIS_MOTOR], theta_of([THESIS_MOTOR])

@@ -37,8 +37,9 @@ DEAD_CURRENT_SENSOR = ('18', 'right')
 WHEEL_RADIUS_M, GEAR = 0.03, 9.68
 ROBOT_TORQUE_CONSTANT = 0.007
 STEP_TORQUE_CONSTANT = 0.045
-STEP_LOGS = ('100PWM152HZ.csv', '100PWM38HZ.csv', 'LAB_2_step6VPSU-1.csv')
-"""Logs of fra233 with one step of the voltage. Its ramp cannot tell a delay from a dead zone of the driver."""
+STEP_LOGS = {'100PWM152HZ.csv': 1.0, '100PWM38HZ.csv': 1.0, 'LAB_2_step6VPSU-1.csv': 0.5}
+"""Logs of fra233 with one step of the voltage, each with the volts at the motor for a volt in the log: the last one's
+supply gave 6 V, as its name says, where 12 were logged. The ramp cannot tell a delay from a dead zone of the driver."""
 DELAY_TOLERANCE_S = 2e-3
 
 
@@ -81,13 +82,13 @@ def cases(data: Path) -> Iterator[Case]:
 
 def step_cases(data: Path) -> Iterator[Case]:
     """Yield the logs whose command leads the current, for the delay to be estimated."""
-    for name in STEP_LOGS:
+    for name, share in STEP_LOGS.items():
         yield Case(
             f'step {name.removesuffix(".csv")}',
             data / 'fra233' / name,
             (
                 'time=t_s',
-                'voltage=u_cmd_V',
+                f'voltage=u_cmd_V*{share}',
                 'current=current_A',
                 'speed=omega_rad_s',
                 f'torque_constant={STEP_TORQUE_CONSTANT}',

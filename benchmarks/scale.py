@@ -9,9 +9,9 @@ The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a 
 (:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
 
 Profile of 1,000 motors (cProfile, shares of the update): flow and its sensitivities 34 %, recurrences 7 %, variance of
-the innovations 10 %, the test for a change 16 %, learning a block 13 %, of all these small solves by LAPACK 9 %; holds,
-noise and bookkeeping 10 %; choosing motors and putting them back 6 %, samples into memory 4 %. Every step is one pass of
-numpy over arrays in the second-level cache; a compiled loop over motors would keep them in registers.
+the innovations 10 %, the test for a change 16 %, learning a block 13 %, of all these small solves by LAPACK 9 %;
+holds, noise and bookkeeping 10 %; choosing motors and putting them back 6 %, samples into memory 4 %. Every step is one
+pass of numpy over arrays in the second-level cache; a compiled loop over motors would keep them in registers.
 """
 
 from __future__ import annotations

@@ -95,12 +95,13 @@ find_python() {
 # --- the virtual environment ----------------------------------------------------------------------------------------
 
 requirement_files() {
+    local always="$requirements/runtime.txt $requirements/archive.txt $requirements/dev.txt"
     if [ "$ros" = wheels ]; then
-        echo "$requirements/ros.txt $requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+        echo "$requirements/ros.txt $requirements/build.txt $always"
     elif "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
-        echo "$requirements/runtime.txt $requirements/dev.txt"
+        echo "$always"
     else
-        echo "$requirements/build.txt $requirements/runtime.txt $requirements/dev.txt"
+        echo "$requirements/build.txt $always"
     fi
 }
 
@@ -180,7 +181,7 @@ HOOK
 build_stamp() {
     # The build holds links to the sources, so that only what is copied or listed by it counts.
     cat "$venv/.setup_stamp"
-    (cd "$root/src" && find . -mindepth 3 -path './*/config/*' -o -path './*/launch/*.launch.py' -o -path './*/resource/*' | LC_ALL=C sort)
+    (cd "$root/src" && find . -mindepth 3 -path './*/config/*' -o -path './*/layouts/*' -o -path './*/security/*' -o -path './*/launch/*.launch.py' -o -path './*/resource/*' | LC_ALL=C sort)
     find -L "$workspace/src" -maxdepth 2 -type f \( -name 'setup.*' -o -name package.xml \) -print0 \
         | LC_ALL=C sort -z | xargs -0 cat
 }

@@ -19,6 +19,7 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros.parameters import NodeParameters
 from gray_box_observer import configuration
+from gray_box_observer.ros import discovery
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH_FILES = sorted((ROOT / 'src').glob('*/launch/*.launch.py'))
@@ -46,6 +47,14 @@ class DeclareLaunchArgument:
     name: str
     default_value: str
     description: str
+
+
+@dataclass
+class SetEnvironmentVariable:
+    """Sets a variable for everything that is launched."""
+
+    name: str
+    value: str
 
 
 @dataclass
@@ -96,7 +105,7 @@ class Node:
 
 STAND_INS = {
     'launch': (LaunchContext, LaunchDescription),
-    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, Shutdown),
+    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown),
     'launch.substitutions': (LaunchConfiguration,),
     'launch_ros': (),
     'launch_ros.parameter_descriptions': (ParameterValue,),
@@ -187,6 +196,21 @@ def test_the_demo_ends_with_its_simulator():
         'recorder': False,
         'motor_sim': True,
     }
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path, monkeypatch: pytest.MonkeyPatch):
+    for name in discovery.SAYS:
+        monkeypatch.delenv(name, raising=False)
+
+    def set_variables() -> list[tuple[str, str]]:
+        entities = load(path).generate_launch_description().entities
+        return [(e.name, e.value) for e in entities if isinstance(e, SetEnvironmentVariable)]
+
+    assert set_variables() == [('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')]
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    assert set_variables() == []
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)

@@ -41,11 +41,13 @@ class Log:
         path: of the file.
         columns: how it is read, see :class:`CsvMapping`.
         rows: how many of its rows, from the first; None: all.
+        early: column that is logged before it acts, and by how many rows; it is moved there.
     """
 
     path: Path
     columns: tuple[str, ...]
     rows: int | None = None
+    early: tuple[str, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +165,16 @@ def _first_rows(log: Log) -> str:
     """The head of the file and as many rows of numbers as are wanted."""
     lines = log.path.read_text().splitlines(keepends=True)
     head = next((k for k, line in enumerate(lines) if line[:1] in '-.0123456789'), len(lines))
-    return ''.join(lines if log.rows is None else lines[: head + log.rows])
+    wanted = lines if log.rows is None else lines[: head + log.rows]
+    return ''.join(wanted if log.early is None else [*wanted[:head], *_moved(wanted, head, *log.early)])
+
+
+def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
+    """Rows of comma-separated numbers under a line of names, one column so many rows later; its first number holds."""
+    rows, at = [line.split(',') for line in lines[head:]], lines[head - 1].strip().split(',').index(column)
+    early = [row[at] for row in rows]
+    late = [early[0]] * by + early
+    return [','.join([*row[:at], value, *row[at + 1 :]]) for row, value in zip(rows, late, strict=False)]
 
 
 def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
@@ -184,11 +195,17 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
     seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])
-    job = {**signals, 'theta': estimate.value, 'covariance': estimate.covariance, 'seen': seen.to_dict()}
+    job = {
+        **signals,
+        'number': np.arange(signals['voltage_v'].shape[1]),
+        'theta': estimate.value,
+        'covariance': estimate.covariance,
+        'seen': seen.to_dict(),
+    }
     trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
     network: dict[str, Any] = {}
     for _ in range(rounds):
-        told = trainer.train({**job, 'residual': True, 'number': signals['voltage_v'].shape[1]})
+        told = trainer.train({**job, 'residual': True})
         network |= {name: told[name] for name in told if isinstance(told[name], np.ndarray)}
     return network
 
@@ -200,6 +217,7 @@ def free_run(
     box = observer.motors['motor'].white_box
     made = Predictor(box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured)
     made.restore(network)
+    made.freeze(True)  # what was learnt is asked, nothing is learnt any more
     said = []
     for sample in test:
         prediction = made.predict(sample.interval_s, sample.voltage_v, theta)

@@ -43,6 +43,12 @@ def test_what_is_no_name_of_a_file_is_refused(folder: CheckpointFolder, path: st
         folder.file(path)
 
 
+@pytest.mark.parametrize('path', ['a' * 201, 'ä' * 101, 'a/' * 64 + 'b', 'a' * 5000 + '/c'])
+def test_what_no_file_system_would_bear_is_refused(folder: CheckpointFolder, path: str) -> None:
+    with pytest.raises(ConfigurationError, match='must not be deeper than 64 folders or hold names of more than 200'):
+        folder.file(path)
+
+
 def test_links_are_followed_and_must_stay_inside(folder: CheckpointFolder) -> None:
     (folder.folder / 'out').symlink_to(folder.folder.parent)
     (folder.folder / 'file').symlink_to('/etc/passwd')

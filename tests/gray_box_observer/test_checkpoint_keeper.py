@@ -249,6 +249,24 @@ def test_a_disk_that_hangs_does_not_keep_anybody_from_ending(path: Path, monkeyp
     assert writer.flush(PATIENCE_S)
 
 
+def test_a_defect_of_writing_is_told_and_the_next_checkpoint_is_written(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def defect(*_: Any) -> None:
+        raise RecursionError('too deep')
+
+    writer = CheckpointWriter()
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, 'write', defect)
+        writer.submit(snapshot(1), path)
+        assert writer.flush(PATIENCE_S)
+    assert writer.failure == f"{path}: RecursionError('too deep')"
+    writer.submit(snapshot(2), path)
+    assert writer.close(PATIENCE_S)
+    assert writer.failure is None
+    assert decode(path.read_bytes())[0] == {'number': 2}
+
+
 def test_a_writer_that_never_wrote_has_nothing_to_end() -> None:
     assert CheckpointWriter().close(0.0)
 

@@ -45,6 +45,33 @@ def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
     assert one.unknown == {'x': 1}
 
 
+def test_a_motor_that_is_named_twice_makes_one_message_malformed_and_two_of_nothing() -> None:
+    taker, observer = intake(motors=['a', 'b'])
+    assert taker.take('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert observer.pairing['a'].received_torque == 0
+
+
+def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed() -> None:
+    taker, observer = intake(motors=['a', 'b'])
+    for k in range(3):
+        stamp_ns = (k + 1) * 10_000_000
+        taker.take('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
+        taker.take('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
+        taker.take('torque', view(stamp_ns, (), ()), 0)
+    assert observer.pairing['a'].used == observer.pairing['b'].used > 0
+
+
+def test_messages_of_other_motors_are_counted_however_many_names_they_bring() -> None:
+    taker, _ = intake()
+    for k in range(500):
+        taker.take('voltage', view(k, (f'stranger {k}' + 'x' * k,), (1.0,)), 0)
+    taker.take('voltage', view(500, (), ()), 0)
+    assert taker.others == {'voltage': 501}
+    assert len(taker.signals['voltage'].unknown) == 100
+    assert max(map(len, taker.signals['voltage'].unknown)) <= 64
+
+
 def test_a_nested_field_is_found_by_its_path() -> None:
     assert told(signal(torque__field='wrench.torque.z'), wrench(1, 0.25)) == [('motor', 0.25)]
 

@@ -251,3 +251,26 @@ def test_a_missing_speed_in_between_does_not_silence_the_predictor_for_good() ->
     one.close()
     assert np.isfinite(said[200:319]).all()
     assert np.isfinite(said[-100:]).all()
+
+
+@pytest.mark.parametrize('signal', ['torque', 'voltage', 'either'])
+def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_of_the_motor(
+    record: Callable[..., Recording], signal: str
+) -> None:
+    recording = record('R[5,15]D[0.1,1]', 60.0, 7, torque_noise_std=1e-4)
+    draw = np.random.default_rng(1)
+    lost = draw.random((2, recording.stamp_ns.size)) < (0.01 if signal == 'either' else 0.02)
+    lost[0] &= signal != 'torque'
+    lost[1] &= signal != 'voltage'
+    lost[:, :100] = False
+    voltage, torque = np.where(lost, 0.0, [recording.voltage_v[0], recording.torque_nm[0]])
+    observer = Observer(Configuration.from_flat({'predictor': False}))
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(voltage[k]))
+        observer.torque('motor', stamp, float(torque[k]))
+    estimate = observer.estimates()['motor']
+    counters = observer.motors['motor'].context_nodes.counters()
+    assert np.all(np.abs(estimate.value[0] - [0.5, 1.0, 10.0]) < 4.0 * estimate.std[0])
+    assert np.all(estimate.std[0] < 0.005 * estimate.value[0])
+    assert counters['motor changes'] == 0
+    assert counters['torque outliers'] < 1.5 * lost[1].sum() + 100 * (signal != 'torque')

@@ -9,8 +9,9 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.predictor.relaxation import course
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import advance, steady_state
+from gray_box_observer.white_box.dynamics import advance
 
 NAMES = ('inductance', 'resistance', 'hysteresis')
 
@@ -52,5 +53,5 @@ def test_white_box_and_plant_agree_in_rotor_mode_with_measured_speed() -> None:
 def test_both_settle_at_the_same_steady_state(record: Callable[..., Recording]) -> None:
     recording = record('C[7.5]', 10.0)
     box = MotorWhiteBox(NAMES, 0.01, {'back_emf_constant': 0.01})
-    current = steady_state(box, np.array([[0.5, 1.0, 10.0]]), np.array([7.5]), np.array([np.nan]))
-    assert recording.torque_nm[0, -1] == pytest.approx(0.01 * current[0], rel=1e-9)
+    way = course(np, box, [0.5, 1.0, 10.0], np.array([7.5]), np.zeros(1), 0.0)
+    assert recording.torque_nm[0, -1] == pytest.approx(0.01 * way.steady_a[0], rel=1e-9)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from dc_motor_sim.ros import discovery
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal, or external to drive the motor by motor/voltage_command'),
@@ -45,4 +49,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])
+    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
+    return LaunchDescription([*declared, *kept_here, OpaqueFunction(function=make_nodes)])

@@ -7,6 +7,12 @@ from pathlib import Path
 
 from gray_box_observer.errors import ConfigurationError
 
+MOST_PARTS = 64
+"""Folders in a path; nobody means more, and the file system would not bear many more."""
+
+LONGEST_NAME = 200
+"""Bytes of a name: a file that is not whole yet has a longer one, and 255 is the limit of most file systems."""
+
 
 class CheckpointFolder:
     """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses it.
@@ -41,6 +47,11 @@ class CheckpointFolder:
             raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
         if given.is_absolute() and path == self._trusted:
             return given
+        if len(given.parts) > MOST_PARTS or any(len(part.encode()) > LONGEST_NAME for part in given.parts):
+            raise ConfigurationError(
+                f'checkpoint.path must not be deeper than {MOST_PARTS} folders or hold names of more than '
+                f'{LONGEST_NAME} bytes, got {path[:40]!r}...'
+            )
         if '..' in given.parts:
             raise ConfigurationError(f"checkpoint.path must not hold '..', got {path!r}: give a path in {self.folder}")
         file = self.folder / given  # an absolute one stays what it is

@@ -66,6 +66,10 @@ class CheckpointWriter:
                 failure = None
             except GrayBoxError as error:
                 failure = str(error)
+            except (
+                Exception
+            ) as error:  # a defect; but whoever waits must not wait for ever, and the next may be written
+                failure = f'{path}: {error!r}'
             with self._changed:
                 self.failure = failure
                 self.written += failure is None

@@ -149,23 +149,30 @@ class Configuration:
         Raises:
             ConfigurationError: no such file, not YAML, or a value that does not fit.
         """
-        try:
-            document = yaml.safe_load(path.read_text(encoding='utf-8'))
-        except OSError as error:
-            raise ConfigurationError(f'cannot read the parameter file {path}: {error.strerror}') from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
-        given: dict[str, Any] = {}
-        for node, content in document.items() if isinstance(document, dict) else ():
-            if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
-                if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
-                    raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
-                given.update(flatten(content['ros__parameters']))
-        if not given:
-            raise ConfigurationError(
-                f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"'
-            )
-        return cls.from_flat(given)
+        return cls.from_flat(read_parameter_file(path))
+
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """What a ROS parameter file gives to the observer, by dotted names.
+
+    Raises:
+        ConfigurationError: no such file, not YAML, or nothing for the observer in it.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigurationError(f'cannot read the parameter file {path}: {error.strerror}') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
+    given: dict[str, Any] = {}
+    for node, content in document.items() if isinstance(document, dict) else ():
+        if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
+            if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
+                raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
+            given.update(flatten(content['ros__parameters']))
+    if not given:
+        raise ConfigurationError(f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"')
+    return given
 
 
 SMALLEST_RELATIVE_STD = 1e-6

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import errno
-import json
-import math
-import os
 import shlex
+import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
@@ -17,33 +13,37 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gray_box_observer import offline
-from gray_box_observer.bag.csv_log import csv_to_bag
-from gray_box_observer.bag.csv_mapping import CsvMapping
+from gray_box_observer.archive import options as archive
+from gray_box_observer.bag.carried import carried_by
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import Configuration, read_parameter_file
+from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.identify_options import configure, read_mapping
+from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
-from gray_box_observer.predictor.alarm import REMEDY
-from gray_box_observer.samples import Rejection
 
-if TYPE_CHECKING:  # the report and its charts are loaded where one is asked for
+if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
+    from gray_box_observer.bag.csv_mapping import CsvMapping
     from gray_box_observer.report.collector import Collector
 
 EXIT_USER_ERROR = 2
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run the command; the result is the exit code: 0 when it ran to the end, 2 for input it cannot use."""
+    """Run the command; the result is the exit code.
+
+    0 when it ran to the end, 2 for input it cannot use, 3 where every bag was read by itself and some gave nothing.
+    """
     options = _parser().parse_args(None if args is None else list(args)[1:])
     try:
-        _run(options)
+        return _run(options)
     except GrayBoxError as error:
         print(f'identify: error: {" ".join(str(error).split())}', file=sys.stderr)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         print('identify: interrupted; nothing was written', file=sys.stderr)
-        return 130
-    return 0
+        return archive.EXIT_INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs='+',
         metavar='KEY=VALUE',
         help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
-        'torque_constant=0.05 speed=w; or one YAML file with the same keys',
+        'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
         '--truth',
@@ -73,66 +73,67 @@ def _parser() -> argparse.ArgumentParser:
         metavar='FILE.yaml',
         help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
     )
+    archive.add_options(parser)
     return parser
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     if not options.bags:
         raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
+    if archive.is_asked(options):
+        if options.from_csv:
+            raise GrayBoxError('--from-csv makes one bag; --each, --table and --engine are for bags that are there')
+        from gray_box_observer.archive import command
+
+        configuration = Configuration.from_yaml(options.params) if options.params else Configuration.from_flat({})
+        _warn_of_unknown(configuration)
+        return command.run(options, configuration)
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
-            _refuse_unwritable(target, makes_folders=target is options.report)
-    configuration = Configuration.from_yaml(options.params) if options.params else None
-    mapping = _convert(options) if options.from_csv else None
-    if configuration is None:
-        configuration = Configuration.from_flat({} if mapping is None else _constants(mapping))
+            refuse_unwritable(target, makes_folders=target is options.report)
+    given = read_parameter_file(options.params) if options.params else {}
+    if options.from_csv:
+        _identify_log(options, given)
+    else:
+        _identify(options, configure(given, carried_by(options.bags), 'the bag'))
+    return 0
+
+
+def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> None:
+    """Make the bag of a CSV log and run the observer over it; a run that fails leaves no bag behind."""
+    if len(options.bags) != 1 or not options.columns:
+        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    mapping = read_mapping(options.columns)
+    configuration = configure(given, mapping.parameters(), '--columns')
+    _convert(options, mapping)
+    try:
+        _identify(options, configuration)
+    except BaseException:  # the next try must not find the folder in its way
+        shutil.rmtree(options.bags[0], ignore_errors=True)
+        raise
+
+
+def _warn_of_unknown(configuration: Configuration) -> None:
     for name in configuration.unknown:
         print(f'identify: warning: parameter {name} is none of the observer; it is ignored', file=sys.stderr)
+
+
+def _identify(options: argparse.Namespace, configuration: Configuration) -> None:
+    """Run the observer over the bags, and say what it found."""
+    _warn_of_unknown(configuration)
     training = None if options.skip_predictor else InlineTraining
     collector = _collector(options) if options.report else None
     with _progress(options.bags) as update:
         outcome = offline.run(options.bags, configuration, training, collector, update)
-    unseen = [name for name in configuration.motors if name not in outcome.observer.motors]
-    outcome.warnings += [f'no usable sample of motor {name}; it is not in the result' for name in unseen]
-    for name, counts in outcome.intake.rejected.items():
-        if counts:
-            outcome.warnings.append(f'{counts.total()} messages of {name} could not be read')
-    complaints = [delay.complaint(name) for name, delay in outcome.observer.delays().items()]
-    outcome.warnings += [
-        f'motor {name}: alarm at {times_s[0]:.2f} s, {len(times_s)} in all: {REMEDY}'
-        for name, times_s in outcome.alarms_s.items()
-    ]
-    outcome.warnings += [complaint for complaint in complaints if complaint is not None]
-    for warning in outcome.warnings:
+    for warning in warnings_of(outcome):
         print(f'identify: warning: {warning}', file=sys.stderr)
     result = describe(outcome)
     if options.json:
-        _write_json(result, options.json)
+        write_json(result, options.json)
     if collector is not None:
         _write_report(options, outcome, result, collector)
     if options.json != '-':
         _print_table(result, sys.stdout)
-
-
-def _refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
-    """Say before the work, not after it, that a result could not be written.
-
-    Raises:
-        GrayBoxError: The file, or the folder it would be made in, takes nothing.
-    """
-    try:
-        if target.is_dir():
-            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_file():
-            target.open('ab').close()
-        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
-            folder = target.parent
-            while makes_folders and not folder.exists():
-                folder = folder.parent
-            with tempfile.TemporaryFile(dir=folder):
-                pass
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
 
 
 def _collector(options: argparse.Namespace) -> Collector:
@@ -156,13 +157,10 @@ def _collector(options: argparse.Namespace) -> Collector:
     return Collector(truth)
 
 
-def _convert(options: argparse.Namespace) -> CsvMapping:
-    """Make the bag of a CSV log; return what its columns were taken for."""
-    if len(options.bags) != 1 or not options.columns:
-        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
-    words = options.columns
-    is_file = len(words) == 1 and '=' not in words[0]
-    mapping = CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)
+def _convert(options: argparse.Namespace, mapping: CsvMapping) -> None:
+    """Make the bag of a CSV log."""
+    from gray_box_observer.bag.csv_log import csv_to_bag
+
     summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
     left_out = summary.filtered_rows + summary.unordered_rows
     print(
@@ -170,16 +168,6 @@ def _convert(options: argparse.Namespace) -> CsvMapping:
         f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}',
         file=sys.stderr,
     )
-    return mapping
-
-
-def _constants(mapping: CsvMapping) -> dict[str, Any]:
-    """Configure the motors of a log as far as its mapping tells: names, and Kt where torque was made from current."""
-    constants: dict[str, Any] = {'motors': list(mapping.motors)}
-    for name, columns in mapping.motors.items():
-        if columns.torque_constant is not None:
-            constants[f'{name}.torque_constant'] = columns.torque_constant
-    return constants
 
 
 @contextmanager
@@ -196,41 +184,6 @@ def _progress(bags: Sequence[Path]) -> Iterator[Callable[[int], object]]:
             total += bag.message_count
     with tqdm(total=total, unit=' messages', file=sys.stderr, leave=False) as bar:
         yield bar.update
-
-
-def describe(outcome: offline.Outcome) -> dict[str, Any]:
-    """Return the result as plain values: what ``--json`` writes."""
-    motors: dict[str, dict[str, Any]] = {}
-    delays = outcome.observer.delays()
-    for name, estimate in outcome.observer.estimates().items():
-        pairing = outcome.observer.pairing[name]
-        rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
-        skill = outcome.observer.skill(name)
-        motors[name] = {
-            'samples': pairing.used,
-            'duration_s': round(outcome.duration_s[name], 6),
-            'rejected': rejected,
-            'parameters': {
-                p.name: {
-                    'value': float(estimate.value[0, j]),
-                    'std': float(estimate.std[0, j]),
-                    'unit': p.unit,
-                    'verdict': estimate.verdicts[0][j].value,
-                }
-                for j, p in enumerate(estimate.parameters)
-            },
-            'covariance': estimate.covariance[0].tolist(),
-            'predictor': None if skill is None else skill.to_dict(),
-            'alarms': None,
-        }
-        if outcome.observer.motors[name].alarm is not None:
-            times_s = [round(time_s, 6) for time_s in outcome.alarms_s.get(name, [])]
-            motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
-        delay = delays[name]
-        if delay.asked or delay.complaint(name) is not None:
-            found = [None if math.isnan(number) else number for number in (delay.value_s, delay.std_s)]
-            motors[name]['delay_s'] = {'value': found[0], 'std': found[1], 'applied': delay.applied_s}
-    return {'motors': motors, 'digest': outcome.digest}
 
 
 def _write_report(
@@ -259,17 +212,6 @@ def _write_report(
         ),
         options.report,
     )
-
-
-def _write_json(result: dict[str, Any], target: str) -> None:
-    text = json.dumps(result, indent=2, allow_nan=False)
-    if target == '-':
-        print(text)
-        return
-    try:
-        Path(target).write_text(text + '\n', encoding='utf-8')
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
 
 
 def _print_table(result: dict[str, Any], stream: TextIO) -> None:

@@ -22,8 +22,22 @@ from gray_box_observer.white_box.base import Array
 MOST_STRANGERS = 100
 """Names that no configured motor has, of which it is counted how often they came."""
 
+LONGEST_NAME = 64
+"""Of such a name, as much as is remembered: a message may hold anything."""
+
 MOST_LISTS = 64
-"""Lists of names of which it is remembered who in them is a stranger."""
+"""Lists of names of which it is remembered who is in them."""
+
+LONGEST_LIST = 100_000
+"""Names in such a list."""
+
+
+class _Census(NamedTuple):
+    """Who is in a list of names: whether a motor of ours, which of ours twice, and some that are not ours."""
+
+    known: bool
+    twice: str | None
+    strangers: tuple[str, ...]
 
 
 class Signal:
@@ -33,7 +47,7 @@ class Signal:
         topic: where it comes from; empty where it has no topic of its own.
         type_name: message type.
         scale: factor from the field to SI units.
-        unknown: names in messages that no configured motor has, and how often they came.
+        unknown: names in messages that no configured motor has, and how often they came; not all where there are many.
     """
 
     def __init__(self, name: str, configuration: Configuration) -> None:
@@ -43,7 +57,7 @@ class Signal:
         self._path = FieldPath(configuration[f'{name}.field'])
         self.scale: float = configuration[f'{name}.scale']
         self._motors = dict.fromkeys(configuration.motors)
-        self._strangers: dict[tuple[str, ...], list[str]] = {}
+        self._lists: dict[tuple[str, ...], _Census] = {}
         self.unknown: Counter[str] = Counter()
         self._readable = False
 
@@ -51,7 +65,7 @@ class Signal:
         """Return the names of motors in the message and a value in SI units for each, whether configured or not.
 
         Raises:
-            SampleError: names and values differ in number.
+            SampleError: names and values differ in number, or a motor is named twice.
             ConfigurationError: the message has no such field, or one value stands for several motors.
         """
         try:
@@ -77,18 +91,34 @@ class Signal:
             values: Sequence[float] | Array = (self.scale * float(value[0]),)
         else:
             values = self.scale * np.asarray(value, dtype=float)
-        self._note_strangers(told)
+        self._count_names(told)
         return told, values
 
-    def _note_strangers(self, names: tuple[str, ...]) -> None:
-        strangers = self._strangers.get(names)
-        if strangers is None:
-            if len(self._strangers) > MOST_LISTS:
-                self._strangers.clear()
-            strangers = self._strangers[names] = [name for name in names if name not in self._motors]
-        for name in strangers:
+    def speaks_of_any(self, names: tuple[str, ...]) -> bool:
+        """Whether a configured motor is among the names."""
+        return self._census(names).known
+
+    def _count_names(self, names: tuple[str, ...]) -> None:
+        """Refuse a motor that is named twice, and remember some of the names that are not ours, for diagnostics."""
+        census = self._census(names)
+        if census.twice is not None:
+            raise SampleError(f'{census.twice} is named twice')
+        for name in census.strangers:
             if len(self.unknown) < MOST_STRANGERS or name in self.unknown:
                 self.unknown[name] += 1
+
+    def _census(self, names: tuple[str, ...]) -> _Census:
+        found = self._lists.get(names)
+        if found is None:
+            ours = Counter(name for name in names if name in self._motors)
+            strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
+            twice = next((name for name, count in ours.items() if count > 1), None)
+            found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
+            if len(self._lists) >= MOST_LISTS:
+                self._lists.clear()
+            if len(names) <= LONGEST_LIST:
+                self._lists[names] = found
+        return found
 
     def _only_motor(self) -> tuple[str, ...]:
         if len(self._motors) != 1:
@@ -139,7 +169,9 @@ class Intake:
     """Takes messages of the configured topics and feeds the observer.
 
     Attributes:
+        received: messages by signal; of each motor that one speaks of, :class:`Pairing` counts on.
         rejected: messages that could not be read at all, by signal and reason.
+        others: messages that spoke of no configured motor, by signal.
     """
 
     def __init__(self, observer: Observer, configuration: Configuration) -> None:
@@ -147,6 +179,7 @@ class Intake:
         self.signals = {name: Signal(name, configuration) for name in SIGNALS}
         self.rejected: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
         self.received: Counter[str] = Counter()
+        self.others: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
 
     def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
@@ -167,6 +200,8 @@ class Intake:
         except (SampleError, TypeError, ValueError):
             self.malformed(name)
             return Taken(stamp_ns, (), [])
+        if not self.signals[name].speaks_of_any(names):
+            self.others[name] += 1
         speeds = self._speeds(message) if name == 'torque' else None
         return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
 

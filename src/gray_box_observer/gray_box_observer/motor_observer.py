@@ -155,7 +155,7 @@ class MotorObserver:
         context_nodes.learn(samples[-1])
         self.context_nodes = context_nodes
         if self.predictor is not None:
-            self.predictor.replay.refill(content)
+            self.predictor.refill(content)
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
         self._know(context_nodes.estimate(), slice(None))

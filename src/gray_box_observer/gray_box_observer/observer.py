@@ -191,6 +191,8 @@ class Observer:
 
     def alarm(self, motor: str) -> bool:
         """Whether the alarm on the prediction's residual stands; never where nothing is predicted by the physics."""
+        if motor not in self._places:
+            return False
         group, place = self._places[motor]
         return group.observer is not None and bool(group.observer.alarmed[place])
 
@@ -343,7 +345,8 @@ class Observer:
 
     def _tell_speeds_apart(self, names: tuple[str, ...], speeds: Array) -> None:
         """Part motors with speed from those without, before they begin to learn."""
-        if ('torque', names) in self._parts and self._places[names[0]][0].observer is not None:
+        parts = self._parts.get(('torque', names))
+        if parts is not None and all(part.group.observer is not None for part in parts):
             return
         told = {name for name, speed in zip(names, speeds.tolist(), strict=True) if math.isfinite(speed)}
         for group in self.every_group:

@@ -174,7 +174,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         choices=('shipped', 'fresh'),
     ),
     ParameterSpec('training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'),
-    ParameterSpec('training.replay_capacity', 6000, 'Samples remembered for training.', 200, 10_000_000),
+    ParameterSpec('training.replay_capacity', 6000, 'Newest samples remembered for training.', 200, 10_000_000),
+    ParameterSpec('training.segments', 12, 'Runs of 512 samples kept of regimes that were left; 0: none.', 0, 10_000),
     ParameterSpec(
         'verdict.identified_relative_std', 0.02, 'Largest relative std that is called identified.', 1e-9, 1.0, live=True
     ),

@@ -5,11 +5,15 @@ Ends when the simulator does. The observer's first guess is three times off.
 
 from __future__ import annotations
 
+import os
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, Shutdown
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from gray_box_observer.ros import discovery
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal of the simulator'),
@@ -27,6 +31,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
+    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
     observer = LifecycleNode(
         package='gray_box_observer',
         executable='observer',
@@ -57,4 +62,4 @@ def generate_launch_description() -> LaunchDescription:
         ],
         on_exit=Shutdown(reason='the simulator has ended'),
     )
-    return LaunchDescription([*declared, observer, recorder, simulator])
+    return LaunchDescription([*declared, *kept_here, observer, recorder, simulator])

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
+
+from gray_box_observer.ros import discovery
 
 ARGUMENTS = {
     'params_file': ('', 'parameter file (YAML); without one every parameter has its default'),
@@ -37,4 +41,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])
+    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
+    return LaunchDescription([*declared, *kept_here, OpaqueFunction(function=make_nodes)])

@@ -192,6 +192,7 @@ def test_a_node_waits_for_its_subscribers_only_so_long(peer):
         ({'motors': 'motor'}, 'motors must be a list'),
         ({'speed_mode': 'gear'}, 'speed_mode must be one of thesis, rotor'),
         ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
+        ({'qos_overrides./motor/voltage.publisher.depth': 'deep'}, 'quality of service of motor/voltage'),
     ],
 )
 def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, values, what):

@@ -182,15 +182,30 @@ METADATA = """rosbag2_bagfile_information:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        (None, 'has no metadata.yaml'),
         (METADATA.format('gone.mcap'), "'gone.mcap', listed in metadata.yaml, is missing"),
+        (METADATA.format('gone.mcap, ../run_1.mcap'), "'gone.mcap', listed in metadata.yaml, is missing, and 1 more"),
+        (METADATA.format('run_0.mcap').replace('mcap\n', 'sqlite3\n', 1), "'sqlite3'"),
+        (METADATA.format('run_0.mcap').replace('mcap\n', '[a]\n', 1), "stored as a list, expected 'mcap'"),
+        (METADATA.format('run_0.mcap') + '  compression_mode: FILE\n', "compressed by 'file'"),
+    ],
+)
+def test_metadata_of_another_kind_of_bag_is_one_clear_line(make_bag, text, message):
+    folder = make_bag(5)
+    (folder / 'metadata.yaml').write_text(text)
+    with pytest.raises(BagError, match=message) as caught:
+        BagReader(folder)
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        (None, 'has no metadata.yaml'),
         (METADATA.format(''), 'lists no files'),
         (METADATA.format('3'), 'lists no files'),
-        (METADATA.format('run_0.mcap').replace('mcap\n', 'sqlite3\n', 1), "'sqlite3'"),
-        (METADATA.format('run_0.mcap') + '  compression_mode: FILE\n', 'compressed by file'),
-        ('rosbag2_bagfile_information: 3', 'no rosbag2 bag'),
-        ('- a\n- b', 'no rosbag2 bag'),
-        ('', 'no rosbag2 bag'),
+        ('rosbag2_bagfile_information: 3', "has no 'rosbag2_bagfile_information'"),
+        ('- a\n- b', "has no 'rosbag2_bagfile_information'"),
+        ('', "has no 'rosbag2_bagfile_information'"),
         ('a: [b', 'cannot be understood'),
         ('a: 2024-99-99', 'cannot be understood'),
         ('[' * 1200, 'cannot be understood'),
@@ -198,17 +213,52 @@ METADATA = """rosbag2_bagfile_information:
         ('a: !!python/object/apply:os.system [ls]', 'cannot be understood'),
     ],
 )
-def test_metadata_that_cannot_be_used_is_one_clear_line(make_bag, text, message):
-    folder = make_bag(5)
+def test_without_usable_metadata_the_files_are_read_by_their_numbers_with_a_warning(make_bag, text, message):
+    folder = make_bag(300, options=BagOptions(chunk_bytes=500, max_file_duration_s=0.25))
+    with BagReader(folder) as bag:
+        expected = list(bag.messages())
     metadata = folder / 'metadata.yaml'
     metadata.unlink()
     if isinstance(text, bytes):
         metadata.write_bytes(text)
     elif text is not None:
         metadata.write_text(text)
-    with pytest.raises(BagError, match=message) as caught:
+    with BagReader(folder) as bag:
+        assert list(bag.messages()) == expected
+        assert message in str(bag.lost)
+        assert 'its 12 .mcap files are read all the same' in str(bag.lost)
+        assert '\n' not in str(bag.lost)
+    for path in folder.glob('*.mcap'):
+        path.unlink()
+    with pytest.raises(BagError, match='no rosbag2 bag') as caught:
         BagReader(folder)
     assert '\n' not in str(caught.value)
+
+
+def test_a_missing_file_costs_only_its_own_messages(make_bag):
+    folder = make_bag(80, options=BagOptions(chunk_bytes=500, max_file_duration_s=0.2))
+    (folder / 'run_1.mcap').unlink()
+    (folder / 'run_2.mcap').write_bytes(b'')
+    with BagReader(folder) as bag:
+        assert len(list(bag.messages())) == 80
+        assert "'run_1.mcap', listed in metadata.yaml, is missing" in str(bag.lost)
+        assert 'run_2.mcap is empty' in str(bag.lost)
+
+
+def test_a_file_with_fewer_messages_than_the_metadata_says_is_told(make_bag):
+    folder, shorter = make_bag(50), make_bag(30, 'shorter')
+    (shorter / 'shorter_0.mcap').replace(folder / 'run_0.mcap')
+    with BagReader(folder) as bag:
+        assert len(list(bag.messages())) == 60
+        assert 'it holds 60 messages, but 100 according to metadata.yaml' in str(bag.lost)
+
+
+def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
+    folder, other = make_bag(5), make_bag(7, 'other')
+    for name in ('../other/other_0.mcap', str(other / 'other_0.mcap')):
+        (folder / 'metadata.yaml').write_text(METADATA.format(name))
+        with pytest.raises(BagError, match=r"'other_0.mcap', listed in metadata.yaml, is missing"):
+            BagReader(folder)
 
 
 def test_reading_raw_is_no_slower_than_twice_mcaps_own_reader(make_bag):

@@ -101,7 +101,8 @@ def test_samples_without_prediction_and_gaps_change_nothing() -> None:
 def test_what_is_restored_goes_on_alike() -> None:
     alarm, twin = ResidualAlarm(2), ResidualAlarm(2)
     watch(alarm, noise(1777, 2, 11))
-    twin.restore(alarm.state())
+    for motor in range(2):
+        twin.restore(alarm.state(motor), motor)
     shifted = noise(300, 2, 12) + SPREAD_NM
     np.testing.assert_array_equal(watch(alarm, shifted), watch(twin, shifted))
     np.testing.assert_array_equal(alarm.level, twin.level)

@@ -13,10 +13,11 @@ import torch
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.predictor import InlineTraining, TrainingRules, messages
 from gray_box_observer.predictor.drawing import draw_around, draw_family
+from gray_box_observer.predictor.histories import newest_history
 from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, free_run_error, lesson
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.physics_trainer import PhysicsTrainer, recent_sequences
+from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.start import SHIPPED, fresh, load
 from gray_box_observer.predictor.teaching import Pupil, defect_loss
 from gray_box_observer.samples import Sample
@@ -38,7 +39,14 @@ def configuration(box: MotorWhiteBox, rules: TrainingRules = FRESH, seed: int = 
 def job_of(samples: list[Sample], seen: OperatingRange = SEEN, theta: np.ndarray = TRUTH) -> dict[str, Any]:
     names = ('voltage_v', 'interval_s', 'torque_nm', 'speed_rad_s')
     signals = {name: np.array([getattr(s, name) for s in samples]).T for name in names}
-    return {**signals, 'theta': theta, 'covariance': np.zeros((*theta.shape, 3)), 'seen': seen.to_dict()}
+    number = np.arange(len(samples))
+    return {
+        **signals,
+        'number': number,
+        'theta': theta,
+        'covariance': np.zeros((*theta.shape, 3)),
+        'seen': seen.to_dict(),
+    }
 
 
 @pytest.fixture
@@ -141,11 +149,13 @@ def test_a_network_that_is_worse_on_what_was_measured_does_not_run(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
     trainer, job = PhysicsTrainer(configuration(thesis_box)), job_of(samples, HARD)
-    sequences, _ = recent_sequences(thesis_box, job) or (None, None)
-    assert sequences is not None
+    found = newest_history(thesis_box, job)
+    assert found is not None
     running = trainer._running
     flattered = {**job, 'torque_nm': job['torque_nm'].copy()}
-    flattered['torque_nm'][:, 1:] = thesis_box.output(free_run(running, sequences)[0])  # as if it had always been right
+    flattered['torque_nm'][:, 1:] = thesis_box.output(
+        free_run(running, found.sequences)[0]
+    )  # as if it had always been right
     for _ in range(4):
         assert 'input' not in trainer.train(flattered)
     assert trainer._running is running
@@ -213,12 +223,12 @@ def test_recent_samples_begin_behind_the_last_restart(
 ) -> None:
     job = job_of(samples)
     job['interval_s'][0, list(restarts)] = 0.0
-    found = recent_sequences(thesis_box, job)
+    found = newest_history(thesis_box, job)
     if restarts[-1] > 590:
         assert found is None
         return
     assert found is not None
-    sequences, current = found
+    sequences, current = found.sequences, found.current_a
     assert sequences.voltage_v.shape == current.shape == (1, 600 - restarts[-1] - 1)
     assert np.all(sequences.interval_s > 0.0)
     assert sequences.start_a[0] == pytest.approx(job['torque_nm'][0, restarts[-1]] / 0.01)

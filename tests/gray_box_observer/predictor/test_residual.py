@@ -11,30 +11,29 @@ import pytest
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.predictor import TrainingRules
 from gray_box_observer.predictor.drawing import Sequences
+from gray_box_observer.predictor.histories import History
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
-from gray_box_observer.predictor.residual_pupil import LENGTH, WARM, windows
+from gray_box_observer.predictor.residual import BINS, INPUTS, WARM, Correction
+from gray_box_observer.predictor.residual_pupil import LENGTH, windows
 from gray_box_observer.predictor.residual_trainer import ResidualTrainer, borne_out, worth_learning
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.white_box import MotorWhiteBox
 
 Effect = Callable[[np.ndarray], np.ndarray]
-Measured = tuple[Sequences, np.ndarray]
-
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 
 @pytest.fixture
-def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Callable[..., Measured]:
+def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Callable[..., History]:
     """A recording as the trainer sees it, with an effect on the torque that the white box does not have."""
 
-    def make(effect: Effect = np.zeros_like, noise: float = 0.01, duration_s: float = 40.0) -> Measured:
+    def make(effect: Effect = np.zeros_like, noise: float = 0.01, duration_s: float = 40.0) -> History:
         made = record('R[5,15]D[0.001,2]', duration_s, torque_noise_relative=noise)
         current_a = (made.torque_nm + effect(made.true_torque_nm)) / 0.01
         n = current_a.shape[1] - 1
         blank = np.full((1, n), np.nan)
         sequences = Sequences(thesis_box, TRUTH, made.voltage_v[:, :-1], np.full((1, n), 0.01), blank, current_a[:, 0])
-        return sequences, current_a[:, 1:]
+        return History(sequences, current_a[:, 1:], np.arange(1, n + 1))
 
     return make
 
@@ -50,22 +49,22 @@ def friction(torque_nm: np.ndarray) -> np.ndarray:
     return -0.1 * size * np.tanh(torque_nm / size - 3.0)
 
 
-def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., Measured]) -> None:
+def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., History]) -> None:
     for noise in (0.0, 0.01):
         assert ResidualTrainer(0).learn(physics, [measured(noise=noise)]) == {}
 
 
 def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
-    physics: Weights, measured: Callable[..., Measured]
+    physics: Weights, measured: Callable[..., History]
 ) -> None:
     trainer, data = ResidualTrainer(0), measured(friction)
     learnt = [Correction.of(trainer.learn(physics, [data])) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.8
-    assert 0.0 < learnt.limit_a < 0.5 * np.abs(data[1]).max()
+    assert 0.0 < learnt.limit_a < 0.5 * np.abs(data.current_a).max()
 
 
-def test_what_held_out_samples_do_not_bear_out_is_not_used(physics: Weights, measured: Callable[..., Measured]) -> None:
+def test_what_held_out_samples_do_not_bear_out_is_not_used(physics: Weights, measured: Callable[..., History]) -> None:
     random = np.random.default_rng(0)
 
     def wandering(torque_nm: np.ndarray) -> np.ndarray:
@@ -108,24 +107,23 @@ def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:
     np.testing.assert_array_equal(taught, np.arange(2000))
 
 
+def piece(history: History, first: int, end: int, cut: bool = False) -> History:
+    """Intervals from one to before another as a history of its own, which starts at the measured current."""
+    whole, current_a, span = history.sequences, history.current_a, slice(first, end)
+    sequences = replace(
+        whole,
+        voltage_v=whole.voltage_v[:, span],
+        interval_s=whole.interval_s[:, span],
+        speed_rad_s=whole.speed_rad_s[:, span],
+        start_a=current_a[:, first - 1],
+    )
+    return History(sequences, current_a[:, span], history.number[span], cut)
+
+
 def test_short_histories_teach_together_what_none_of_them_could_alone(
-    physics: Weights, measured: Callable[..., Measured]
+    physics: Weights, measured: Callable[..., History]
 ) -> None:
-    sequences, current_a = measured(friction)
-    cut = [slice(k, k + 300) for k in range(1, 3900, 300)]
-    short = [
-        (
-            replace(
-                sequences,
-                voltage_v=sequences.voltage_v[:, s],
-                interval_s=sequences.interval_s[:, s],
-                speed_rad_s=sequences.speed_rad_s[:, s],
-                start_a=current_a[:, s.start - 1],
-            ),
-            current_a[:, s],
-        )
-        for s in cut
-    ]
+    short = [piece(measured(friction), k, k + 300) for k in range(1, 3900, 300)]
     assert ResidualTrainer(0).learn(physics, short[-1:]) == {}
     trainer = ResidualTrainer(0)
     learnt = [Correction.of(trainer.learn(physics, short)) for _ in range(2)][-1]
@@ -137,7 +135,7 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
     loud = Weights.initial(INPUTS, 4, 0)
     support = np.zeros((BINS, BINS))
     support[BINS // 2 :, BINS // 2 :] = 1000.0
-    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support)
+    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support, 0.01)
     readout, current, voltage = np.array([1e6, -1e6, 1e6]), np.array([1.0, 1.0, -1.0]), np.array([5.0, 5.0, -5.0])
     said = learnt.current(readout, current, voltage)
     np.testing.assert_allclose(said, [0.3, -0.3, 0.0], rtol=0.01)
@@ -146,9 +144,9 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
 
 
 def test_arrays_give_the_same_correction_back() -> None:
-    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)))
+    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)), 0.02)
     again = Correction.of({**learnt.arrays(), 'input': np.zeros(1)})
     assert again is not None
-    assert (again.limit_a, again.share) == (0.3, 0.7)
+    assert (again.limit_a, again.share, again.interval_s) == (0.3, 0.7, 0.02)
     np.testing.assert_array_equal(again.weights.recurrent, learnt.weights.recurrent)
     assert Correction.of({}) is None

@@ -25,7 +25,8 @@ def job_of(samples: list[Sample]) -> dict[str, Any]:
     names = ('voltage_v', 'interval_s', 'torque_nm', 'speed_rad_s')
     signals = {name: np.array([getattr(s, name) for s in samples]).T for name in names}
     seen = {'voltage_v': [-33.0, 33.0], 'interval_s': [0.1, 0.4], 'speed_rad_s': [0.0, 0.0]}
-    return {**signals, 'theta': TRUTH, 'covariance': np.zeros((1, 3, 3)), 'seen': seen}
+    number = np.arange(len(samples))
+    return {**signals, 'number': number, 'theta': TRUTH, 'covariance': np.zeros((1, 3, 3)), 'seen': seen}
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import InlineTraining, Predictor, TrainingRules, Variant
+from gray_box_observer.predictor import InlineTraining, Predictor, TrainingRules, Variant, messages
 from gray_box_observer.predictor.losses import Windows, stage_two_loss
 from gray_box_observer.predictor.window_trainer import WindowTrainer
 from gray_box_observer.samples import Sample
@@ -111,8 +112,9 @@ def test_no_window_spans_a_restart(thesis_box: MotorWhiteBox, restarts: tuple[in
 
 def test_data_without_a_whole_window_train_nothing(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
     trainer = WindowTrainer(configuration(thesis_box, SMALL))
-    assert trainer.train(job_of(samples[: SMALL.length])) == {'windows': 0}  # the first sample is a restart
-    assert trainer.train(job_of(samples[: SMALL.length - 3])) == {'windows': 0}
+    for count in (SMALL.length, SMALL.length - 3):  # the first sample is a restart
+        told = trainer.train(job_of(samples[:count]))
+        assert {name: value for name, value in told.items() if not name.startswith('learning_')} == {'windows': 0}
     assert trainer.train(job_of(samples[: SMALL.length + 1]))['windows'] == SMALL.steps * SMALL.minibatch
 
 
@@ -122,6 +124,21 @@ def test_training_leaves_its_job_as_it_was(thesis_box: MotorWhiteBox, samples: l
     WindowTrainer(configuration(thesis_box, SMALL)).train(job)
     for name, value in kept.items():
         np.testing.assert_array_equal(job[name], value)
+
+
+def test_another_trainer_goes_on_from_what_a_result_tells(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
+    rules = replace(SMALL, patience=0, learning_rate=0.1)  # so wild that plateaus are met and the rate is cut
+    one, other = (WindowTrainer(configuration(thesis_box, rules)) for _ in range(2))
+    results = [one.train(job_of(samples)) for _ in range(14)]
+    rates = [float(result['learning_rate']) for result in results]
+    assert rates[11] < rates[0], 'the learning rate is part of it'
+    start = {f'start_{name}': value for name, value in results[11].items() if name not in ('windows', 'loss')}
+    other.train(job_of(samples))  # whatever it knew is forgotten
+    for expected, begin in ((results[12], start), (results[13], {})):
+        found = messages.decode(messages.encode(other.train({**job_of(samples), **begin})))
+        assert found.keys() == expected.keys()
+        for name, value in expected.items():
+            np.testing.assert_array_equal(found[name], value, err_msg=name)
 
 
 def test_two_motors_train_one_network(

@@ -7,9 +7,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from gray_box_observer.report import render
+from gray_box_observer.report import ArchiveHistory, MotorTrend, ParameterTrend, render, render_trends
 from gray_box_observer.report.parameter_figure import parameter_figure
 from gray_box_observer.report.rejection_figure import rejection_figure
 from gray_box_observer.report.signal_figure import signal_figure
@@ -88,3 +89,46 @@ def test_a_browser_draws_every_figure_with_all_its_traces_and_answers_the_button
         assert plots[key]['range'] == '54.000 60.000', 'the time axes of a motor are not linked'
         assert '@' not in plots[key]['ink'], key
     assert plots['motor-0-parameter-0']['type'] == 'log'
+
+
+TREND_PROBE = """
+<script>
+addEventListener('error', (event) => { document.documentElement.dataset.failed = event.message; });
+const probe = setInterval(() => {
+  if (document.documentElement.dataset.figures !== 'drawn') { return; }
+  clearInterval(probe);
+  for (const button of document.querySelectorAll('.views button')) { button.click(); }
+  setTimeout(() => {
+    for (const plot of document.querySelectorAll('.drawing')) {
+      plot.dataset.traces = plot.querySelectorAll('.scatterlayer > .trace').length;
+      plot.dataset.bars = plot.querySelectorAll('.errorbar').length;
+      plot.dataset.axis = plot.layout.xaxis.type;
+    }
+    document.documentElement.dataset.probe = 'done';
+  }, 500);
+}, 50);
+</script>
+</body>
+"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason='neither chromium nor google-chrome is on PATH')
+def test_a_browser_draws_every_bag_of_a_trend_with_its_error_bar_over_dates(tmp_path):
+    start_ns = 1_777_593_600 * 10**9 + 86_400 * 10**9 * np.arange(6, dtype=np.int64)
+    value = np.array([1.0, 1.1, 1.2, 1.3, 7.0, 1.4])
+    verdict = ['identified'] * 4 + ['converging', 'identified']
+    trend = ParameterTrend('resistance', 'ohm', start_ns, value, 0.01 * value, verdict, [f'/bag/{k}' for k in range(6)])
+    motors = (MotorTrend('left', (trend,)), MotorTrend('right', (trend,)))
+    page = render_trends(ArchiveHistory('Trends', ('/bags',), '2026-11-21T09:00:00+00:00', motors))
+    path = tmp_path / 'trend.html'
+    path.write_text(page.replace('</body>', TREND_PROBE), encoding='utf-8')
+
+    document = drawn_by_browser(path, tmp_path / 'profile')
+
+    root = re.search(r'<html[^>]*>', document).group(0)
+    assert 'data-probe="done"' in root, root
+    assert 'data-failed' not in root, root
+    for tag in re.findall(r'<div class="drawing[ "][^>]*>', document):
+        found = dict(re.findall(r'data-(\w+)="([^"]*)"', tag))
+        assert found == {'traces': '3', 'bars': '6', 'axis': 'date'}
+    assert document.count('data-axis="date"') == 2

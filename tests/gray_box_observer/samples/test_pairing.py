@@ -220,6 +220,15 @@ def test_nothing_is_foreseen_without_history_or_voltage_or_across_a_gap() -> Non
     assert pairing.ahead(900 * MS) is None
 
 
+def test_what_is_refused_is_told_by_the_signal_it_was_of() -> None:
+    pairing = Pairing()
+    feed(pairing, [('v', 0, 5.0), ('v', 0, 5.0), ('t', 0, 0.1), ('t', 10, math.nan), ('v', 20, 1e12), ('v', 30, 5.0)])
+    assert pairing.refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.ABSURD: 1}
+    assert pairing.refused['torque'] == {Rejection.NON_FINITE: 1}
+    assert pairing.rejected.total() == 3
+    assert (pairing.received_voltage, pairing.taken_voltage) == (4, 2)
+
+
 def test_everything_received_is_used_or_rejected_or_waits() -> None:
     random = np.random.default_rng(11)
     pairing, produced, stamp = Pairing(PairingRules(hold_s=0.05)), 0, 0
@@ -233,6 +242,7 @@ def test_everything_received_is_used_or_rejected_or_waits() -> None:
         produced += len(pairing.torque(max(stamp - late, 0), value))
         assert pairing.rejected.total() - voltage_rejections <= 20
         assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
+        assert pairing.received_voltage == pairing.taken_voltage
     assert produced == pairing.used
     assert pairing.restarts > 10
     assert {Rejection.NON_FINITE, Rejection.ABSURD, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import os
+import re
 import signal
 import sys
 import time
@@ -19,14 +22,16 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSPolicyKind
+from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
-from dc_motor_sim.errors import SimulationError
+from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.ros import parameters, topics
+from dc_motor_sim.ros import discovery, parameters, topics
 from dc_motor_sim.simulation import Sample
 from dc_motor_sim.stamps import NANOSECONDS_PER_SECOND, to_nanoseconds, to_seconds
 
@@ -43,6 +48,8 @@ ACKNOWLEDGE_TIMEOUT_S = 5.0
 WARNING_INTERVAL_S = 5.0
 MOST_NAMED = 10
 """Motors that get a line of the log at the start."""
+OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY)
+"""What `qos_overrides.<topic>.publisher.<policy>` may change of what is published."""
 
 
 class MotorSim(Node):
@@ -79,6 +86,7 @@ class MotorSim(Node):
         self._clock_publisher = self._publisher(topics.CLOCK) if self._options.publish_clock else None
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
+        parameters.warn_of_unread(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
@@ -114,7 +122,13 @@ class MotorSim(Node):
             self.set_parameters_atomically(changed)
 
     def _publisher(self, topic: topics.Topic) -> Any:
-        return self.create_publisher(topic.type, topic.name, topic.qos)
+        profile, overrides = copy.copy(topic.qos), QoSOverridingOptions(OVERRIDABLE)  # which rclpy writes into it
+        try:
+            return self.create_publisher(topic.type, topic.name, profile, qos_overriding_options=overrides)
+        except (InvalidQosOverridesError, ParameterException, RuntimeError, ValueError) as error:
+            raise ConfigurationError(
+                f'quality of service of {topic.name}: {error}; see the parameters qos_overrides...'
+            ) from error
 
     def _log_start(self, settings: parameters.Settings) -> None:
         for motor, excitation in list(settings.excitation.items())[:MOST_NAMED]:
@@ -258,12 +272,16 @@ def main(args: Sequence[str] | None = None) -> int:
     # rclpy's own handlers would shut the context down under the last samples.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, request_stop)
+    kept_here = discovery.default_range(os.environ)
+    os.environ.update(kept_here)
     try:
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(args=argv)
         if unknown:
             return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
         node = MotorSim()
+        if kept_here:
+            node.get_logger().info(discovery.OPENED_BY)
     except (SimulationError, ParameterException, RuntimeError) as error:
         return _fail(error)
     executor = SingleThreadedExecutor()
@@ -286,7 +304,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _fail(error: object, status: int = 2) -> int:
-    print(f'motor_sim: error: {" ".join(str(error).split())}', file=sys.stderr)
+    """Say in one line what is wrong, without the place in the middleware's source that raised it."""
+    said = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
+    print(f'motor_sim: error: {said}', file=sys.stderr)
     rclpy.try_shutdown()
     return status
 

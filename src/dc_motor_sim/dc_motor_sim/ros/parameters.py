@@ -153,7 +153,6 @@ def declare(node: Node) -> Settings:
         excitation[motor] = _declared(node, name, '', _EXCITATION_OF_MOTOR, descriptor) or own.excitation
         values = {f.name: _declare(node, f'{motor}.{f.name}', f, live=True) for f in fields(PlantParameters)}
         motors[motor] = PlantParameters(**values)
-    _warn_of_unread(node)
     return Settings(own, motors, excitation)
 
 
@@ -255,7 +254,8 @@ def _check_names(motors: tuple[str, ...]) -> None:
             )
 
 
-def _warn_of_unread(node: Node) -> None:
+def warn_of_unread(node: Node) -> None:
+    """Point out parameters that were given and that nothing has asked for, once everything has been declared."""
     unread = [name for name in getattr(node, '_parameter_overrides', {}) if not node.has_parameter(name)]
     if unread:
         node.get_logger().warning(

@@ -17,14 +17,22 @@ CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: relative name, type and QoS."""
+    """One topic: relative name, type, QoS, and what it tells."""
 
     name: str
     type: type
     qos: QoSProfile
+    description: str = ''
 
 
-VOLTAGE = Topic('motor/voltage', JointState, SIGNAL_QOS)
-TORQUE = Topic('motor/torque', JointState, SIGNAL_QOS)
-VOLTAGE_COMMAND = Topic('motor/voltage_command', JointState, SIGNAL_QOS)
-CLOCK = Topic('/clock', Clock, CLOCK_QOS)
+VOLTAGE = Topic('motor/voltage', JointState, SIGNAL_QOS, 'Armature voltage in V as `effort`; it holds until the next.')
+TORQUE = Topic(
+    'motor/torque',
+    JointState,
+    SIGNAL_QOS,
+    'Torque in N m as `effort`; speed in rad/s as `velocity` with `speed_measured` or in rotor mode.',
+)
+VOLTAGE_COMMAND = Topic(
+    'motor/voltage_command', JointState, SIGNAL_QOS, 'Voltage in V as `effort`, with `excitation` set to `external`.'
+)
+CLOCK = Topic('/clock', Clock, CLOCK_QOS, 'Simulated time, with `publish_clock`.')

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.bag.carried import to_custom_data
 from gray_box_observer.bag.csv_mapping import CsvMapping, MotorColumns
 from gray_box_observer.bag.expressions import Expression
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
@@ -86,10 +88,12 @@ def csv_to_bag(
         csv_path: The log; see `gray_box_observer.bag.table` for what is understood.
         folder: The folder to make; must not exist.
         mapping: What the columns mean.
-        options: How the bag is written; None for the defaults.
+        options: How the bag is written; None for the defaults. The bag carries what the mapping tells of the
+            observer's parameters (`gray_box_observer.bag.carried`).
 
     Raises:
-        BagError: The log or the mapping cannot be used, or the folder exists; nothing is written then.
+        BagError: The log or the mapping cannot be used, the disk refuses, or the folder exists. Then nothing is made,
+            or is removed again.
     """
     path = Path(csv_path)
     shape = look_at(path)
@@ -182,19 +186,26 @@ def _write(
     text = schema_text(TYPE_NAME, built_in_lookup)
     # The voltage that holds from this row on stands in the next row if it applies to the interval before.
     ahead = 1 if mapping.voltage_applies == 'preceding' else 0
-    with BagWriter(folder, options) as writer:
-        for topic in (mapping.voltage_topic, mapping.torque_topic):
-            writer.add_topic(topic, TYPE_NAME, text, [SIGNAL_QOS], JOINT_STATE_HASH)
-        for index, (row, stamp) in enumerate(zip(kept.tolist(), stamps_ns.tolist(), strict=True)):
-            for motor in motors:
-                if index + ahead < kept.size:
-                    volts = float(motor.voltage_v[kept[index + ahead]])
-                    data = encode_joint_state(stamp, [motor.name], effort=[volts])
-                    writer.write(mapping.voltage_topic, data, stamp, stamp)
-                if passes[row]:
-                    speed = motor.speed_rad_s
-                    velocity = [float(speed[row])] if speed is not None else []
-                    torque = [float(motor.torque_nm[row])]
-                    data = encode_joint_state(stamp, [motor.name], velocity=velocity, effort=torque)
-                    writer.write(mapping.torque_topic, data, stamp, stamp)
-        return writer.message_count
+    options = options or BagOptions()
+    carried = {**options.custom_data, **to_custom_data(mapping.parameters())}
+    writer = BagWriter(folder, replace(options, custom_data=carried))
+    try:
+        with writer:
+            for topic in (mapping.voltage_topic, mapping.torque_topic):
+                writer.add_topic(topic, TYPE_NAME, text, [SIGNAL_QOS], JOINT_STATE_HASH)
+            for index, (row, stamp) in enumerate(zip(kept.tolist(), stamps_ns.tolist(), strict=True)):
+                for motor in motors:
+                    if index + ahead < kept.size:
+                        volts = float(motor.voltage_v[kept[index + ahead]])
+                        data = encode_joint_state(stamp, [motor.name], effort=[volts])
+                        writer.write(mapping.voltage_topic, data, stamp, stamp)
+                    if passes[row]:
+                        speed = motor.speed_rad_s
+                        velocity = [float(speed[row])] if speed is not None else []
+                        torque = [float(motor.torque_nm[row])]
+                        data = encode_joint_state(stamp, [motor.name], velocity=velocity, effort=torque)
+                        writer.write(mapping.torque_topic, data, stamp, stamp)
+    except BaseException:
+        shutil.rmtree(writer.folder, ignore_errors=True)
+        raise
+    return writer.message_count

@@ -96,8 +96,8 @@ class CsvMapping:
     def from_options(cls, options: Iterable[str]) -> CsvMapping:
         """From the words of a command line: ``time=t_s voltage=u_V current=i_A torque_constant=0.05``.
 
-        A motor's key may carry its name, ``left.voltage=5``; without a name the motor is called ``motor``. A bare
-        whole number is the number of a column, from 1.
+        A motor's key may carry its name, ``left.voltage=5``; one without it belongs to the motor that ``motor=left``
+        names, else to one called ``motor``. A bare whole number is the number of a column, from 1.
 
         Raises:
             BagError: A word is no ``key=value`` or its key is not known.
@@ -114,7 +114,7 @@ class CsvMapping:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> CsvMapping:
-        """From a YAML file with the same keys; motors stand under ``motors``, or one at the top.
+        """From a YAML file with the same keys; motors stand under ``motors``, or one at the top, named by ``motor``.
 
         Raises:
             BagError: The file cannot be read, or a key is not known.
@@ -141,22 +141,36 @@ class CsvMapping:
         own_keys = {entry.name for entry in fields(cls)} - {'motors'}
         groups: dict[str, dict[str, Any]] = {}
         own: dict[str, Any] = {}
+        unnamed = str(flat.get('motor', 'motor'))
         for key, value in flat.items():
             name, dot, last = key.rpartition('.')
             if last in motor_keys:
-                groups.setdefault(name if dot else 'motor', {})[last] = _value(key, last, value)
+                group = groups.setdefault(name if dot else unnamed, {})
+                if last in group:
+                    raise BagError(f'{last} of motor {unnamed} is mapped twice')
+                group[last] = _value(key, last, value)
             elif key in own_keys:
                 own[key] = _value(key, key, value)
-            else:
-                known = ', '.join(sorted(motor_keys | own_keys))
+            elif key != 'motor':
+                known = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
                 raise BagError(f'{key!r} is no key of a mapping; there are: {known}')
         motors = {}
+        if 'motor' in flat and unnamed not in groups:
+            raise BagError(f'motor={unnamed} names no motor: every column carries the name of another one')
         for name, group in groups.items():
             try:
                 motors[name] = MotorColumns(**{'voltage': '', **group})
             except BagError as error:
                 raise BagError(f'motor {name}: {error}') from None
         return cls(motors=motors, **own)
+
+    def parameters(self) -> dict[str, Any]:
+        """What the mapping tells of the observer's parameters: the motors, and Kt where torque is made of current."""
+        told: dict[str, Any] = {'motors': list(self.motors)}
+        for name, columns in self.motors.items():
+            if columns.torque_constant is not None:
+                told[f'{name}.torque_constant'] = columns.torque_constant
+        return told
 
 
 def _value(key: str, kind: str, value: Any) -> Any:

@@ -13,6 +13,7 @@ import zstandard
 from gray_box_observer.bag.mcap_layout import Piece
 from gray_box_observer.bag.mcap_records import (
     CHANNEL,
+    END_BYTES,
     FIRST_PRIVATE,
     HEAD,
     MESSAGE,
@@ -70,7 +71,7 @@ def read_records(stream: BinaryIO, piece: Piece) -> bytes:
     compression = raw[at : at + name_length].decode('ascii', 'replace')
     packed = raw[at + name_length + 8 :]
     if piece.is_cut:
-        return packed
+        return packed[:-END_BYTES]  # a write over an older end may have been cut just before that was all replaced
     records = _decompress(packed, compression, size)
     if len(records) != size:
         raise Unreadable(f'{len(records)} bytes instead of {size}')

@@ -2,7 +2,8 @@
 
 mcap's own writer ends a chunk only when it is full; a recorder of slow topics would then hold minutes of data in
 memory. Here a chunk ends whenever the owner says so. Declarations stand outside the chunks: a damaged chunk never
-takes the meaning of the others with it.
+takes the meaning of the others with it. Whatever is written, the end of an MCAP file is written behind it in the same
+call (`gray_box_observer.bag.mcap_tail`), so the file is complete at any moment.
 """
 
 from __future__ import annotations
@@ -10,25 +11,21 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import defaultdict
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
+import lz4.frame  # type: ignore[import-untyped]
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, ChunkIndex, Header, Schema
 
 from gray_box_observer.bag.mcap_records import HEAD, MAGIC, MESSAGE_HEAD
+from gray_box_observer.bag.mcap_tail import McapTail, bytes_of
 from gray_box_observer.errors import BagError
+
+COMPRESSIONS = ('none', 'lz4', 'zstd')
+"""Of chunks; all that the format knows."""
 
 _MESSAGE_FIXED_BYTES = MESSAGE_HEAD.size - HEAD.size
 _INDEX_ENTRY = struct.Struct('<QQ')
@@ -40,27 +37,36 @@ class McapFile:
     Args:
         path: The file; must not exist.
         library: Who writes it, for the header.
-        compression: ``''`` or ``'zstd'``, for the chunks.
+        compression: One of `COMPRESSIONS`, for the chunks.
+        level: Of the compression, in its own numbers; None for its default.
     """
 
-    def __init__(self, path: Path, *, library: str, compression: str = '') -> None:
+    def __init__(self, path: Path, *, library: str, compression: str = 'none', level: int | None = None) -> None:
         self.path = path
         self.size = 0
         self.start_ns = 0
         self.end_ns = 0
         self.message_count = 0
-        self._compression = compression
-        self._compressor = zstandard.ZstdCompressor() if compression == 'zstd' else None
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
+        self._compression = '' if compression == 'none' else compression
+        self._pack = _packer(compression, level)
         self._counts: dict[int, int] = defaultdict(int)
-        self._chunk_indexes: list[ChunkIndex] = []
+        self._tail = McapTail()
+        self._written_tail = b''
         self._new_chunk()
         try:
             self._stream = path.open('xb', buffering=0)
         except OSError as error:
             raise _refused(path, error) from None
-        self._write(MAGIC + _bytes_of(Header(profile='ros2', library=library)))
+        try:
+            self._write(MAGIC + bytes_of(Header(profile='ros2', library=library)))
+        except BagError:
+            self.abandon()
+            raise
+
+    @property
+    def written(self) -> tuple[int, int, int]:
+        """First and last log time and number of the messages that are in the file."""
+        return self._tail.start_ns, self._tail.end_ns, self._tail.message_count
 
     @property
     def pending_bytes(self) -> int:
@@ -69,15 +75,15 @@ class McapFile:
 
     def add_channel(self, topic: str, type_name: str, schema_text: str, metadata: dict[str, str]) -> int:
         """Declare a topic; the result is the number by which `add_message` knows it."""
-        text = schema_text.encode()
-        schema = next((s for s in self._schemas if s.name == type_name and s.data == text), None)
+        text, tail, declared = schema_text.encode(), self._tail, b''
+        schema = next((s for s in tail.schemas if s.name == type_name and s.data == text), None)
         if schema is None:
-            schema = Schema(id=len(self._schemas) + 1, data=text, encoding='ros2msg', name=type_name)
-            self._write(_bytes_of(schema))
-            self._schemas.append(schema)
-        channel = Channel(len(self._channels) + 1, topic, 'cdr', metadata, schema.id)
-        self._write(_bytes_of(channel))
-        self._channels.append(channel)
+            schema = Schema(id=len(tail.schemas) + 1, data=text, encoding='ros2msg', name=type_name)
+            declared = bytes_of(schema)
+            tail.schemas.append(schema)
+        channel = Channel(len(tail.channels) + 1, topic, 'cdr', metadata, schema.id)
+        tail.channels.append(channel)
+        self._write(declared + bytes_of(channel))
         return int(channel.id)
 
     def add_message(self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -101,22 +107,33 @@ class McapFile:
 
     def flush(self) -> None:
         """End the chunk and hand it to the operating system, which keeps it even if this process is killed."""
-        if not self._chunk:
-            return
+        if self._chunk:
+            self._write(self._end_chunk())
+
+    def finish(self) -> None:
+        """Write what is left, the summary and the end mark, and close the file."""
+        try:
+            self._write(self._end_chunk() if self._chunk else b'', is_last=True)
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is; it stays readable."""
+        self._stream.close()
+
+    def _new_chunk(self) -> None:
+        self._chunk: list[bytes] = []
+        self._chunk_bytes = 0
+        self._chunk_index: dict[int, list[tuple[int, int]]] = defaultdict(list)
+
+    def _end_chunk(self) -> bytes:
+        """The records of the chunk in memory and of its index, and a new chunk in its place."""
         records = b''.join(self._chunk)
-        packed = self._compressor.compress(records) if self._compressor is not None else records
+        packed = self._pack(records)
         times = [time for entries in self._chunk_index.values() for time, _ in entries]
-        name = self._compression.encode()
-        head = struct.pack(
-            f'<QQQII{len(name)}sQ',
-            min(times),
-            max(times),
-            len(records),
-            zlib.crc32(records),
-            len(name),
-            name,
-            len(packed),
-        )
+        start_ns, end_ns, name = min(times), max(times), self._compression.encode()
+        sizes = (len(records), zlib.crc32(records), len(name), name, len(packed))
+        head = struct.pack(f'<QQQII{len(name)}sQ', start_ns, end_ns, *sizes)
         chunk = HEAD.pack(Opcode.CHUNK, len(head) + len(packed)) + head + packed
         index_offsets, indexes = {}, bytearray()
         for channel, entries in self._chunk_index.items():
@@ -129,85 +146,50 @@ class McapFile:
             chunk_start_offset=self.size,
             compression=self._compression,
             compressed_size=len(packed),
-            message_end_time=max(times),
+            message_end_time=end_ns,
             message_index_length=len(indexes),
             message_index_offsets=index_offsets,
-            message_start_time=min(times),
+            message_start_time=start_ns,
             uncompressed_size=len(records),
         )
-        self._write(chunk + indexes)
-        self._chunk_indexes.append(index)
+        self._tail.add_chunk(index, {channel: len(entries) for channel, entries in self._chunk_index.items()})
         self._new_chunk()
+        return chunk + bytes(indexes)
 
-    def finish(self) -> None:
-        """Write what is left, the summary and the end mark, and close the file."""
+    def _write(self, content: bytes, *, is_last: bool = False) -> None:
+        """Put the content in the place of the file's end and a new end behind it.
+
+        If the disk refuses, the file is left as it was.
+        """
+        data_end = self.size + len(content)
+        tail = self._tail.final(data_end) if is_last else self._tail.provisional(data_end)
         try:
-            self.flush()
-            self._write(_bytes_of(DataEnd(data_section_crc=0)))
-            self._write(self._summary())
-        finally:
-            self.abandon()
-
-    def abandon(self) -> None:
-        """Close the file as it is."""
-        self._stream.close()
-
-    def _new_chunk(self) -> None:
-        self._chunk: list[bytes] = []
-        self._chunk_bytes = 0
-        self._chunk_index: dict[int, list[tuple[int, int]]] = defaultdict(list)
-
-    def _summary(self) -> bytes:
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunk_indexes),
-            message_count=self.message_count,
-            message_end_time=self.end_ns,
-            message_start_time=self.start_ns,
-            metadata_count=0,
-            schema_count=len(self._schemas),
-        )
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas]),
-            (Opcode.CHANNEL, [*self._channels]),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, [*self._chunk_indexes]),
-        ]
-        out, offsets = bytearray(), bytearray()
-        for opcode, records in groups:
-            content = b''.join(_bytes_of(record) for record in records)
-            if content:
-                offsets += _bytes_of(SummaryOffset(opcode, self.size + len(out), len(content)))
-                out += content
-        start, offsets_start = self.size, self.size + len(out)
-        out += offsets
-        covered = out + struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
-        return bytes(out) + _bytes_of(Footer(start, offsets_start, zlib.crc32(covered))) + MAGIC
-
-    def _write(self, content: bytes | bytearray) -> None:
-        """Write all of it or, if the disk refuses, leave the file as it was."""
-        rest = memoryview(content)
-        try:
-            while rest:
-                rest = rest[self._stream.write(rest) :]
+            if len(content) + len(tail) < len(self._written_tail):
+                self._stream.truncate(self.size)  # nothing of the old end may stay behind the new one
+            self._put(content + tail)
         except (OSError, ValueError) as error:
             self._undo()
             raise _refused(self.path, error) from None
-        self.size += len(content)
+        self.size, self._written_tail = data_end, tail
+
+    def _put(self, content: bytes) -> None:
+        self._stream.seek(self.size)
+        rest = memoryview(content)
+        while rest:
+            rest = rest[self._stream.write(rest) :]
 
     def _undo(self) -> None:
-        try:
+        with suppress(OSError, ValueError):  # at worst the reader meets a cut record, which it can take
             self._stream.truncate(self.size)
-        except (OSError, ValueError):
-            return  # then the reader meets a cut record, which it can take
+            self._put(self._written_tail)
 
 
-def _bytes_of(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+def _packer(compression: str, level: int | None) -> Callable[[bytes], bytes]:
+    if compression == 'zstd':
+        return zstandard.ZstdCompressor(level=3 if level is None else level).compress
+    if compression == 'lz4':
+        return lambda records: bytes(lz4.frame.compress(records, compression_level=level or 0))
+    return lambda records: records
 
 
 def _refused(path: Path, error: Exception) -> BagError:

@@ -9,14 +9,15 @@ damaged file one and the same case.
 from __future__ import annotations
 
 import struct
-import zlib
+from bisect import bisect_right
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from gray_box_observer.bag.mcap_end import End, read_end
 from gray_box_observer.bag.mcap_records import (
     CHANNEL,
     CHUNK,
-    CHUNK_INDEX,
     DATA_END,
     FIRST_PRIVATE,
     FOOTER,
@@ -25,20 +26,20 @@ from gray_box_observer.bag.mcap_records import (
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
+    METADATA,
     SCHEMA,
-    STATISTICS,
+    UNFINISHED,
     Channel,
     Definitions,
     Statistics,
-    parse_statistics,
+    metadata_name,
 )
 
 _CHUNK_HEAD = struct.Struct('<QQQII')
-_FOOTER = struct.Struct('<QQI')
-_FOOTER_LENGTH = HEAD.size + _FOOTER.size
 _LONGEST_COMPRESSION_NAME = 32
 _NEVER_NS = (1 << 64) - 1
 _RUN_BYTES = 1 << 20
+_LONGEST_MARK = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +74,35 @@ class Damage:
 
 @dataclass(slots=True)
 class Layout:
-    """What a walk found; ``statistics`` is None unless the file's summary can be believed."""
+    """What a walk found.
+
+    Attributes:
+        size: Bytes of the file that were looked at.
+        pieces: Everything that holds messages, in the order of the file.
+        channels: The topics that are declared outside chunks, by number.
+        damages: What could not be made sense of.
+        end: What the file's end tells; None if it was never written or is lost.
+        is_unfinished: Whether the file says that its writer never came to its end.
+        fits: Whether the end's index and counts agree with what was found; only then are they to be believed.
+    """
 
     size: int
     pieces: list[Piece] = field(default_factory=list)
     channels: dict[int, Channel] = field(default_factory=dict)
     damages: list[Damage] = field(default_factory=list)
-    statistics: Statistics | None = None
-    is_finished: bool = False
+    end: End | None = None
+    is_unfinished: bool = False
+    fits: bool = False
+
+    @property
+    def expected(self) -> Statistics | None:
+        """What the file's end says that it holds; None if that is unknown."""
+        return None if self.end is None else self.end.statistics
+
+    @property
+    def statistics(self) -> Statistics | None:
+        """The same if it is to be believed."""
+        return self.expected if self.fits else None
 
 
 def walk(stream: BinaryIO, size: int) -> Layout:
@@ -99,59 +121,74 @@ def walk(stream: BinaryIO, size: int) -> Layout:
 class _Walk:
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self._stream = stream
-        self._layout = Layout(size)
-        self._data, self._summary = Definitions(), Definitions()
-        self._definitions = self._data
-        self._summary_start = 0
-        self._summary_is_sound = False
-        self._statistics: Statistics | None = None
+        self._layout = Layout(size, end=read_end(stream, size))
+        self._stop = size if self._layout.end is None else self._layout.end.stop
+        self._indexed = sorted(offset for offset in self._indexed_chunks() if offset < self._stop)
+        self._definitions = Definitions()
         self._run: Piece | None = None
-        self._chunk_count = 0
+        self._loose_count = 0
+
+    def _indexed_chunks(self) -> Iterable[int]:
+        return () if self._layout.end is None else self._layout.end.chunks
 
     def run(self) -> Layout:
         layout, at = self._layout, len(MAGIC)
-        while at < layout.size and not layout.is_finished:
+        while at < self._stop:
             at = self._step(at)
         self._end_run()
-        # A file that was never finished has no summary; its declarations stand between and inside the chunks.
-        if self._summary_is_sound:
-            self._data.channels.update(self._summary.channels)
-        believed = self._statistics if self._summary_is_sound and not layout.damages else None
-        if believed is not None and believed.chunk_count != self._chunk_count:
-            layout.damages.append(
-                Damage(0, 0, f'{believed.chunk_count} chunks should be there, {self._chunk_count} are')
-            )
-            believed = None
-        layout.statistics = believed
-        layout.channels = self._data.channels
+        layout.channels = self._definitions.channels
+        if layout.end is not None:
+            self._compare(layout.end)
         return layout
+
+    def _compare(self, end: End) -> None:
+        """Hold what was found against what the file's end says."""
+        if not end.is_sound:
+            if end.has_summary:
+                self._damage(end.stop, 0, 'the summary at the end of the file is damaged')
+            return
+        layout = self._layout
+        layout.channels |= end.channels
+        found = {p.offset: (p.start_ns, p.end_ns) for p in layout.pieces if p.is_chunk}
+        indexed = {offset: _span(*times) for offset, times in end.chunks.items()}
+        expected = end.statistics
+        if not layout.damages and indexed and found != indexed:
+            self._damage(0, 0, 'the chunks of the file are not those of its index')
+        elif not layout.damages and expected is not None and expected.chunk_count != len(found):
+            self._damage(0, 0, f'{expected.chunk_count} chunks should be there, {len(found)} are')
+        elif expected is not None and not found and expected.message_count != self._loose_count:
+            self._damage(0, 0, f'{expected.message_count} messages should be there, {self._loose_count} are')
+        # Messages beside chunks are allowed and rare: count them, for a changed byte makes other records into such.
+        layout.fits = not layout.damages and not (found and self._loose_count)
 
     def _step(self, at: int) -> int:
         """Look at the record at ``at``; the result is where the next one starts."""
         self._stream.seek(at)
-        head = self._stream.read(MESSAGE_HEAD.size)
+        head = self._stream.read(min(MESSAGE_HEAD.size, self._stop - at))
         if len(head) < HEAD.size:
-            return self._give_up(at, 'in the middle of a record', is_cut=True)
+            return self._give_up(at, 'the file ends in the middle of a record')
         opcode, length = HEAD.unpack_from(head)
         end: int = at + HEAD.size + length
         if opcode == 0 or LAST_KNOWN < opcode < FIRST_PRIVATE:
             return self._give_up(at, f'a record of unknown kind {opcode} at byte {at}')
-        if end > self._layout.size:
+        following = self._next_chunk(at)
+        if following and end > following:
+            return self._give_up(at, f'a record with a wrong length at byte {at}')
+        if end > self._stop:
             return self._cut(at, opcode, length)
         if opcode == MESSAGE:
             return self._message(at, head, end)
         self._end_run()
         if opcode == CHUNK:
-            self._chunk(at, length)
-        elif opcode == DATA_END:
-            self._definitions, self._summary_start = self._summary, end
-        elif opcode == FOOTER:
-            self._footer(at, length)
+            if not self._chunk(at, length):
+                return self._give_up(at, f'a chunk with a damaged head at byte {at}', goal=following or end)
+        elif opcode == FOOTER or (opcode == DATA_END and self._indexed and end != self._stop):
+            return self._give_up(at, f'an end mark in the middle of the file at byte {at}')
         elif opcode in (SCHEMA, CHANNEL):
             if not self._definitions.add(opcode, self._content(at, length)):
                 self._damage(at, end - at, f'a malformed declaration at byte {at}')
-        elif opcode == STATISTICS:
-            self._statistics = parse_statistics(self._content(at, length))
+        elif opcode == METADATA and length <= _LONGEST_MARK:
+            self._layout.is_unfinished |= metadata_name(self._content(at, length)) == UNFINISHED
         return end
 
     def _content(self, at: int, length: int) -> bytes:
@@ -167,6 +204,7 @@ class _Walk:
             self._damage(at, end - at, f'a malformed message at byte {at}')
             self._end_run()
             return end
+        self._loose_count += 1
         log_ns = MESSAGE_HEAD.unpack(head)[4]
         run = self._run
         if run is not None and run.length < _RUN_BYTES:
@@ -184,82 +222,44 @@ class _Walk:
 
     def _chunk(self, at: int, length: int, *, is_cut: bool = False) -> bool:
         """Add the chunk at ``at`` if its own head agrees with the record's length."""
-        self._chunk_count += not is_cut
         start = self._content(at, min(length, _CHUNK_HEAD.size + _LONGEST_COMPRESSION_NAME + 8))
         sound = len(start) >= _CHUNK_HEAD.size + 8
         if sound:
             start_ns, end_ns, _, _, name_length = _CHUNK_HEAD.unpack_from(start)
-            if (start_ns, end_ns) == (_NEVER_NS, 0):
-                start_ns = 0  # some writers leave their initial values in a chunk without messages
+            start_ns, end_ns = _span(start_ns, end_ns)
             sound = start_ns <= end_ns and name_length <= min(
                 _LONGEST_COMPRESSION_NAME, len(start) - _CHUNK_HEAD.size - 8
             )
         if sound:
             (byte_count,) = struct.unpack_from('<Q', start, _CHUNK_HEAD.size + name_length)
             sound = _CHUNK_HEAD.size + name_length + 8 + byte_count == length
-        if not sound:
-            if not is_cut:
-                self._damage(at, HEAD.size + length, f'a chunk with a damaged head at byte {at}')
+        if not sound or (is_cut and name_length):  # part of a compressed chunk is worth nothing
             return False
         if is_cut:
-            if name_length:
-                return False  # part of a compressed chunk is worth nothing
-            length = self._layout.size - at - HEAD.size
+            length = self._stop - at - HEAD.size
         self._layout.pieces.append(Piece(at, HEAD.size + length, start_ns, end_ns, is_chunk=True, is_cut=is_cut))
         return True
 
     def _cut(self, at: int, opcode: int, length: int) -> int:
-        """The record at ``at`` claims more bytes than the file has."""
-        if opcode != CHUNK:
-            return self._give_up(at, 'in the middle of a record', is_cut=True)
-        if not self._next_chunk(at) and self._chunk(at, length, is_cut=True):
-            return self._layout.size  # whoever reads it tells how much of it was lost
-        return self._give_up(at, 'in the middle of a chunk', is_cut=True)
+        """The record at ``at`` claims more bytes than the file has, and no later chunk is known."""
+        # Where the file does end, it is not cut: then a part of a chunk may go over into anything.
+        if opcode == CHUNK and self._layout.end is None and self._chunk(at, length, is_cut=True):
+            return self._stop  # whoever reads it tells how much of it was lost
+        return self._give_up(at, f'the file ends in the middle of a {"chunk" if opcode == CHUNK else "record"}')
 
-    def _give_up(self, at: int, what: str, *, is_cut: bool = False) -> int:
-        """Go on at the next chunk that the index at the end of the file knows, or at the end of the file."""
+    def _give_up(self, at: int, what: str, *, goal: int = 0) -> int:
+        """Go on at the goal, or at the next chunk that the index knows, or at the end of the file."""
         self._end_run()
-        goal = self._next_chunk(at) or self._layout.size
-        if is_cut and goal < self._layout.size:
-            what = f'a record with an absurd length at byte {at}'
-        elif is_cut:
-            what = f'the file ends {what}'
+        goal = goal or self._next_chunk(at) or self._stop
         self._damage(at, goal - at, what)
         return goal
 
     def _next_chunk(self, at: int) -> int:
         """Where the index at the end of the file says that the next chunk starts; 0 if nowhere."""
-        return next((offset for offset in self._indexed_chunks() if offset > at), 0)
+        following = bisect_right(self._indexed, at)
+        return self._indexed[following] if following < len(self._indexed) else 0
 
-    def _indexed_chunks(self) -> list[int]:
-        size = self._layout.size
-        if size < len(MAGIC) * 2 + _FOOTER_LENGTH:
-            return []
-        self._stream.seek(size - len(MAGIC) - _FOOTER_LENGTH)
-        footer = self._stream.read(_FOOTER_LENGTH + len(MAGIC))
-        start = _FOOTER.unpack_from(footer, HEAD.size)[0]
-        if not (footer.endswith(MAGIC) and footer[0] == FOOTER and len(MAGIC) < start < size):
-            return []
-        self._stream.seek(start)
-        summary, at = self._stream.read(size - start), 0
-        offsets: list[int] = []
-        while at + HEAD.size <= len(summary):
-            opcode, length = HEAD.unpack_from(summary, at)
-            if opcode == CHUNK_INDEX and length >= 24 and at + HEAD.size + 24 <= len(summary):
-                offset: int = struct.unpack_from('<Q', summary, at + HEAD.size + 16)[0]
-                offsets.append(offset)
-            at += HEAD.size + length
-        return sorted(offset for offset in offsets if offset < start)
 
-    def _footer(self, at: int, length: int) -> None:
-        """The end of the file; the summary before it is believed only if its checksum is right."""
-        self._layout.is_finished = True
-        if length != _FOOTER.size:
-            return
-        start, _, expected = _FOOTER.unpack(self._content(at, length))
-        if expected and len(MAGIC) < start <= at:
-            self._stream.seek(start)
-            covered = self._stream.read(at + HEAD.size + 16 - start)
-            self._summary_is_sound = zlib.crc32(covered) == expected
-        else:
-            self._summary_is_sound = start != 0 and start == self._summary_start
+def _span(start_ns: int, end_ns: int) -> tuple[int, int]:
+    """The times of a chunk; some writers leave their initial values in one without messages."""
+    return (0, 0) if (start_ns, end_ns) == (_NEVER_NS, 0) else (start_ns, end_ns)

@@ -6,10 +6,16 @@ import struct
 from dataclasses import dataclass
 
 MAGIC = b'\x89MCAP0\r\n'
-FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, METADATA, DATA_END = 2, 3, 4, 5, 6, 8, 11, 12, 15
 LAST_KNOWN, FIRST_PRIVATE = 15, 128
+OF_SUMMARY = (SCHEMA, CHANNEL, CHUNK_INDEX, 10, STATISTICS, 13, 14)
+"""What may stand in a summary; 10, 13 and 14 are the indexes of attachments and metadata, and offsets."""
+UNFINISHED = 'gray_box_observer unfinished'
+"""Name of the metadata record in a file that is still being written, or whose writer was killed."""
 
 HEAD = struct.Struct('<BQ')
+END_BYTES = HEAD.size + 20 + len(MAGIC)
+"""Footer and magic, which every complete file ends with."""
 MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 """Opcode, length, channel, sequence, log time, publish time."""
 
@@ -77,6 +83,14 @@ class Definitions:
         name, text = self._schemas.get(schema, ('', ''))
         qos, type_hash = extra.get('offered_qos_profiles', ''), extra.get('topic_type_hash', '')
         self.channels.setdefault(number, Channel(topic, name, text, encoding, qos, type_hash))
+
+
+def metadata_name(content: bytes) -> str:
+    """The name in the content of a metadata record; empty if it is malformed."""
+    try:
+        return _text(content, 0)[0]
+    except (struct.error, IndexError):
+        return ''
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
@@ -15,6 +17,7 @@ METADATA_NAME = 'metadata.yaml'
 METADATA_VERSION = 9
 """What rosbag2 of ROS 2 Jazzy writes."""
 
+_PLAIN_NAME = re.compile(r'[A-Za-z_][\w.-]*\.mcap', re.ASCII)
 _LARGEST_METADATA_BYTES = 16 << 20
 _NEVER_NS = (1 << 63) - 1
 """The starting time that rosbag2 gives to a bag without messages."""
@@ -41,8 +44,35 @@ class FileRecord:
     message_count: int
 
 
-def bag_files(path: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class ListedFile:
+    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log time of the first."""
+
+    path: Path
+    message_count: int | None = None
+    start_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """The files of a bag in their order.
+
+    Attributes:
+        files: Those that are there.
+        complaints: What is wrong with the folder; each is one line.
+        custom_data: Free texts that travel with the bag.
+    """
+
+    files: tuple[ListedFile, ...]
+    complaints: tuple[str, ...] = ()
+    custom_data: Mapping[str, str] = field(default_factory=dict)
+
+
+def list_files(path: Path) -> Listing:
     """The MCAP files of a bag, in their order.
+
+    A folder whose ``metadata.yaml`` is lost or damaged is read file by file all the same, as
+    ``ros2 bag reindex`` would do it.
 
     Args:
         path: A rosbag2 folder or a single MCAP file.
@@ -52,14 +82,22 @@ def bag_files(path: Path) -> list[Path]:
     """
     try:
         if path.is_file():
-            return [path]
+            return Listing((ListedFile(path),))
         if not path.exists():
             raise BagError(f'{path}: no such bag; expected a rosbag2 folder or an .mcap file')
         if not path.is_dir():
             raise BagError(f'{path} is neither a folder nor a regular file')
-        return _listed_files(path, _load(path / METADATA_NAME))
+        try:
+            information = _load(path / METADATA_NAME)
+        except _MetadataError as error:
+            return _found_files(path, str(error))
+        return _listed_files(path, information)
     except (OSError, ValueError) as error:
         raise BagError(f'{path}: cannot be read: {_reason(error)}') from None
+
+
+class _MetadataError(BagError):
+    """There is no metadata, or nothing can be learnt from it."""
 
 
 def _reason(error: Exception) -> str:
@@ -69,41 +107,87 @@ def _reason(error: Exception) -> str:
 def _load(path: Path) -> Mapping[str, Any]:
     folder = path.parent
     if not path.is_file():
-        raise BagError(
-            f'{folder} has no {METADATA_NAME}, so it is no rosbag2 bag; '
-            "give one of its .mcap files, or repair it with 'ros2 bag reindex'"
-        )
+        raise _MetadataError(f'{folder} has no {METADATA_NAME}')
     if path.stat().st_size > _LARGEST_METADATA_BYTES:
-        raise BagError(f'{path} is too large to be the metadata of a bag')
+        raise _MetadataError(f'{path} is too large to be the metadata of a bag')
     try:
         loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
         reason = ' '.join(str(error).split())[:200]
-        raise BagError(f'{path} cannot be understood: {reason}') from None
+        raise _MetadataError(f'{path} cannot be understood: {reason}') from None
     information = loaded.get('rosbag2_bagfile_information') if isinstance(loaded, dict) else None
     if not isinstance(information, dict):
-        raise BagError(f"{path} has no 'rosbag2_bagfile_information', so {folder} is no rosbag2 bag")
+        raise _MetadataError(f"{path} has no 'rosbag2_bagfile_information'")
+    if not _names(information):
+        raise _MetadataError(f'{path} lists no files (relative_file_paths)')
     return information
 
 
-def _listed_files(folder: Path, information: Mapping[str, Any]) -> list[Path]:
+def _names(information: Mapping[str, Any]) -> list[str]:
+    """The names of the files that the metadata lists; empty if it does not list them as it should."""
+    names = information.get('relative_file_paths')
+    return names if isinstance(names, list) and all(isinstance(name, str) for name in names) else []
+
+
+def _found_files(folder: Path, complaint: str) -> Listing:
+    """The MCAP files that lie in a folder, by the numbers in their names."""
+    paths = sorted((p for p in folder.glob('*.mcap') if p.is_file()), key=_by_number)
+    if not paths:
+        raise BagError(f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an .mcap file')
+    return Listing(
+        tuple(map(ListedFile, paths)),
+        (f"{complaint}; its {len(paths)} .mcap files are read all the same ('ros2 bag reindex' makes a new one)",),
+    )
+
+
+def _by_number(path: Path) -> tuple[str, int, str]:
+    stem, _, number = path.stem.rpartition('_')
+    is_number = number.isdecimal() and len(number) < 19
+    return (stem, int(number), path.name) if is_number else (path.stem, -1, path.name)
+
+
+def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     storage = information.get('storage_identifier')
     if storage != 'mcap':
-        raise BagError(f"{folder} is stored as {storage!r}, expected 'mcap'; convert it with 'ros2 bag convert'")
-    if information.get('compression_mode'):
-        mode = str(information['compression_mode']).lower()
+        raise BagError(f"{folder} is stored as {_word(storage)}, expected 'mcap'; convert it with 'ros2 bag convert'")
+    mode = _word(information.get('compression_mode') or '').lower()
+    if mode not in ("''", "'none'"):
         raise BagError(f"{folder} is compressed by {mode}; expected none or compressed chunks; use 'ros2 bag convert'")
-    names = information.get('relative_file_paths')
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise BagError(f'{folder / METADATA_NAME} lists no files (relative_file_paths)')
-    files = []
-    for name in names:
-        # Old rosbag2 wrote the folder's own name in front.
-        found = next((p for p in (folder / name, folder / Path(name).name) if p.is_file()), None)
-        if found is None:
-            raise BagError(f'{folder}: the file {name!r}, listed in {METADATA_NAME}, is missing')
-        files.append(found)
-    return files
+    told = _told_of_files(information)
+    # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the bag.
+    paths = [folder / PurePosixPath(name).name for name in dict.fromkeys(_names(information))]
+    missing = [path.name for path in paths if not path.is_file()]
+    complaint = f'{folder}: the file {missing[0]!r}, listed in {METADATA_NAME}, is missing' if missing else ''
+    if len(missing) > 1:
+        complaint += f', and {len(missing) - 1} more'
+    if len(missing) == len(paths):
+        raise BagError(complaint)
+    files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.is_file())
+    custom = information.get('custom_data')
+    texts = custom.items() if isinstance(custom, dict) else ()
+    custom_data = {key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)}
+    return Listing(files, (complaint,) if missing else (), custom_data)
+
+
+def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
+    """Number of messages and starting time of each file by its name, as far as the metadata makes sense."""
+    entries = information.get('files')
+    told: dict[str, tuple[int | None, int | None]] = {}
+    for entry in entries if isinstance(entries, list) else []:
+        if isinstance(entry, dict) and isinstance(entry.get('path'), str):
+            start = entry.get('starting_time')
+            start_ns = start.get('nanoseconds_since_epoch') if isinstance(start, dict) else None
+            told[PurePosixPath(entry['path']).name] = (_whole(entry.get('message_count')), _whole(start_ns))
+    return told
+
+
+def _whole(value: object) -> int | None:
+    return value if type(value) is int else None
+
+
+def _word(value: object) -> str:
+    """A value of the metadata for a message to the user; what should be a word may be anything."""
+    return repr(value[:40]) if isinstance(value, str) else f'a {type(value).__name__}'
 
 
 def metadata_text(
@@ -144,22 +228,35 @@ def metadata_text(
         ],
         'compression_format': '',
         'compression_mode': '',
-        'relative_file_paths': [file.path for file in files],
-        'files': [
-            {
-                'path': file.path,
-                **_span(
-                    file.start_ns if file.message_count else _NEVER_NS,
-                    file.end_ns if file.message_count else _NEVER_NS,
-                ),
-                'message_count': file.message_count,
-            }
-            for file in files
-        ],
+        'relative_file_paths': [],
+        'files': [],
         'custom_data': dict(custom_data) if custom_data else None,
         'ros_distro': ros_distro,
     }
-    return _dump({'rosbag2_bagfile_information': information})
+    text = _dump({'rosbag2_bagfile_information': information})
+    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
+    names = [_scalar(file.path) for file in files]
+    lists = {
+        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
+        'files': ''.join(map(_file_text, names, files)),
+    }
+    for key, items in lists.items():
+        if items:
+            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
+    return text
+
+
+def _file_text(name: str, file: FileRecord) -> str:
+    start_ns, end_ns = (file.start_ns, file.end_ns) if file.message_count else (_NEVER_NS, _NEVER_NS)
+    return (
+        f'  - path: {name}\n    duration:\n      nanoseconds: {end_ns - start_ns}\n'
+        f'    starting_time:\n      nanoseconds_since_epoch: {start_ns}\n    message_count: {file.message_count}\n'
+    )
+
+
+def _scalar(name: str) -> str:
+    """The name of a file as it stands in YAML: quoted where it has to be."""
+    return name if _PLAIN_NAME.fullmatch(name) else json.dumps(name)
 
 
 def qos_text(qos_profiles: Sequence[Mapping[str, Any]]) -> str:

@@ -6,37 +6,27 @@ Messages come in the order of their log times. What cannot be read is left out a
 
 from __future__ import annotations
 
+import io
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from contextlib import redirect_stderr, redirect_stdout
 from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
 from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 
+from gray_box_observer.bag.bag_files import BagFiles
 from gray_box_observer.bag.contents import Loss, TopicInfo
-from gray_box_observer.bag.mcap_content import (
-    RawMessage,
-    Unreadable,
-    parse_definitions,
-    parse_messages,
-    read_records,
-)
-from gray_box_observer.bag.mcap_layout import Damage, Layout, Piece, walk
-from gray_box_observer.bag.mcap_records import MAGIC, Channel, Definitions
-from gray_box_observer.bag.metadata import bag_files
+from gray_box_observer.bag.losses import Losses
+from gray_box_observer.bag.mcap_content import RawMessage
+from gray_box_observer.bag.mcap_records import Channel
 from gray_box_observer.errors import BagError
 
 _LOG_TIME = itemgetter(4)
-
-
-@dataclass(slots=True)
-class _File:
-    path: Path
-    layout: Layout
 
 
 class BagReader:
@@ -51,12 +41,9 @@ class BagReader:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._opened: tuple[Path, BinaryIO] | None = None
-        self._is_closed = False
-        self._damages: dict[tuple[Path, int], Damage] = {}
-        self._undecodable: dict[str, tuple[int, str]] = {}
+        self._losses = Losses()
+        self._files = BagFiles(self.path, self._losses)
         try:
-            self._files = [self._look_at(file) for file in bag_files(self.path)]
             self._account()
         except BaseException:
             self.close()
@@ -72,10 +59,7 @@ class BagReader:
 
     def close(self) -> None:
         """Release the file; reading afterwards is an error."""
-        self._is_closed = True
-        if self._opened is not None:
-            self._opened[1].close()
-            self._opened = None
+        self._files.close()
 
     @property
     def topics(self) -> Mapping[str, TopicInfo]:
@@ -100,14 +84,7 @@ class BagReader:
     @property
     def lost(self) -> Loss | None:
         """What could not be read so far, or None; ask again once all messages have been read."""
-        several = len(self._files) > 1
-        reasons, byte_count = [], 0
-        for (path, _), damage in sorted(self._damages.items()):
-            reasons.append(f'{path.name}: {damage.what}' if several else damage.what)
-            byte_count += damage.byte_count
-        for topic, (count, reason) in self._undecodable.items():
-            reasons.append(f'{count} messages of {topic} could not be decoded ({reason})')
-        return Loss(tuple(reasons), byte_count) if reasons else None
+        return self._losses.total(with_names=len(self._files.all) > 1)
 
     def messages(self, topics: Collection[str] | None = None, start_ns: int | None = None) -> Iterator[RawMessage]:
         """Every message in the order of log times; messages of equal time in the order of the files.
@@ -122,13 +99,13 @@ class BagReader:
         earliest = -1 if start_ns is None else start_ns
         pieces = [
             (piece, order, file)
-            for order, (file, piece) in enumerate((f, p) for f in self._files for p in f.layout.pieces)
+            for order, (file, piece) in enumerate((f, p) for f in self._files.all for p in f.layout.pieces)
             if piece.end_ns >= earliest or not piece.is_chunk
         ]
         pieces.sort(key=lambda item: item[0].start_ns)
         waiting: dict[int, list[RawMessage]] = {}
         for index, (piece, order, file) in enumerate(pieces):
-            found = self._read(file, piece, topics)
+            found = self._files.read(file, piece, topics)
             # Linear for a list that is already in order, and stable.
             found.sort(key=_LOG_TIME)
             if found and found[0].log_time_ns < earliest:
@@ -162,8 +139,7 @@ class BagReader:
                 content = decoder(message.data)
             except Exception as error:  # whatever a foreign decoder makes of foreign bytes
                 reason = ' '.join(str(error).split()) or type(error).__name__
-                count = self._undecodable.get(message.topic, (0, ''))[0]
-                self._undecodable[message.topic] = (count + 1, reason)
+                self._losses.undecodable(message.topic, reason)
                 continue
             yield message, content
 
@@ -173,7 +149,8 @@ class BagReader:
         schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
         encoding = self._topics[message.topic].encoding
         try:
-            decoder = DecoderFactory().decoder_for(encoding, schema)
+            with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the parser prints what it refuses
+                decoder = DecoderFactory().decoder_for(encoding, schema)
         except Exception as error:  # whatever a foreign parser makes of a foreign text
             reason = ' '.join(f'{message.type_name} cannot be understood: {error}'.split())
             raise BagError(f'{self.path}: the definition of {reason}') from None
@@ -181,73 +158,16 @@ class BagReader:
             raise BagError(f"{self.path}: {message.topic} is encoded as {encoding!r}, expected 'cdr'")
         return decoder
 
-    def _stream(self, path: Path) -> BinaryIO:
-        """The opened file; only one stands open at a time, for a bag may have thousands."""
-        if self._is_closed:
-            raise BagError(f'{self.path}: the bag is closed')
-        if self._opened is None or self._opened[0] != path:
-            stream = path.open('rb')
-            if self._opened is not None:
-                self._opened[1].close()
-            self._opened = (path, stream)
-        return self._opened[1]
-
-    def _look_at(self, path: Path) -> _File:
-        try:
-            size = path.stat().st_size
-            if not size:
-                raise BagError(f'{path} is empty')
-            stream = self._stream(path)
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise BagError(f"{path} is no MCAP file; another kind of bag can be converted with 'ros2 bag convert'")
-            return _File(path, walk(stream, size))
-        except OSError as error:
-            raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None
-
-    def _read(self, file: _File, piece: Piece, topics: Collection[str] | None) -> list[RawMessage]:
-        channels = file.layout.channels
-        wanted = channels
-        if topics is not None:
-            wanted = {number: channel for number, channel in channels.items() if channel.topic in topics}
-            if not wanted:
-                return []
-        try:
-            records = read_records(self._stream(file.path), piece)
-        except Unreadable as error:
-            self._damage(file, piece, piece.length, f'a damaged chunk at byte {piece.offset} ({error})')
-            return []
-        except OSError as error:
-            raise BagError(f'{file.path}: cannot be read: {error.strerror or error}') from None
-        found, left, orphans = parse_messages(records, channels, wanted)
-        if piece.is_cut:
-            self._damage(file, piece, left, 'the file ends in the middle of a chunk')
-        elif left:
-            self._damage(file, piece, left, f'a malformed record in the chunk at byte {piece.offset}')
-        elif orphans:
-            self._damage(file, piece, 0, f'{orphans} messages of a topic that the file does not declare')
-        return found
-
-    def _damage(self, file: _File, piece: Piece, byte_count: int, what: str) -> None:
-        self._damages.setdefault((file.path, piece.offset), Damage(piece.offset, byte_count, what))
-
     def _account(self) -> None:
         """Find topics, counts and times: from the summaries where they can be believed, else by reading."""
-        counts: dict[str, int] = {}
+        counts: Counter[str] = Counter()
         declared: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []
-        for file in self._files:
-            if file.layout.statistics is None:
-                spans += self._count_by_reading(file, counts)
-            elif file.layout.statistics.message_count:
-                statistics = file.layout.statistics
-                spans.append((statistics.start_ns, statistics.end_ns))
-                for number, count in statistics.channel_message_counts.items():
-                    if number in file.layout.channels:
-                        topic = file.layout.channels[number].topic
-                        counts[topic] = counts.get(topic, 0) + count
+        for file in self._files.all:
+            counts.update(self._files.count(file, spans))
             for channel in file.layout.channels.values():
                 declared.setdefault(channel.topic, channel)
-        self._message_count = sum(counts.values())
+        self._message_count = counts.total()
         if not spans or not self._message_count:
             reason = f': {self.lost}' if self.lost is not None else ''
             raise BagError(f'{self.path}: no message in this bag{reason}')
@@ -256,46 +176,6 @@ class BagReader:
             name: TopicInfo(c.type_name, counts.get(name, 0), c.schema_text, c.encoding, c.qos_profiles, c.type_hash)
             for name, c in declared.items()
         }
-
-    def _count_by_reading(self, file: _File, counts: dict[str, int]) -> list[tuple[int, int]]:
-        """Count the messages of a file without a summary, and put the true times of its pieces in place."""
-        layout, definitions = file.layout, Definitions()
-        for piece in layout.pieces:
-            try:
-                parse_definitions(read_records(self._stream(file.path), piece), definitions)
-            except (Unreadable, OSError):
-                continue  # the second look below says so
-        layout.channels = definitions.channels | layout.channels
-        pieces = []
-        for piece in layout.pieces:
-            found = self._read(file, piece, None)
-            for message in found:
-                counts[message.topic] = counts.get(message.topic, 0) + 1
-            if found:
-                times = [message.log_time_ns for message in found]
-                pieces.append(replace(piece, start_ns=min(times), end_ns=max(times)))
-        layout.pieces = pieces
-        self._note_walk(file)
-        return [(piece.start_ns, piece.end_ns) for piece in pieces]
-
-    def _note_walk(self, file: _File) -> None:
-        """Take over what the walk found wrong, and say how far the file goes."""
-        layout = file.layout
-        for damage in layout.damages:
-            self._damages.setdefault((file.path, damage.offset), damage)
-        if not layout.is_finished and not any(d.offset for (p, _), d in self._damages.items() if p == file.path):
-            what = 'the file ends without an end mark, so its last messages may be missing'
-            self._damages[file.path, layout.size] = Damage(layout.size, 0, what)
-        start_ns = min((piece.start_ns for piece in layout.pieces), default=0)
-        for key, damage in list(self._damages.items()):
-            if key[0] == file.path and damage.what.startswith(_END):
-                reached = [piece.end_ns for piece in layout.pieces if piece.offset <= damage.offset]
-                after_s = (max(reached) - start_ns) * 1e-9 if reached else 0.0
-                what = damage.what.replace(_END, f'{_END} after {after_s:.1f} s', 1)
-                self._damages[key] = replace(damage, what=what)
-
-
-_END = 'the file ends'
 
 
 def _take_before(waiting: dict[int, list[RawMessage]], limit: int | None) -> Iterator[RawMessage]:

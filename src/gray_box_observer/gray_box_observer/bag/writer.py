@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
@@ -12,7 +13,10 @@ from typing import Any
 
 from gray_box_observer.bag.mcap_file import McapFile
 from gray_box_observer.bag.metadata import METADATA_NAME, FileRecord, TopicRecord, metadata_text, qos_text
+from gray_box_observer.bag.options import BagOptions
 from gray_box_observer.errors import BagError
+
+__all__ = ['BagOptions', 'BagWriter']
 
 _METADATA_PERIOD_S = 10.0
 _LARGEST_TIME_NS = (1 << 63) - 1
@@ -27,45 +31,7 @@ class _Topic:
     type_hash: str
     channel: int
     message_count: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class BagOptions:
-    """How a bag is written.
-
-    Attributes:
-        compression: ``''`` or ``'zstd'``, for the chunks; readers need no hint.
-        chunk_bytes: A chunk ends when it has grown this large.
-        flush_period_s: And at the latest after this time, so that a killed writer loses no more than this.
-        max_file_bytes: A new file is begun when one has grown this large; 0 for never.
-        max_file_duration_s: And when one spans this time; 0 for never.
-        ros_distro: What ``metadata.yaml`` names.
-        custom_data: Free texts kept in ``metadata.yaml``.
-        library: Who writes it, for the header of each file; None for this package with its version.
-    """
-
-    compression: str = ''
-    chunk_bytes: int = 768 * 1024
-    flush_period_s: float = 1.0
-    max_file_bytes: int = 0
-    max_file_duration_s: float = 0.0
-    ros_distro: str = 'jazzy'
-    custom_data: Mapping[str, str] = field(default_factory=dict)
-    library: str | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot work.
-
-        Raises:
-            BagError: An option is out of its range.
-        """
-        if self.compression not in ('', 'zstd'):
-            raise BagError(f"compression is {self.compression!r}, expected '' or 'zstd'")
-        if self.chunk_bytes < 1:
-            raise BagError(f'chunk_bytes is {self.chunk_bytes}, expected at least 1')
-        for name in ('flush_period_s', 'max_file_bytes', 'max_file_duration_s'):
-            if not getattr(self, name) >= 0:
-                raise BagError(f'{name} is {getattr(self, name)}, expected 0 or more')
+    written_count: int = 0
 
 
 class BagWriter:
@@ -95,6 +61,7 @@ class BagWriter:
         self._clock = clock
         self._topics: dict[str, _Topic] = {}
         self._finished_files: list[FileRecord] = []
+        self._finished_bytes = 0
         self._error: BagError | None = None
         self._is_closed = False
         self._files_made = 0
@@ -122,9 +89,8 @@ class BagWriter:
 
     @property
     def byte_count(self) -> int:
-        """Bytes on the disk and in memory."""
-        done = sum(self._size_of(file.path) for file in self._finished_files)
-        return done + self._file.size + self._file.pending_bytes
+        """Bytes on the disk and in memory, without the indexes at the files' ends."""
+        return self._finished_bytes + self._file.size + self._file.pending_bytes
 
     def add_topic(
         self,
@@ -198,9 +164,13 @@ class BagWriter:
             BagError: The disk refuses.
         """
         self._check()
+        if self._metadata_is_stale:  # before the first message of a topic or file, so that no reader leaves it out
+            self._write_metadata()
+        is_first = not self._file.written[2]
         self._guard(self._file.flush)
+        self._count_as_written()
         self._flushed_s = self._clock()
-        if self._metadata_is_stale or self._flushed_s - self._metadata_s >= _METADATA_PERIOD_S:
+        if (is_first and self._file.written[2]) or self._flushed_s - self._metadata_s >= _METADATA_PERIOD_S:
             self._write_metadata()
 
     def close(self) -> None:
@@ -255,6 +225,7 @@ class BagWriter:
 
     def _split(self) -> None:
         self._finish_file()
+        self._finished_bytes += self._file.size
         self._file = self._next_file()
         for name, topic in self._topics.items():
             self._declare(name, topic)
@@ -262,17 +233,16 @@ class BagWriter:
 
     def _finish_file(self) -> None:
         self._file.finish()
+        self._count_as_written()
         self._finished_files.append(self._record(self._file))
+
+    def _count_as_written(self) -> None:
+        for topic in self._topics.values():
+            topic.written_count = topic.message_count
 
     @staticmethod
     def _record(file: McapFile) -> FileRecord:
-        return FileRecord(file.path.name, file.start_ns, file.end_ns, file.message_count)
-
-    def _size_of(self, name: str) -> int:
-        try:
-            return (self.folder / name).stat().st_size
-        except OSError:
-            return 0
+        return FileRecord(file.path.name, *file.written)
 
     def _write_metadata(self) -> None:
         """Put a new metadata.yaml in the place of the old one in a single step."""
@@ -280,7 +250,7 @@ class BagWriter:
         if not self._is_closed:
             files.append(self._record(self._file))
         topics = [
-            TopicRecord(name, topic.type_name, topic.qos_profiles, topic.type_hash, topic.message_count)
+            TopicRecord(name, topic.type_name, topic.qos_profiles, topic.type_hash, topic.written_count)
             for name, topic in self._topics.items()
         ]
         text = metadata_text(topics, files, ros_distro=self.options.ros_distro, custom_data=self.options.custom_data)
@@ -290,6 +260,8 @@ class BagWriter:
             draft.write_text(text, encoding='utf-8')
             draft.replace(path)
         except OSError as error:
+            with suppress(OSError):
+                draft.unlink()
             self._error = BagError(f'{path}: cannot be written: {error.strerror or error}')
             raise self._error from None
         self._metadata_is_stale = False

@@ -173,7 +173,7 @@ class _Search:
         self._predict(self._maps, gain)
         near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
         if robust and not np.all(near):
-            kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._scale)
+            kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale())
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
@@ -185,6 +185,14 @@ class _Search:
         self._path = follow(maps, self._stretch, self._first, gain)
         self._residual = self._stretch.state - self._path.state
         self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
+
+    def _sharp_scale(self) -> Array:
+        """Noise by how the residual changes between samples: a kick counts there once, however long it stays."""
+        change = self._residual[:, 1:] - self._path.factor * self._residual[:, :-1]
+        white = change / np.sqrt(1.0 + self._path.factor**2)
+        sharp = np.minimum(self._scale, robust_std(white, ~self._stretch.restart))
+        floored: Array = np.maximum(sharp, self._floor)
+        return floored
 
     @property
     def _valid(self) -> NDArray[np.bool_]:

@@ -85,6 +85,10 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
         stretch = stretch.restarted(kicks)
         trust = trust * (np.abs(residual) <= limit)
         path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+        off = np.abs(residual) > OUTLIER * belief.noise[:, None] * spread
+        if np.any(off):  # the motor never stood where an outlier says: linearise about where it was expected
+            about = np.where(off, path.state, about)
+            path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]

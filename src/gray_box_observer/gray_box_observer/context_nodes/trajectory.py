@@ -189,7 +189,8 @@ def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Tra
 def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
     """Find samples at which the state has jumped against the model: a wrong voltage sample, a bump.
 
-    A kick shows as one large change of the error that stays; an outlier of torque as two that cancel.
+    A kick shows as one large change of the error that stays, or as two where another oddity lies beside it; an outlier
+    of torque as two that cancel, wrong parameters as many.
 
     Args:
         path: the trajectory.
@@ -200,13 +201,23 @@ def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], nois
     Returns:
         Shape (motor, k): whether the state at sample 1 ... k came by a kick.
     """
-    change = np.abs(residual[:, 1:] - path.factor * residual[:, :-1]) * valid
-    large = change > KICK * noise[:, None]
-    if not np.any(large):
-        return large
-    before = np.pad(change[:, :-1], ((0, 0), (1, 0)))
-    after = np.pad(change[:, 1:], ((0, 0), (0, 1)), constant_values=np.inf)
-    return large & (before < 0.5 * change) & (after < 0.5 * change)
+    signed = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
+    limit, change = KICK * noise[:, None], np.abs(signed)
+    if not np.any(change > limit):
+        return change > limit
+    earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
+    one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
+    both = np.abs(signed + path.factor * _shifted(signed, 1))
+    two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
+    return one | two
+
+
+def _shifted(values: Array, by: int) -> Array:
+    """Values of shape (motor, k) as many samples earlier, or later; 0 before the first, infinite after the last."""
+    k = values.shape[1]
+    if by < 0:
+        return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
+    return np.pad(values, ((0, 0), (by, 0)))[:, :k]
 
 
 def left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:

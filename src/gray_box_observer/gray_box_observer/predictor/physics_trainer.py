@@ -12,6 +12,7 @@ import numpy as np
 
 from gray_box_observer.predictor import random_state
 from gray_box_observer.predictor.drawing import Sequences, draw_around, draw_family
+from gray_box_observer.predictor.histories import histories, newest_history
 from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, free_run_error, lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange
@@ -73,8 +74,7 @@ class PhysicsTrainer:
         if job.get('residual_anew'):
             self._residual = ResidualTrainer(self._seed)
         if job.get('residual'):
-            first = int(job['number']) - job['interval_s'].shape[1]
-            told |= self._residual.learn(self._running, histories(self._white_box, job), first)
+            told |= self._residual.learn(self._running, histories(self._white_box, job))
         return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
@@ -156,11 +156,11 @@ class PhysicsTrainer:
             return False
         if not self._family.error(candidate) <= FORGETS * self._family.error(self._running):
             return False
-        measured = recent_sequences(self._white_box, job)
+        measured = newest_history(self._white_box, job)
         if measured is None:
             return True
-        sequences, current_a = measured
-        errors = [np.abs(free_run(weights, sequences)[0] - current_a) for weights in (candidate, self._running)]
+        said = [free_run(weights, measured.sequences)[0] for weights in (candidate, self._running)]
+        errors = [np.abs(predicted - measured.current_a) for predicted in said]
         worse = errors[0] - errors[1]
         return bool(worse.mean() <= worse.std() / np.sqrt(worse.size))
 
@@ -174,35 +174,6 @@ class _HeldOut:
 
     def error(self, weights: Weights) -> float:
         return free_run_error(weights, self._sequences, self._exact_a)
-
-
-def histories(white_box: MotorWhiteBox, job: Message) -> list[tuple[Sequences, Array]]:
-    """Cut the samples of a job where any motor's history began; return every stretch and its measured currents.
-
-    Shapes (motor, n), n of each stretch its own.
-    """
-    intervals = job['interval_s']
-    begins = np.flatnonzero(np.any(~(intervals > 0.0), axis=0))
-    edges = np.unique([0, *begins.tolist(), intervals.shape[1]])
-    pairs = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    return [_stretch(white_box, job, first, end) for first, end in pairs]
-
-
-def recent_sequences(white_box: MotorWhiteBox, job: Message) -> tuple[Sequences, Array] | None:
-    """Return the newest stretch of :func:`histories`; None where there is hardly any since the last began."""
-    intervals = job['interval_s']
-    begins = np.flatnonzero(np.any(~(intervals > 0.0), axis=0))
-    first, end = int(begins[-1]) if begins.size else 0, intervals.shape[1]
-    return _stretch(white_box, job, first, end) if end - first >= LENGTH else None
-
-
-def _stretch(white_box: MotorWhiteBox, job: Message, first: int, end: int) -> tuple[Sequences, Array]:
-    """Samples from one to before another: the first is where they start."""
-    current = white_box.state(job['torque_nm'][:, first:end])
-    speed = job['speed_rad_s'][:, first : end - 1]  # what was known when the interval began
-    voltage_v, interval_s = (job[name][:, first + 1 : end] for name in ('voltage_v', 'interval_s'))
-    sequences = Sequences(white_box, job['theta'], voltage_v, interval_s, speed, current[:, 0])
-    return sequences, current[:, 1:]
 
 
 def _constant(value: Any) -> Any:

@@ -20,6 +20,7 @@ from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
 from gray_box_observer.predictor.residual import ResidualForecaster
+from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
@@ -28,12 +29,6 @@ from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
-
-RESIDUAL_PERIOD = 1000
-"""New samples, at least, between two rounds of learning the residual."""
-
-MOVED = 0.05
-"""Change of a parameter, as a fraction, after which a settled network is looked at again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +83,12 @@ class Predictor:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
         self.residual = ResidualForecaster(white_box, motors)
-        self._residual_asked = self._residual_from = 0
-        self._residual_theta = np.zeros((0, 0))
-        self._residual_anew = True
+        self._schedule = ResidualSchedule(motors, rules)
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        self.replay = ReplayBuffer(motors, rules.replay_capacity)
+        # of a group no residual is learnt, and a job carries its newest samples only
+        self.replay = ReplayBuffer(motors, rules.replay_capacity if motors == 1 else rules.job_samples)
         self.scores = Scores(motors)
         self.jobs_done = 0
         self.jobs_late = 0
@@ -137,7 +131,10 @@ class Predictor:
         return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
 
     def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
-        """Forecast the torque after a planned voltage has been held for a while, in one step; changes nothing.
+        """Forecast the torque after a planned voltage has been held for a while; changes nothing.
+
+        The physics goes there in one step; what was learnt beside it follows at the pace at which it was learnt, in a
+        bounded number of steps however long the horizon is (:meth:`Correction.instants_s`).
 
         Args:
             horizon_s: how long, counted from the last sample or from what ``since`` tells.
@@ -151,7 +148,7 @@ class Predictor:
         Raises:
             ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
         """
-        if self._rules.variant is not Variant.PHYSICS:
+        if not isinstance(self._forecaster, RelaxingForecaster):
             raise ConfigurationError(
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
             )
@@ -160,7 +157,12 @@ class Predictor:
             return np.full(self._motors, np.nan)
         if since is not None and since.memory is not None:
             question = replace(question, origin=(_physics_of(since), since.memory))
-        return self._forecaster.forecast(question)[0]
+        torque_nm = self._forecaster.forecast(question)[0]
+        learnt = self.residual.correction
+        if learnt is None or not self.residual.speaks:
+            return torque_nm
+        path_nm = self._forecaster.path(question, learnt.instants_s(horizon_s))
+        return torque_nm + self.residual.along(question, path_nm, None if since is None else since.residual_memory)
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
         """Score what was predicted, remember the sample, and start or finish a training job when one is due.
@@ -192,6 +194,7 @@ class Predictor:
             return
         self.replay.append(sample.beginning() if self._resumes else sample, self._previous_speed)
         self._resumes = False
+        self._schedule.follow(self.replay, physics_nm)
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
 
@@ -199,6 +202,15 @@ class Predictor:
         """Stop or resume training; predictions go on with the network that runs."""
         self._resumes = self._frozen and not frozen
         self._frozen = frozen
+
+    def refill(self, content: Array) -> None:
+        """Remember these samples instead, which were paired anew; what the others taught beside the physics is void.
+
+        Args:
+            content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
+        """
+        self.replay.refill(content)
+        self._begin_residual_anew(from_number=self.replay.total - len(self.replay))
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """The network, where the motors have run and everything that training one motor depends on, as arrays.
@@ -208,10 +220,6 @@ class Predictor:
         replay = {
             'replay': self.replay.content(slice(motor, motor + 1)),
             'total': np.array(self.replay.total),
-            'asked': np.array(self._residual_asked),
-            'residual_from': np.array(self._residual_from),
-            'residual_theta': self._residual_theta,
-            'residual_anew': np.array(self._residual_anew),
         }
         settled = {}
         if motor in self._settled:
@@ -223,6 +231,7 @@ class Predictor:
             return common
         return {
             **common,
+            **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
             **self._learning,
             **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
             **_named('job_seen', self._job.get('seen', {})),
@@ -246,10 +255,9 @@ class Predictor:
             return
         self.residual.adopt(arrays)
         self._seen = _range(arrays, 'seen')
-        if 'replay' in arrays:
-            self.replay.total, self._residual_asked = int(arrays['total']), int(arrays['asked'])
-            self._residual_from, self._residual_theta = int(arrays['residual_from']), arrays['residual_theta'].copy()
-            self._residual_anew = bool(arrays['residual_anew'])
+        if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
+            self.replay.total = int(arrays['total'])
+            self._schedule.restore({name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')})
         self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
         self._start_from = {
             **self._forecaster.start(),
@@ -297,67 +305,46 @@ class Predictor:
 
     def _train(self, theta: Array, covariance: Array) -> None:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
-        newest = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
-        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in newest))
+        signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
+        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
         if self._training.busy:
             result = self._training.collect()
             if result is None:
                 self.jobs_late += 1
                 return
             self._adopt(result, theta)
-        self._watch_parameters(theta)
-        residual = self._residual_due()
+        if self._schedule.moved(theta):  # what was learnt of other parameters is worth nothing now
+            self._begin_residual_anew()
+        residual = self._schedule.due(self.replay)
         turn, which = self._turn, slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
         idle = self._nothing_to_gain(turn, theta[which]) and not residual
         remembered = int(self.replay.remembered(which)[0])
         if self._training.resting or idle or remembered < self._rules.length:
             return
-        count = min(remembered, self._residual_samples if residual else self._rules.job_samples)
-        anew = residual and self._residual_anew
-        if residual:
-            self._residual_asked, self._residual_anew = self.replay.total, False
-        interval_s, voltage_v, torque_nm, speed_rad_s = self.replay.newest(count, which)
+        anew = residual and self._schedule.anew
+        count = min(remembered, self._rules.job_samples)
+        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
         self._submit(
             {
-                'voltage_v': voltage_v.copy(),  # a saved job must not move on with the samples
-                'interval_s': interval_s.copy(),
-                'torque_nm': torque_nm.copy(),
-                'speed_rad_s': speed_rad_s.copy(),
+                **samples,
                 'theta': theta[which].copy(),
                 'covariance': covariance[which].copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
-                'number': self.replay.total,
                 'motor': turn,
             }
         )
+
+    def _begin_residual_anew(self, from_number: int | None = None) -> None:
+        self._schedule.begin_anew(self.replay.total if from_number is None else from_number)
+        self.residual.correction = None
 
     def _submit(self, job: dict[str, Any]) -> None:
         self._job = job
         self._training.submit({**job, **self._start_from})
         self._start_from = {}
-
-    def _residual_due(self) -> bool:
-        """Whether there is so much more to learn a residual from that it is worth a round."""
-        if self._rules.variant is not Variant.PHYSICS or not self._rules.residual or self._motors > 1:
-            return False
-        return self.replay.total - self._residual_asked >= max(RESIDUAL_PERIOD, self._residual_samples // 3)
-
-    @property
-    def _residual_samples(self) -> int:
-        """Samples remembered since the parameters moved."""
-        return min(len(self.replay), self.replay.total - self._residual_from)
-
-    def _watch_parameters(self, theta: Array) -> None:
-        """Begin the residual anew where the parameters have moved: older samples are of another motor than these."""
-        before = self._residual_theta
-        if before.shape == theta.shape and np.all(np.abs(theta - before) <= MOVED * before):
-            return
-        self._residual_theta, self._residual_anew = theta.copy(), True
-        self._residual_from = self._residual_asked = self.replay.total
-        self.residual.correction = None
 
     def _nothing_to_gain(self, motor: int, theta: Array) -> bool:
         if motor not in self._settled:
@@ -373,7 +360,7 @@ class Predictor:
         if result.get('settled'):
             self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
         self.loss = result.get('loss', self.loss)
-        if not self._residual_anew:  # else it was learnt of parameters that are no more
+        if not self._schedule.anew:  # else it was learnt of parameters that are no more
             self.residual.adopt(result)
         if 'input' in result:
             self._forecaster.adopt(result)

@@ -10,7 +10,7 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Question
 from gray_box_observer.predictor.network import Mask, Memory, Weights, step
-from gray_box_observer.predictor.relaxation import INPUTS, after, relaxation
+from gray_box_observer.predictor.relaxation import INPUTS, Course, after, relaxation
 from gray_box_observer.white_box.base import Array, WhiteBox
 
 
@@ -33,10 +33,7 @@ class RelaxingForecaster:
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
         """Let the current relax over the interval, in one step however long it is."""
         axis, ops = self._axis, self._axis.ops
-        current, memory = self._current, self._memory
-        if question.origin is not None:
-            torque_nm, memory = question.origin
-            current = axis.take(self._white_box.state(torque_nm))
+        current, memory = self._origin(question)
         start = ops.where(question.usable, current, 0.0)
         interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
         interval = relaxation(ops, self._white_box, question.way, start, interval_s)
@@ -46,6 +43,38 @@ class RelaxingForecaster:
         end = after(ops, interval, axis.take(readout))
         torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
         return axis.give(torque_nm), memory
+
+    def path(self, question: Question, instants_s: Array) -> Array:
+        """Forecast torques on the way through a held voltage, each in one step from where the motor is.
+
+        Args:
+            question: what is held; the length of its interval is left aside.
+            instants_s: shape (instant,): time since the start.
+
+        Returns:
+            Shape (motor, instant), in N m; NaN where the question cannot be answered.
+        """
+        current, memory = self._origin(question)
+        motors, count = memory.hidden.shape[0], instants_s.size
+        usable, way = np.reshape(question.usable, (motors, 1)), question.way
+        if not self._axis.single:
+            theta = [column[:, None] for column in way.theta]
+            signals = way.voltage_v, way.speed_rad_s, way.steady_a, way.settling
+            way = Course(theta, *(signal[:, None] for signal in signals))
+        start = np.broadcast_to(np.where(usable, np.reshape(current, (motors, 1)), 0.0), (motors, count))
+        interval = relaxation(np, self._white_box, way, start, instants_s)
+        inputs = np.stack(interval.inputs(np), axis=-1).reshape(motors * count, INPUTS)
+        repeated = Memory(np.repeat(memory.hidden, count, axis=0), np.repeat(memory.cell, count, axis=0))
+        readout, _ = step(self._weights, repeated, inputs)
+        end = after(np, interval, readout.reshape(motors, count))
+        return self._white_box.output(np.where(usable, end, np.nan))
+
+    def _origin(self, question: Question) -> tuple[Any, Memory]:
+        """Current and memory at the start of the interval."""
+        if question.origin is None:
+            return self._current, self._memory
+        torque_nm, memory = question.origin
+        return self._axis.take(self._white_box.state(torque_nm)), memory
 
     def remember(
         self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None

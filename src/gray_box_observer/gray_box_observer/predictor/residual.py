@@ -29,6 +29,12 @@ REACH = 1.5
 FEW = 5.0
 """Samples in a cell at which half of the correction is used there."""
 
+WARM = 64
+"""Samples that fill the network's memory, whatever it held before: what it says counts behind them."""
+
+ASKED = 32
+"""Times, at most, that it is asked on the way to a forecast: there is time for it at a thousand samples a second."""
+
 PREFIX = 'residual_'
 
 
@@ -42,6 +48,7 @@ class Correction:
         limit_a: largest correction, as a current in A.
         share: how much of it is used, 0 to 1.
         support: shape (BINS, BINS): samples seen, by predicted current and voltage.
+        interval_s: from sample to sample where it was learnt, in s: the pace at which its memory moves.
     """
 
     weights: Weights
@@ -49,6 +56,7 @@ class Correction:
     limit_a: float
     share: float
     support: Array
+    interval_s: float
 
     def inputs(self, voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array) -> Array:
         """Columns of the network's input, of the shape of the signals with an axis of INPUTS behind; bounded."""
@@ -65,8 +73,8 @@ class Correction:
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays, for a message or a checkpoint."""
-        plain = {'size': self.size, 'limit_a': self.limit_a, 'share': self.share, 'support': self.support}
-        named = {**self.weights.arrays(), **plain}
+        own = {name: getattr(self, name) for name in ('size', 'limit_a', 'share', 'support', 'interval_s')}
+        named = {**self.weights.arrays(), **own}
         return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in named.items()}
 
     @classmethod
@@ -75,7 +83,18 @@ class Correction:
         if f'{PREFIX}share' not in arrays:
             return None
         own = {name.removeprefix(PREFIX): value for name, value in arrays.items() if name.startswith(PREFIX)}
-        return cls(Weights.of(own), own['size'], float(own['limit_a']), float(own['share']), own['support'])
+        limit_a, share, interval_s = (float(own[name]) for name in ('limit_a', 'share', 'interval_s'))
+        return cls(Weights.of(own), own['size'], limit_a, share, own['support'], interval_s)
+
+    def instants_s(self, horizon_s: float) -> Array:
+        """Return when it is asked on the way through a horizon: at its own pace, at most ASKED times, and at the end.
+
+        What it says follows from the last samples, so of a longer way the beginning is left out.
+        """
+        covered_s = min(horizon_s, ASKED * self.interval_s)
+        count = max(1, round(covered_s / self.interval_s))
+        before_end: Array = np.arange(count, dtype=float)[::-1]
+        return horizon_s - covered_s / count * before_end
 
 
 def cells(signal: Array) -> Any:
@@ -98,13 +117,18 @@ class ResidualForecaster:
         self.correction: Correction | None = None
         self._square_nm2 = np.zeros(motors)
 
+    @property
+    def speaks(self) -> bool:
+        """Whether anything was learnt that helps."""
+        return self.correction is not None and self.correction.share > 0.0
+
     def correct(self, question: Question, torque_nm: Array) -> tuple[Array | None, Memory | None]:
         """Return the correction of a forecast torque in N m, shape (motor,), and what has to be remembered with it.
 
         None where nothing was learnt, or nothing that helps.
         """
         learnt = self.correction
-        if learnt is None or learnt.share == 0.0 or self._memory is None:
+        if learnt is None or not self.speaks or self._memory is None:
             return None, None
         known = np.isfinite(torque_nm)
         current: Array = self._white_box.state(np.where(known, torque_nm, 0.0))
@@ -113,6 +137,26 @@ class ResidualForecaster:
         readout, memory = step(learnt.weights, self._memory, inputs)
         correction = self._white_box.output(learnt.current(readout, current, question.voltage_v))
         return np.where(known, correction, 0.0), memory
+
+    def along(self, question: Question, path_nm: Array, memory: Memory | None) -> Array:
+        """Return the correction at the end of a way through a held voltage in N m, shape (motor,); changes nothing.
+
+        Args:
+            question: what is held.
+            path_nm: shape (motor, instant): what the physics forecasts at :meth:`Correction.instants_s`.
+            memory: what was remembered before; None: after the last sample.
+        """
+        learnt, memory = self.correction, memory or self._memory
+        if learnt is None or memory is None:
+            return np.zeros(self._motors)
+        current = self._white_box.state(np.nan_to_num(path_nm))
+        steady = np.broadcast_to(question.way.steady_a, self._motors)
+        held = (np.asarray(signal)[:, None] for signal in (question.voltage_v, steady, question.speed_rad_s))
+        voltage_v, steady_a, speed_rad_s = held
+        inputs = learnt.inputs(voltage_v, current, steady_a, speed_rad_s)
+        for k in range(inputs.shape[1]):
+            readout, memory = step(learnt.weights, memory, inputs[:, k])
+        return self._white_box.output(learnt.current(readout, current[:, -1], question.voltage_v))
 
     def remember(self, correction_nm: Array, anew: Mask, memory: Memory | None) -> None:
         """Go on to the next sample, with a blank memory where the signal history starts."""

@@ -10,19 +10,20 @@ import torch
 from numpy.typing import NDArray
 
 from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.residual import WARM
 from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
 from gray_box_observer.white_box.base import Array
 
 LENGTH = 512
 """Samples of a window. Long: the network streams without end and must not have learnt to count on a blank start."""
 
-WARM = 64
-"""Samples at its beginning that only fill the memory."""
-
 WINDOWS = 8
 """Windows of a step."""
 
 LEARNING_RATE = 0.01
+ROBUST = 0.1
+"""Error, in units of the mean residual, above which it counts by its size, not its square: commutation has spikes."""
+
 DECAY = 1e-3
 """Pull of the weights towards zero: what data do not ask for is not said."""
 
@@ -84,7 +85,8 @@ class ResidualPupil:
             at, heard = (torch.as_tensor(array) for array in windows(random, anew))
             error = (torch.tanh(self._network(x[motor, at])) - y[motor, at]) / size
             weight = counts[at] * heard
-            loss = (torch.nn.functional.smooth_l1_loss(error, torch.zeros_like(error), reduction='none') * weight).sum()
+            zero = torch.zeros_like(error)
+            loss = (torch.nn.functional.smooth_l1_loss(error, zero, reduction='none', beta=ROBUST) * weight).sum()
             self._optimiser.zero_grad()
             (loss / weight.sum().clamp_min(1.0)).backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(self._network.parameters(), 1.0)

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.predictor import random_state
-from gray_box_observer.predictor.drawing import Sequences
+from gray_box_observer.predictor.histories import History
 from gray_box_observer.predictor.lessons import free_run, steady_currents
 from gray_box_observer.predictor.network import Memory, Weights, step
-from gray_box_observer.predictor.residual import BINS, INPUTS, Correction, cells
+from gray_box_observer.predictor.residual import BINS, INPUTS, WARM, Correction, cells
 from gray_box_observer.white_box.base import Array
 
 if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
@@ -73,12 +73,14 @@ STEPS = 150
 class _Run:
     """Signal histories one after another, with what the physics says of them; arrays of shape (motor, time).
 
-    ``number`` and ``anew`` have shape (time,): which sample it is, counted since the beginning, and where a history
-    begins.
+    ``number``, ``anew`` and ``heard`` have shape (time,): which sample it is, counted since the beginning, where a
+    history begins, and whether what is said of it counts: it does not while the memory fills that streams full.
     """
 
     number: NDArray[np.int64]
     anew: NDArray[np.bool_]
+    heard: NDArray[np.bool_]
+    interval_s: Array
     voltage_v: Array
     speed_rad_s: Array
     current_a: Array
@@ -101,15 +103,12 @@ class ResidualTrainer:
         self._sizes: tuple[Array, float] | None = None
         self._best: list[Correction] = []
 
-    def learn(
-        self, weights: Weights, measured: Sequence[tuple[Sequences, Array]], first: int = 0, steps: int = STEPS
-    ) -> dict[str, Any]:
+    def learn(self, weights: Weights, measured: Sequence[History], steps: int = STEPS) -> dict[str, Any]:
         """Run one round.
 
         Args:
             weights: of the network that knows the physics.
-            measured: signal histories, each with its measured currents of shape (motor, time).
-            first: number of the first sample, counted since the beginning: it settles for good which samples judge.
+            measured: signal histories; the numbers of their samples settle for good which of them judge.
             steps: training steps.
 
         Returns:
@@ -118,11 +117,11 @@ class ResidualTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
-        lengths = [current_a.shape[1] for _, current_a in measured]
-        if sum(length for length in lengths if length >= SHORTEST) < FEWEST:
+        told = [history for history in measured if history.number.size >= SHORTEST]
+        if sum(history.number.size for history in told) < FEWEST:
             return {}
-        run = _against_physics(weights, measured, first)
-        if self._pupil is None and not worth_learning(run.residual_a, run.predicted_a):
+        run = _against_physics(weights, told)
+        if self._pupil is None and not worth_learning(run.residual_a[:, run.heard], run.predicted_a[:, run.heard]):
             return {}
         judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
         self._best = [min(judged, key=lambda pair: pair[1])[0]]
@@ -159,9 +158,10 @@ class ResidualTrainer:
         if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
             self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed)
         size, limit_a = self._sizes
-        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)))
+        pace_s = float(np.median(run.interval_s))
+        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)), pace_s)
         inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
-        teaching = ~judging(run.number)
+        teaching = ~judging(run.number) & run.heard
         self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, run.anew, steps)
         support = np.zeros((BINS, BINS))
         at = cells(run.predicted_a / size[1])[:, teaching], cells(voltage / size[0])[:, teaching]
@@ -185,7 +185,7 @@ def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
 def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     """Return the correction with the share of it that the judging blocks bear out, and the error they are left with."""
     said = _said(replace(correction, share=1.0), run)
-    judges = judging(run.number)
+    judges = judging(run.number) & run.heard
     residual, said = run.residual_a[:, judges], said[:, judges]
     share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
     before, after = np.abs(residual), np.abs(residual - share * said)
@@ -237,17 +237,16 @@ def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
     return judges
 
 
-def _against_physics(weights: Weights, measured: Sequence[tuple[Sequences, Array]], first: int) -> _Run:
+def _against_physics(weights: Weights, measured: Sequence[History]) -> _Run:
     parts = []
-    for sequences, current_a in measured:
-        number = first + 1 + np.arange(current_a.shape[1])  # the first sample is where the history starts
-        first += 1 + current_a.shape[1]
-        if current_a.shape[1] < SHORTEST:
-            continue
+    for history in measured:
+        sequences, current_a, number = history.sequences, history.current_a, history.number
         predicted, _ = free_run(weights, sequences)
         anew = number == number[0]
+        heard = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
         speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
-        parts.append((number, anew, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted))
+        signals = sequences.interval_s, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted
+        parts.append((number, anew, heard, *signals))
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
 

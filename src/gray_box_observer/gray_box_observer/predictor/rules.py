@@ -29,7 +29,8 @@ class TrainingRules:
         patience: jobs without a better loss before the learning rate is halved.
         gradient_clip: largest norm of a gradient.
         weight_floor: constant added to the transition weights (thesis: 0.07).
-        replay_capacity: samples remembered for training.
+        replay_capacity: newest samples remembered for training.
+        segments: segments of older samples remembered beside them, of regimes that were left (variant ``physics``).
         core_share: share of one core that training in the background may use.
         start: ``shipped``: variant ``physics`` begins with the network that comes with the package; ``fresh``: with one
             that has learnt nothing.
@@ -50,6 +51,7 @@ class TrainingRules:
     gradient_clip: float = 1.0
     weight_floor: float = 0.07
     replay_capacity: int = 6000
+    segments: int = 12
     core_share: float = 0.1
     start: str = 'shipped'
     residual: bool = True
@@ -60,6 +62,8 @@ class TrainingRules:
         for name in ('hidden', 'context', 'minibatch', 'steps', 'period', 'replay_capacity'):
             if getattr(self, name) < 1:
                 raise ConfigurationError(f'training {name} must be at least 1, got {getattr(self, name)}')
+        if self.segments < 0:
+            raise ConfigurationError(f'training segments must not be negative, got {self.segments}')
 
     @property
     def length(self) -> int:

@@ -43,8 +43,9 @@ class Scores:
     """
 
     def __init__(self, motors: int, window: int = 6000) -> None:
-        self._errors = {rival: np.full((window, motors), np.nan) for rival in RIVALS}  # time first: rows are written
-        self._torque = np.full((window, motors), np.nan)
+        # time first, for rows are written; and what is not written yet takes no memory
+        self._errors = {rival: np.zeros((window, motors)) for rival in RIVALS}
+        self._torque = np.zeros((window, motors))
         self._scored = np.zeros((window, motors), dtype=bool)
         self._window = window
         self._count = 0
@@ -68,7 +69,7 @@ class Scores:
         if count < 2:
             return Skill(count, None, None, None)
         mae = {rival: float(np.mean(self._errors[rival][scored, motor])) for rival in RIVALS}
-        spread = float(np.nanstd(self._torque[:, motor].copy()))
+        spread = float(np.nanstd(self._torque[: min(self._count, self._window), motor].copy()))
         return Skill(
             count,
             mae['predictor'] / spread if spread > 0.0 else None,

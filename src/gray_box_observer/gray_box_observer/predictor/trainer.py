@@ -23,11 +23,13 @@ class Trainer(Protocol):
 
         Args:
             job: ``motor``: which motor of the group it is about, all where it is left out; ``voltage_v``,
-                ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n): samples; ``theta``, shape
-                (motor, parameter), and ``covariance``, shape (motor, parameter, parameter): the estimate; ``seen``:
-                where the motors have run (:class:`OperatingRange`); ``residual``: whether a round of learning the
-                residual is due, and ``number``, how many samples there have been; ``start_*``, where training goes on
-                from a saved network; ``start_learning_*``, what a result told under ``learning_*``.
+                ``interval_s``, ``torque_nm``, ``speed_rad_s``, each of shape (motor, n): samples; ``number``, shape
+                (n,): which they are, counted since the beginning; where numbers are left out another history begins;
+                ``theta``, shape (motor, parameter), and ``covariance``, shape (motor, parameter, parameter): the
+                estimate; ``seen``: where the motors have run (:class:`OperatingRange`); ``residual``: whether a round
+                of learning the residual is due, and ``residual_anew``, whether it begins with nothing; ``start_*``,
+                where training goes on from a saved network; ``start_learning_*``, what a result told under
+                ``learning_*``.
 
         Returns:
             ``windows``: sequences learnt from; ``loss``, unless there were none; ``settled``: whether there is nothing

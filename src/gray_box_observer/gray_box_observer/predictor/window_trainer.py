@@ -9,12 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gray_box_observer.predictor import random_state
 from gray_box_observer.predictor.inputs import InputLayout
 from gray_box_observer.predictor.losses import Windows, stage_two_loss
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.normalisation import Normalisation, moved
 from gray_box_observer.predictor.rules import TrainingRules
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
 from gray_box_observer.predictor.trainer import Message
 from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -37,6 +38,10 @@ class WindowTrainer:
         self._layout = InputLayout(reference, self._rules.variant.sees_theta, self._white_box.speed_measured)
         torch.set_num_threads(1)
         self._network = TorchNetwork(self._layout.width, self._rules.hidden)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Know nothing."""
         self._network.load(Weights.initial(self._layout.width, self._rules.hidden, self._seed))
         self._optimiser = torch.optim.Adam(self._network.trainable(), self._rules.learning_rate)
         self._plateau = torch.optim.lr_scheduler.ReduceLROnPlateau(
@@ -56,12 +61,37 @@ class WindowTrainer:
                 shape (motor, parameter); ``start_*``, where training shall go on from a saved network.
 
         Returns:
-            The network's arrays, its ranges, the mean ``loss`` and the ``windows`` seen; no arrays where the data held
-            no window without a gap.
+            The network's arrays, its ranges, the mean ``loss`` and the ``windows`` seen; no network where the data held
+            no window without a gap; ``learning_*``, from which another trainer goes on alike.
         """
         if 'start_ranges' in job:
-            self._network.load(Weights.of({name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}))
-            self._normalisation = Normalisation.from_dict(job['start_ranges'])
+            self._restore(job)
+        told = self._teach(job)
+        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
+
+    def _state(self) -> dict[str, Array]:
+        """Everything but the network and its ranges that the next job depends on."""
+        rate, plateau = self._optimiser.param_groups[0]['lr'], self._plateau
+        plain = {'rate': rate, 'best': plateau.best, 'bad': plateau.num_bad_epochs, 'jobs': plateau.last_epoch}
+        state = {name: np.array(value) for name, value in plain.items()}
+        return {**state, **moments_of(self._optimiser), 'random': random_state.pack(self._random)}
+
+    def _restore(self, job: Message) -> None:
+        """Go on from a saved network, and from what :meth:`_state` gave where that was saved too."""
+        self._begin()
+        self._network.load(Weights.of({name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}))
+        self._normalisation = Normalisation.from_dict(job['start_ranges'])
+        learnt = {name[15:]: array for name, array in job.items() if name.startswith('start_learning_')}
+        if 'random' not in learnt:
+            return
+        give_moments(self._optimiser, learnt)
+        self._optimiser.param_groups[0]['lr'] = float(learnt['rate'])
+        plateau = self._plateau
+        plateau.best, plateau.num_bad_epochs = float(learnt['best']), int(learnt['bad'])
+        plateau.last_epoch = int(learnt['jobs'])
+        self._random = random_state.unpack(learnt['random'])
+
+    def _teach(self, job: Message) -> Message:
         starts = self._window_starts(job['interval_s'])
         if starts.size == 0:
             return {'windows': 0}

@@ -14,7 +14,7 @@ from gray_box_observer.predictor.trainer import make_trainer
 def main() -> int:
     """Serve jobs until standard input closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
-    os.nice(10)  # sampling comes first
+    _give_way()
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), 'wb')
     os.dup2(2, 1)  # whatever a library prints must not reach the stream of results
     configuration = messages.read(source)
@@ -29,6 +29,13 @@ def main() -> int:
         except BrokenPipeError:
             break
     return 0
+
+
+def _give_way() -> None:
+    """Sampling comes first: run when nobody else wants to, and never at the real-time priority of the parent."""
+    if hasattr(os, 'SCHED_BATCH'):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    os.nice(10)
 
 
 if __name__ == '__main__':

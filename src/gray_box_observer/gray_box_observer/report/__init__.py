@@ -1,7 +1,22 @@
-"""The HTML report of a run: one file, no network."""
+"""The HTML reports, of a run and of an archive of runs: one file each, no network."""
 
 from gray_box_observer.report.errors import ReportError
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, RunHistory
 from gray_box_observer.report.page import render, require_plotly, write_report
+from gray_box_observer.report.trend import ArchiveHistory, MotorTrend, ParameterTrend
+from gray_box_observer.report.trend_page import render_trends, write_trend_report
 
-__all__ = ['MotorHistory', 'ParameterHistory', 'ReportError', 'RunHistory', 'render', 'require_plotly', 'write_report']
+__all__ = [
+    'ArchiveHistory',
+    'MotorHistory',
+    'MotorTrend',
+    'ParameterHistory',
+    'ParameterTrend',
+    'ReportError',
+    'RunHistory',
+    'render',
+    'render_trends',
+    'require_plotly',
+    'write_report',
+    'write_trend_report',
+]

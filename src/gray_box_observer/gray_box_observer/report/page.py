@@ -27,6 +27,7 @@ from gray_box_observer.report.history import MotorHistory, RunHistory
 from gray_box_observer.report.parameter_figure import parameter_figure
 from gray_box_observer.report.rejection_figure import rejection_figure
 from gray_box_observer.report.signal_figure import signal_figure
+from gray_box_observer.report.trend import ArchiveHistory
 
 _PLOTLY_MISSING = 'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
 
@@ -42,9 +43,7 @@ def require_plotly() -> None:
 
 
 def write_report(history: RunHistory, path: Path) -> None:
-    """Write the report of a run to `path`, as a whole or not at all.
-
-    A reader never sees half a page: it is written beside `path` and then takes its place.
+    """Write the report of a run to `path`, as a whole or not at all: a reader never sees half a page.
 
     Args:
         history: what to report.
@@ -53,8 +52,15 @@ def write_report(history: RunHistory, path: Path) -> None:
     Raises:
         ReportError: plotly is not installed, or the file cannot be written.
     """
-    path = Path(path)
-    text = render(history)
+    write_page(render(history), Path(path))
+
+
+def write_page(text: str, path: Path) -> None:
+    """Write a page as a whole or not at all: it is written beside `path` and then takes its place.
+
+    Raises:
+        ReportError: the file cannot be written.
+    """
     partial = path.with_name(f'.{path.name}.{os.getpid()}.partial')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -76,17 +82,32 @@ def render(history: RunHistory) -> str:
     Raises:
         ReportError: plotly is not installed.
     """
-    plotly_js, versions = _plotly()
     figures: dict[str, Figure] = {}
     motors = ''.join(_motor(index, motor, figures) for index, motor in enumerate(history.motors))
+    return assembled(history, sections.headline(history), motors, figures)
+
+
+def assembled(history: RunHistory | ArchiveHistory, headline: str, content: str, figures: Mapping[str, Figure]) -> str:
+    """Return a page of what the report of a run and that of an archive share, and of what is their own.
+
+    Args:
+        history: what the page is about.
+        headline: HTML of the cards on top.
+        content: HTML of the motors' sections.
+        figures: by the id of the element that each is drawn in.
+
+    Raises:
+        ReportError: plotly is not installed.
+    """
+    plotly_js, versions = _plotly()
     return Template(_resource('page.html')).substitute(
         title=escape(history.title),
         source=', '.join(escape(name) for name in history.source) or 'not named',
         created=escape(history.created),
         facts=sections.facts(history.summary),
-        contents=sections.contents(history.motors),
-        headline=sections.headline(history),
-        motors=motors,
+        contents=sections.contents([motor.name for motor in history.motors]),
+        headline=headline,
+        motors=content,
         footer=sections.footer(history, versions),
         style=_resource('page.css'),
         figures=embedded({key: figure.as_json() for key, figure in figures.items()}),
@@ -110,14 +131,8 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     span_s = motor.span_s()
 
     def figure(key: str, drawing: Figure, title: str) -> str:
-        key = f'motor-{index}-{key}'
-        figures[key] = drawing
-        note = f'<p class="caption">{escape(drawing.caption)}</p>' if drawing.caption else ''
-        label = f'{title} of {escape(motor.name)}'
-        return (
-            f'<figure><figcaption><h4>{title}</h4><div class="views" data-for="{key}"></div></figcaption>'
-            f'<div class="drawing" id="{key}" role="img" aria-label="{label}"></div>{note}</figure>'
-        )
+        figures[f'motor-{index}-{key}'] = drawing
+        return framed(f'motor-{index}-{key}', drawing, title, motor.name)
 
     parts = [f'<section class="motor" id="motor-{index}"><h2>{escape(motor.name)}</h2>']
     parts.append('<h3>Parameters</h3>' + sections.verdict_key(motor) + '<div class="grid">')
@@ -140,6 +155,16 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
         parts.append(figure('rejected', rejected, 'by reason, and when'))
     parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
     return ''.join(parts) + '</section>'
+
+
+def framed(key: str, drawing: Figure, title: str, motor: str) -> str:
+    """Return the frame that the page's script draws a figure of a motor in; `title` is HTML, `motor` is not."""
+    note = f'<p class="caption">{escape(drawing.caption)}</p>' if drawing.caption else ''
+    label = f'{title} of {escape(motor)}'
+    return (
+        f'<figure><figcaption><h4>{title}</h4><div class="views" data-for="{key}"></div></figcaption>'
+        f'<div class="drawing" id="{key}" role="img" aria-label="{label}"></div>{note}</figure>'
+    )
 
 
 def _resource(name: str) -> str:

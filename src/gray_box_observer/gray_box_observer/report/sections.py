@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, RunHistory
 from gray_box_observer.report.parameter_figure import parameter_scale
+from gray_box_observer.report.trend import ArchiveHistory
 from gray_box_observer.report.units import MINUS, SIGMA, percent, significant, value_and_std
 from gray_box_observer.report.verdicts import look_of
 
@@ -45,11 +46,11 @@ def facts(summary: Mapping[str, str | float | int]) -> str:
     return f'<dl class="facts">{"".join(items)}</dl>' if items else ''
 
 
-def contents(motors: tuple[MotorHistory, ...]) -> str:
-    """Return links to the motors; nothing for a single one."""
+def contents(motors: Sequence[str]) -> str:
+    """Return links to the motors of these names; nothing for a single one."""
     if len(motors) < 2:
         return ''
-    links = ''.join(f'<a href="#motor-{index}">{escape(motor.name)}</a>' for index, motor in enumerate(motors))
+    links = ''.join(f'<a href="#motor-{index}">{escape(name)}</a>' for index, name in enumerate(motors))
     return f'<nav aria-label="Motors">{links}</nav>'
 
 
@@ -148,7 +149,7 @@ def notes_list(notes: Iterable[str]) -> str:
     return f'<h3>Notes</h3><ul class="notes">{entries}</ul>' if entries else ''
 
 
-def footer(history: RunHistory, versions: Mapping[str, str]) -> str:
+def footer(history: RunHistory | ArchiveHistory, versions: Mapping[str, str]) -> str:
     """Return how to make the report again and what made it."""
     parts = []
     if history.command:

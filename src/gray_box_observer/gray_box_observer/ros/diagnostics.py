@@ -18,6 +18,7 @@ from gray_box_observer.observer import Observer
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.traffic import Traffic, TrafficMeter
+from gray_box_observer.samples import Rejection
 
 OVERLOAD = 0.9
 """Share of its time that a process may spend on messages; beyond, they queue up."""
@@ -31,6 +32,18 @@ ADVICE = {
     Verdict.IMPLAUSIBLE: 'check torque_constant, units and sign of voltage and torque',
     Verdict.UNEXCITED: 'not excited: vary the voltage',
 }
+
+
+REJECTIONS = {
+    Rejection.NON_FINITE: 'NaN or infinity: is the sensor connected?',
+    Rejection.DUPLICATE: 'the same stamp twice: do two publishers share the topic?',
+    Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
+    Rejection.NO_VOLTAGE: 'torque before any voltage: have both stamps of the same clock?',
+    Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
+    Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
+    Rejection.MALFORMED: 'names and values differ in number, or the field is missing',
+}
+"""What to look at, by the reason that most messages were refused for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +127,8 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
     if trouble is not None:
         level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
         return level, f'nothing received for this motor: {trouble.message}'
+    if any(now.intake.rejected[n] for n in silent):
+        return _refused(motor, now) or (DiagnosticStatus.STALE, 'no message so far could be read: see rejected')
     topics = ' and '.join(now.intake.signals[n].topic for n in silent)
     strangers = sorted({name for n in silent for name in now.intake.signals[n].unknown})
     remedy = f'; names there: {", ".join(strangers[:5])}; see the parameter motors' if strangers else ''
@@ -131,9 +146,9 @@ def _failed_training(motor: str, now: Situation) -> Judgement | None:
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     """Why no sample came of late, or too many were refused."""
     traffic = now.traffic.motors[motor]
-    if traffic.rejected > REFUSED * (traffic.used + traffic.rejected):
-        period = f'{max(1.0, now.traffic.period_s):.0f} s'
-        return DiagnosticStatus.WARN, f'{traffic.rejected} messages refused in {period}: see rejected'
+    refused = _refused(motor, now)
+    if refused is not None:
+        return refused
     if traffic.used:
         return None
     silent = [name for name, count in traffic.received.items() if count == 0]
@@ -148,6 +163,17 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
         for n in silent
     ]
     return DiagnosticStatus.STALE, f'no new sample: {" and ".join(topics)}: does its driver run?'
+
+
+def _refused(motor: str, now: Situation) -> Judgement | None:
+    """Why too many messages were refused of late, if they were."""
+    traffic = now.traffic.motors[motor]
+    count = traffic.rejected.total()
+    if count <= REFUSED * (traffic.used + count):
+        return None
+    reason = traffic.rejected.most_common(1)[0][0]
+    period = f'{max(1.0, now.traffic.period_s):.0f} s'
+    return DiagnosticStatus.WARN, f'{count} messages refused in {period}: see rejected ({REJECTIONS[reason]})'
 
 
 def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
@@ -181,17 +207,18 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
         if at:
             names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at]
             return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
+    changed = now.traffic.motors[motor].changes
     if estimate.identified(0):
-        return DiagnosticStatus.OK, 'every parameter identified'
+        followed = ': the motor has changed and was followed' if changed else ''
+        return DiagnosticStatus.OK, f'every parameter identified{followed}'
     if now.observer.frozen:
         return DiagnosticStatus.OK, 'frozen'
-    changed = now.traffic.motors[motor].changes
     return DiagnosticStatus.OK, 'converging: the motor has changed and is being followed' if changed else 'converging'
 
 
 def values_of(motor: str, now: Situation) -> dict[str, str]:
     """Everything that is known of a motor, as text."""
-    values = _counts(motor, now)
+    values = {**_counts(motor, now), **_balance(motor, now)}
     seen = now.observer.motors.get(motor)
     if seen is None:
         return values
@@ -234,11 +261,24 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
         'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
         'age of newest sample [s]': _text(None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9),
         'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
-        'messages lost on the way': str(now.inputs.lost.total()),
+        'changes since last identified': str(now.traffic.motors[motor].changes),
         'CPU of this process [%]': f'{100 * now.traffic.cpu:.1f}',
         'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
         'age of checkpoint [s]': _text(now.checkpoint_age_s),
     }
+
+
+def _balance(motor: str, now: Situation) -> dict[str, str]:
+    """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
+    pairing, intake = now.observer.pairing[motor], now.intake
+    values = {'voltages taken': str(pairing.taken_voltage)}
+    for name in ('voltage', 'torque'):
+        values[f'{name} topic: messages'] = str(intake.received[name])
+        values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
+        values[f'{name} topic: of no motor here'] = str(intake.others[name])
+        refused = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
+        values[f'{name} messages refused'] = ', '.join(f'{reason}: {n}' for reason, n in refused) or 'none'
+    return values
 
 
 def _estimates(estimate: Estimate) -> dict[str, str]:

@@ -22,8 +22,10 @@ from gray_box_observer.group import Group
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
+from gray_box_observer.ros.chore import Chore
 from gray_box_observer.ros.diagnoser import Diagnoser
 from gray_box_observer.ros.inputs import Inputs
+from gray_box_observer.ros.life_cycle import survive_impossible_transitions
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.ros.parameters import LiveParameters, declare
 from gray_box_observer.ros.qos import unused_overrides
@@ -60,15 +62,14 @@ class ObserverNode(LifecycleNode):
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._checkpoint_timer: Timer | None = None
+        self._checkpoint: Chore | None = None
         motors = list(self._configuration.motors)
         diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
-        self.create_timer(
-            DIAGNOSTICS_PERIOD_S,
-            lambda: diagnoser.tell(self._state, self._observer, self._intake),
-            clock=self._steady,
-        )
+        self._diagnose = Chore(DIAGNOSTICS_PERIOD_S, lambda: diagnoser.tell(self._state, self._observer, self._intake))
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose.do, clock=self._steady)
         if self._configuration['estimates_period_s'] > 0.0:
             self.create_timer(self._configuration['estimates_period_s'], self._tell_estimates, clock=self._steady)
+        survive_impossible_transitions(self)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/save', self._save)
         self.create_service(Trigger, '~/load', self._load)
@@ -139,6 +140,8 @@ class ObserverNode(LifecycleNode):
         try:
             action()
             result = entities()
+            self._state = state
+            self._arrived()
         except GrayBoxError as error:
             self._reason = f'could not {verb}: {error}'
             self.get_logger().error(self._reason)
@@ -147,8 +150,6 @@ class ObserverNode(LifecycleNode):
             self._reason = f'could not {verb}: {traceback.format_exc()}'
             self.get_logger().error(self._reason)
             return Transition.ERROR
-        self._state = state
-        self._arrived()
         return result
 
     def _arrived(self) -> None:
@@ -185,8 +186,11 @@ class ObserverNode(LifecycleNode):
         self._drop_observer()
 
     def _take(self, name: str, message: Any, arrival_ns: int) -> None:
-        if self._observer is None or self._intake is None or self._outputs is None:
-            return
+        if self._observer is None or self._intake is None or self._outputs is None or self._stop.requested:
+            return  # the end does not wait for messages that have queued up
+        self._diagnose.catch_up()
+        if self._checkpoint is not None:
+            self._checkpoint.catch_up()
         with self._meter.busy():
             try:
                 taken = self._intake.take(name, message, arrival_ns)
@@ -266,10 +270,11 @@ class ObserverNode(LifecycleNode):
         """Have a checkpoint taken every so often while there is something to learn."""
         if self._checkpoint_timer is not None:
             self.destroy_timer(self._checkpoint_timer)
-            self._checkpoint_timer = None
+            self._checkpoint_timer = self._checkpoint = None
         period_s = self._configuration['checkpoint.period_s']
         if self._keeper.automatic and self._state == 'active' and period_s > 0.0:
-            self._checkpoint_timer = self.create_timer(period_s, self._keep, clock=self._steady)
+            self._checkpoint = Chore(period_s, self._keep)
+            self._checkpoint_timer = self.create_timer(period_s, self._checkpoint.do, clock=self._steady)
 
     def _keep(self) -> None:
         self._keeper.keep(self._observer)

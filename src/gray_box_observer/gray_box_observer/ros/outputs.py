@@ -17,6 +17,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
+from gray_box_observer.samples.pairing import MAX_WAITING_VOLTAGES
 from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
@@ -41,7 +42,7 @@ class Outputs:
             for m, motor in told.items()
             for p in motor.values['context_nodes']
         }
-        self._announced: dict[tuple[str, ...], int] = {}
+        self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
 
@@ -57,21 +58,29 @@ class Outputs:
         """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
         for result in results:
             names = result.group.names
-            if result.prediction is not None:
-                self.prediction(names, result.sample.stamp_ns, result.prediction.torque_nm)
+            foretold = self._awaited.setdefault(names, {}).pop(result.sample.stamp_ns, False)
+            if result.prediction is not None and not foretold:
+                self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
                 self._changed(names, result.changed.tolist(), result.estimate)
             if self._alarm:
                 self._alarms(names, result.alarm)
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
-        """Publish the torques predicted of motors that come together for a stamp, once."""
-        if self._announced.get(names) == stamp_ns:
+        """Publish the torques predicted of motors that come together for a stamp still without torque, once."""
+        awaited = self._awaited.setdefault(names, {})
+        if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
             return
+        awaited[stamp_ns] = True
+        if len(awaited) > MAX_WAITING_VOLTAGES:  # torque that never came
+            del awaited[next(iter(awaited))]
+
+    def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
         message = torque_message(names, stamp_ns, torque_nm)
-        if message is not None:
-            self._announced[names] = stamp_ns
-            self._predicted(message)
+        if message is None:
+            return False
+        self._predicted(message)
+        return True
 
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish the torques at the horizon if the newest voltage is held until then, once a voltage."""

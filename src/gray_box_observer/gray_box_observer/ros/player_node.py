@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException, NoTypeSupportImportedException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -25,13 +24,13 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError, ConfigurationError, GrayBoxError
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import publisher_profile
+from gray_box_observer.ros.listed_parameters import declare
 from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_player'
 _DEPTH = 1000
-_MAX_MESSAGES_PER_S = 1000.0
-"""Of all topics together: five times as fast as it was for one motor at 100 Hz, which an observer can follow."""
 _BURST = 100
 """Messages of a topic between two waits for its acknowledgements, when nothing else holds the player back.
 
@@ -42,24 +41,6 @@ _ACK_PATIENCE_S = 5.0
 _SETTLE_S = 0.25
 """A reader matched here may not have matched us yet: one topic's first messages would come after another's."""
 _CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-_DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
-was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
-_PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
-  bag                   rosbag2 folder or .mcap file, if BAG is not given
-  rate                  recorded seconds per second; 0: as fast as max_messages_per_s allows
-  max_messages_per_s    with rate 0, of all topics together; 0: no limit. Readers acknowledge what has arrived,
-                        not what they have worked off: one that cannot follow loses messages once its queue
-                        is full (identify never does). What was recorded faster comes as fast as it was recorded.
-  loop                  begin again at the end
-  start_offset_s        leave out the first seconds
-  paused                begin paused
-  topics                replay only these, as [/a, /b]
-  clock                 publish /clock with the recorded time; it jumps back when a loop begins again
-  wait_for_subscribers  begin when voltage and torque (if replayed, else every topic) have so many readers
-  wait_timeout_s        and give up after this time
-
-topics are renamed as everywhere in ROS: --ros-args -r /motor/torque:=/other
-"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,24 +70,17 @@ class BagPlayer(Node):
     def __init__(self, stop: Stop, bag: str = '') -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        path = self.declare_parameter('bag', '').value
-        is_paused = self.declare_parameter('paused', False).value
-        topics = [name for name in self.declare_parameter('topics', ['']).value if name]
-        self._plan = _Plan(
-            rate=self._number('rate', 1.0),
-            loop=self.declare_parameter('loop', False).value,
-            start_offset_s=self._number('start_offset_s', 0.0),
-            clock=self.declare_parameter('clock', False).value,
-            wait_for_subscribers=int(self._number('wait_for_subscribers', 0)),
-            wait_timeout_s=self._number('wait_timeout_s', 10.0),
-        )
+        given = declare(self, PLAYER_PARAMETERS)
+        path, is_paused = given['bag'], given['paused']
+        topics = [name for name in given['topics'] if name]
+        self._plan = _Plan(**{field.name: given[field.name] for field in fields(_Plan)})
         if not (bag or path):
             raise ConfigurationError('no bag to replay; give its path, or -p bag:=PATH')
         self._reader = BagReader(bag or path)
         self._pacer = Pacer(
             self._plan.rate,
             is_paused=is_paused,
-            max_messages_per_s=self._limit_per_s(self._number('max_messages_per_s', _MAX_MESSAGES_PER_S)),
+            max_messages_per_s=self._limit_per_s(given['max_messages_per_s']),
         )
         self._publishers_by_topic = self._advertise(topics)
         self._clock_publisher = self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
@@ -135,15 +109,6 @@ class BagPlayer(Node):
         self.get_logger().info(f'{self._count} messages replayed')
         self._reader.close()
 
-    def _number(self, name: str, default: float) -> float:
-        """A number that may be written with or without a point; a negative rate means as fast as possible."""
-        value = self.declare_parameter(name, default, ParameterDescriptor(dynamic_typing=True)).value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value != value:
-            raise ConfigurationError(f'{name} is {value!r}, expected a number')
-        if value < 0 and name != 'rate':
-            raise ConfigurationError(f'{name} is {value!r}, expected 0 or more')
-        return float(value)
-
     def _limit_per_s(self, wanted_per_s: float) -> float:
         """What was recorded faster than the limit comes as fast as it was recorded; 0 for no limit."""
         duration_s = self._reader.duration_ns * 1e-9
@@ -165,7 +130,10 @@ class BagPlayer(Node):
                 continue
             recorded = parse_qos_text(there[name].qos_profiles)
             depth = _DEPTH if self._plan.rate > 0 else _BURST
-            publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            try:
+                publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
+            except (NameValidationException, NoTypeSupportImportedException) as error:  # a damaged bag
+                self.get_logger().warning(f'{name!r} is not replayed: {" ".join(str(error).split())}')
         if not publishers:
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers
@@ -273,18 +241,6 @@ def _answer(response: Any, success: bool, message: str) -> Any:
     response.success = success
     response.message = message
     return response
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        prog='player',
-        description=_DESCRIPTION,
-        epilog=_PARAMETERS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument('bag', nargs='?', default='', metavar='BAG', help='rosbag2 folder or .mcap file')
-    return parser
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
+from gray_box_observer.bag.options import PRESETS, BagOptions
 from gray_box_observer.bag.schemas import schema_text, share_lookup
-from gray_box_observer.bag.writer import BagOptions, BagWriter
+from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.errors import BagError, ConfigurationError
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import needs_weaker, subscription_profile, to_mapping
+from gray_box_observer.ros.listed_parameters import declare
 from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.recorder_arguments import RECORDER_PARAMETERS, by_command_line, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_recorder'
@@ -33,21 +34,6 @@ _FLUSH_CHECK_S = 0.25
 _TTY_PERIOD_S = 1.0
 _LOG_PERIOD_S = 10.0
 _LEFT_OUT_OF_ALL = ('/parameter_events', '/rosout')
-_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
-Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and /diagnostics.
-SIGINT and SIGTERM finish the bag."""
-_PARAMETERS = """parameters (--ros-args -p NAME:=VALUE):
-  topics               topics to record, as [/a, /b]
-  output               folder to make; default rosbag2_<date and time>
-  all                  record every topic, except /parameter_events and /rosout
-  include_ros_internals  with all: these two as well
-  duration_s           end after this time; 0: when interrupted
-  compression          '' or zstd
-  max_file_bytes       begin a new file when one is this large; 0: never
-  max_file_duration_s  begin a new file when one spans this time; 0: never
-  flush_period_s       at most this much is lost if the recorder is killed
-  queue_depth          messages that may wait per topic
-"""
 
 
 @dataclass(slots=True)
@@ -67,33 +53,31 @@ class BagRecorder(Node):
         topics: Topics to record in addition to the parameter ``topics``.
         output: Folder to make; empty for the parameter ``output``.
         all_topics: Whether to record every topic.
+        preceding: What the command line says of how to write, by the names of the parameters that it precedes.
 
     Raises:
         BagError: The folder exists or cannot be made.
         ConfigurationError: A parameter is out of its range.
     """
 
-    def __init__(self, stop: Stop, topics: Sequence[str] = (), output: str = '', all_topics: bool = False) -> None:
+    def __init__(
+        self,
+        stop: Stop,
+        topics: Sequence[str] = (),
+        output: str = '',
+        all_topics: bool = False,
+        preceding: Mapping[str, Any] | None = None,
+    ) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        names = [*topics, *(name for name in self._parameter('topics', ['']) if name)]
+        values = declare(self, RECORDER_PARAMETERS, preceding)
+        names = [*topics, *(name for name in values['topics'] if name)]
         self._wanted = {self.resolve_topic_name(name) for name in names}
-        self._is_all = self._parameter('all', False) or all_topics
-        self._with_internals = self._parameter('include_ros_internals', False)
-        self._depth = int(self._number('queue_depth', 5000))
-        if self._depth < 1:
-            raise ConfigurationError(f'queue_depth is {self._depth}, expected at least 1')
-        duration_s = self._number('duration_s', 0.0)
-        folder = output or self._parameter('output', '') or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
-        self._writer = BagWriter(
-            Path(folder).expanduser(),
-            BagOptions(
-                compression=self._parameter('compression', ''),
-                flush_period_s=self._number('flush_period_s', 1.0),
-                max_file_bytes=int(self._number('max_file_bytes', 0)),
-                max_file_duration_s=self._number('max_file_duration_s', 0.0),
-            ),
-        )
+        self._is_all = values['all'] or all_topics
+        self._with_internals = values['include_ros_internals']
+        self._depth = values['queue_depth']
+        folder = output or values['output'] or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
+        self._writer = BagWriter(Path(folder).expanduser(), _options(values))
         self._lookup = share_lookup()
         self._recorded: dict[str, _Recorded] = {}
         self._refused: set[str] = set()
@@ -108,8 +92,8 @@ class BagRecorder(Node):
         self.create_timer(_POLL_S, self._guarded(self._discover))
         self.create_timer(_FLUSH_CHECK_S, self._guarded(self._writer.flush_if_due))
         self.create_timer(_TTY_PERIOD_S if sys.stderr.isatty() else _LOG_PERIOD_S, self._report)
-        if duration_s > 0:
-            self.create_timer(duration_s, self._stop)
+        if values['duration_s'] > 0:
+            self.create_timer(values['duration_s'], self._stop)
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def close(self) -> None:
@@ -125,17 +109,6 @@ class BagRecorder(Node):
         if sys.stderr.isatty():
             print(file=sys.stderr)
         self.get_logger().info(f'{self._writer.folder}: {self._summary()}')
-
-    def _parameter(self, name: str, default: Any) -> Any:
-        return self.declare_parameter(name, default).value
-
-    def _number(self, name: str, default: float) -> float:
-        """A number that may be written with or without a point."""
-        descriptor = ParameterDescriptor(dynamic_typing=True)
-        value = self.declare_parameter(name, default, descriptor).value
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1e18:
-            raise ConfigurationError(f'{name} is {value!r}, expected a number of 0 or more')
-        return float(value)
 
     def _guarded(self, action: Callable[[], None]) -> Callable[[], None]:
         """Turn an error of the bag into the end of the node; after it nothing more can be recorded."""
@@ -247,18 +220,19 @@ class BagRecorder(Node):
             self.get_logger().info(self._summary())
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        prog='recorder',
-        description=_DESCRIPTION,
-        epilog=_PARAMETERS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument('topics', nargs='*', metavar='TOPIC', help='topic to record')
-    parser.add_argument('-o', '--output', default='', metavar='FOLDER', help='folder to make')
-    parser.add_argument('-a', '--all', action='store_true', help='record every topic')
-    return parser
+def _options(values: Mapping[str, Any]) -> BagOptions:
+    """How to write, by the values of the parameters.
+
+    Raises:
+        ConfigurationError: Both a preset and a compression are given.
+    """
+    preset = PRESETS[values['storage_preset_profile']]
+    if preset and values['compression'] != 'none':
+        raise ConfigurationError(
+            f'storage_preset_profile {values["storage_preset_profile"]} sets the compression; leave compression out'
+        )
+    names = ('compression', 'flush_period_s', 'max_file_bytes', 'max_file_duration_s')
+    return BagOptions(**{**{name: values[name] for name in names}, **preset})
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -266,7 +240,7 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parse_arguments(make_parser(), args)
     # The events executor of rclpy 7.1 fails on callbacks that take the message info.
     return run_node(
-        lambda stop: BagRecorder(stop, options.topics, options.output, options.all),
+        lambda stop: BagRecorder(stop, options.topics, options.output, options.all, by_command_line(options)),
         args,
         name='recorder',
         executor_factory=SingleThreadedExecutor,

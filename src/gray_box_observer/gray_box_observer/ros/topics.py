@@ -23,20 +23,57 @@ DIAGNOSTICS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: relative name (``{motor}`` and ``{parameter}`` stand for their names), type and QoS."""
+    """One topic: relative name (``{motor}`` and ``{parameter}`` stand for their names), type, QoS and content."""
 
     name: str
     type: type
     qos: QoSProfile
+    description: str = ''
 
 
-VOLTAGE = Topic('motor/voltage', JointState, SIGNAL_QOS)
-TORQUE = Topic('motor/torque', JointState, SIGNAL_QOS)
-PARAMETER = Topic('~/{motor}/{parameter}', Float64, LATCHED_QOS)
-IDENTIFIED = Topic('~/{motor}/identified', Bool, LATCHED_QOS)
-ALARM = Topic('~/{motor}/alarm', Bool, LATCHED_QOS)
-COVARIANCE = Topic('~/{motor}/covariance', Float64MultiArray, LATCHED_QOS)
-ESTIMATES = Topic('~/estimates', Float64MultiArray, LATCHED_QOS)
-PREDICTED_TORQUE = Topic('~/predicted_torque', JointState, SIGNAL_QOS)
-FORECAST_TORQUE = Topic('~/forecast_torque', JointState, SIGNAL_QOS)
-DIAGNOSTICS = Topic('/diagnostics', DiagnosticArray, DIAGNOSTICS_QOS)
+VOLTAGE = Topic(
+    'motor/voltage', JointState, SIGNAL_QOS, 'Armature voltage in V as `effort`, of the motors in `name`; stamped.'
+)
+TORQUE = Topic(
+    'motor/torque', JointState, SIGNAL_QOS, 'Torque in N m as `effort`, measured speed in rad/s as `velocity`; stamped.'
+)
+PARAMETER = Topic(
+    '~/{motor}/{parameter}', Float64, LATCHED_QOS, 'Estimate in SI units; one topic for each of the context nodes.'
+)
+IDENTIFIED = Topic('~/{motor}/identified', Bool, LATCHED_QOS, 'True while every verdict is `identified`.')
+ALARM = Topic(
+    '~/{motor}/alarm',
+    Bool,
+    LATCHED_QOS,
+    'True while torque is not what voltage and the identified parameters explain.',
+)
+COVARIANCE = Topic(
+    '~/{motor}/covariance',
+    Float64MultiArray,
+    LATCHED_QOS,
+    'Covariance of the estimates, row by row; both dimensions are labelled with the parameter names.',
+)
+ESTIMATES = Topic(
+    '~/estimates',
+    Float64MultiArray,
+    LATCHED_QOS,
+    'Value and standard deviation of every parameter of every motor, labelled; every `estimates_period_s`.',
+)
+PREDICTED_TORQUE = Topic(
+    '~/predicted_torque',
+    JointState,
+    SIGNAL_QOS,
+    'Torque in N m as `effort`, predicted before the torque of the same stamp came.',
+)
+FORECAST_TORQUE = Topic(
+    '~/forecast_torque',
+    JointState,
+    SIGNAL_QOS,
+    'With `horizon_s` above 0: torque in N m that long after the newest voltage, if it is held.',
+)
+DIAGNOSTICS = Topic(
+    '/diagnostics',
+    DiagnosticArray,
+    DIAGNOSTICS_QOS,
+    'One status for each motor: level, advice, and verdicts, rates, rejects and skill as key-value pairs; 1 Hz.',
+)

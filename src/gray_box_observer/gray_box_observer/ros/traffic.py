@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
+from gray_box_observer.samples import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
 
 
@@ -20,13 +21,13 @@ class MotorTraffic:
 
     Attributes:
         used: samples learnt.
-        rejected: messages refused.
+        rejected: messages refused, by reason; those that could not be read at all count for every motor.
         received: messages by signal; speed is not counted motor by motor.
-        changes: how often the motor has been found changed since it was last identified.
+        changes: how often the motor has been found changed since diagnostics last found it identified.
     """
 
     used: int
-    rejected: int
+    rejected: Counter[Rejection]
     received: dict[str, int]
     changes: int
 
@@ -101,28 +102,35 @@ class TrafficMeter:
         self._now = time.monotonic(), time.process_time()
         period_s = max(self._now[0] - before_s, 1e-9)
         busy_s, self._busy_s = self._busy_s, 0.0
+        unread: Counter[Rejection] = Counter()
+        for name, counts in intake.rejected.items():
+            unread += self._new_rejections(name, counts)
         return Traffic(
             period_s,
-            {motor: self._motor(motor, observer) for motor in observer.pairing},
+            {motor: self._motor(motor, observer, unread) for motor in observer.pairing},
             {name: self._new('messages', name, intake.received[name]) for name in SIGNALS},
             (self._now[1] - before_cpu_s) / period_s,
             busy_s / period_s,
         )
 
-    def _motor(self, motor: str, observer: Observer) -> MotorTraffic:
+    def _motor(self, motor: str, observer: Observer, unread: Counter[Rejection]) -> MotorTraffic:
         pairing, seen = observer.pairing[motor], observer.motors.get(motor)
         changes = 0 if seen is None else seen.context_nodes.counters().get('motor changes', 0)
-        if seen is not None and seen.identified and not observer.alarm(motor):
+        since = changes - self._settled[motor]
+        if seen is not None and seen.identified and not observer.alarm(motor):  # told this once, at least
             self._settled[motor] = changes
         return MotorTraffic(
             self._new('used', motor, pairing.used),
-            self._new('rejected', motor, pairing.rejected.total()),
+            self._new_rejections(motor, pairing.rejected) + unread,
             {
                 'voltage': self._new('voltage', motor, pairing.received_voltage),
                 'torque': self._new('torque', motor, pairing.received_torque),
             },
-            changes - self._settled[motor],
+            since,
         )
+
+    def _new_rejections(self, name: str, counts: Counter[Rejection]) -> Counter[Rejection]:
+        return Counter({reason: self._new(reason, name, count) for reason, count in counts.items()})
 
     def _new(self, what: str, name: str, count: int) -> int:
         before = self._counted[what, name]

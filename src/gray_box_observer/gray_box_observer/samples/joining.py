@@ -20,6 +20,9 @@ from gray_box_observer.white_box.base import Array
 
 Missing = NDArray[np.bool_] | None
 
+Refused = dict[str, Counter[Rejection]]
+"""What could not be used, by signal and reason."""
+
 NEVER_NS = 1 << 62
 """Owed by a motor whose signal history has not begun."""
 
@@ -32,7 +35,7 @@ class Joining(Protocol):
     def restart(self) -> None:
         """Begin a new signal history."""
 
-    def usable(self, value: float) -> bool:
+    def usable(self, signal: str, value: float) -> bool:
         """Whether a plain number can be used; counted where not."""
 
     def voltage(self, voltage_v: Any, newest_v: Any, missing: Missing) -> Any:
@@ -63,7 +66,7 @@ class Joining(Protocol):
             gap_ns: a motor that was absent for longer starts its history anew.
         """
 
-    def rejected(self, motor: int) -> Counter[Rejection]:
+    def refused(self, motor: int) -> Refused:
         """What was refused of one motor."""
 
     def missed(self, motor: int) -> dict[str, int]:
@@ -77,40 +80,40 @@ class OneMotor:
     """A single motor, in plain floats.
 
     Args:
-        rejected: counts what is refused.
+        refused: counts what is refused.
     """
 
     blank = math.nan
 
-    def __init__(self, rejected: Counter[Rejection]) -> None:
-        self._rejected = rejected
+    def __init__(self, refused: Refused) -> None:
+        self._refused = refused
 
     def restart(self) -> None:
         """Nothing is owed to a single motor."""
 
-    def usable(self, value: float) -> bool:
+    def usable(self, signal: str, value: float) -> bool:
         """See :class:`Joining`."""
         if not math.isfinite(value):
-            self._rejected[Rejection.NON_FINITE] += 1
+            self._refused[signal][Rejection.NON_FINITE] += 1
             return False
         if abs(value) > ABSURD_MAGNITUDE:
-            self._rejected[Rejection.ABSURD] += 1
+            self._refused[signal][Rejection.ABSURD] += 1
             return False
         return True
 
     def voltage(self, voltage_v: float, newest_v: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
-        return voltage_v if self.usable(voltage_v) else None
+        return voltage_v if self.usable('voltage', voltage_v) else None
 
     def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
-        good = self.usable(torque_nm) and (math.isnan(speed_rad_s) or self.usable(speed_rad_s))
+        good = self.usable('torque', torque_nm) and (math.isnan(speed_rad_s) or self.usable('torque', speed_rad_s))
         return torque_nm if good else None
 
     def with_speed(self, torque_nm: float, speed_rad_s: float) -> float | None:
         """See :class:`Joining`."""
         if math.isnan(speed_rad_s):
-            self._rejected[Rejection.NO_SPEED] += 1
+            self._refused['torque'][Rejection.NO_SPEED] += 1
             return None
         return torque_nm
 
@@ -127,13 +130,13 @@ class OneMotor:
             return Sample.of_one_motor(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s)
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
-            self._rejected[Rejection.NO_VOLTAGE] += 1
+            self._refused['torque'][Rejection.NO_VOLTAGE] += 1
             return None
         return Sample.of_one_motor(stamp_ns, 0.0, voltage_v, torque_nm, speed_rad_s)
 
-    def rejected(self, motor: int) -> Counter[Rejection]:
+    def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        return self._rejected
+        return self._refused
 
     def missed(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
@@ -148,15 +151,16 @@ class ManyMotors:
     """A group of motors, in arrays of shape (motor,).
 
     Args:
-        rejected: counts messages that are refused as a whole.
+        refused: counts messages that are refused as a whole.
         motors: how many.
     """
 
-    def __init__(self, rejected: Counter[Rejection], motors: int) -> None:
+    def __init__(self, refused: Refused, motors: int) -> None:
         self.blank: Array = np.full(motors, np.nan)
-        self._messages = rejected
-        self._own = {reason: np.zeros(motors, dtype=int) for reason in Rejection}
-        self._missed = {signal: np.zeros(motors, dtype=int) for signal in ('voltage', 'torque')}
+        self._messages = refused
+        signals = ('voltage', 'torque')
+        self._own = {signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection} for signal in signals}
+        self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
         self._lost = np.zeros(motors, dtype=int)
         self.restart()
 
@@ -166,7 +170,7 @@ class ManyMotors:
         self._owed_vns = np.zeros(self.blank.size)
         self._regular = False
 
-    def usable(self, value: float) -> bool:
+    def usable(self, signal: str, value: float) -> bool:
         """Signals with a topic of their own come to single motors only."""
         raise NotImplementedError
 
@@ -186,7 +190,7 @@ class ManyMotors:
             return torque_nm
         self._count_bad(torque_nm, good, 'torque', missing)
         if np.any(fast & good):
-            self._count_bad(speed_rad_s, ~fast | ~good, '', None)
+            self._count_bad(speed_rad_s, ~fast | ~good, 'torque', None)
         good = good & ~fast
         return np.where(good, torque_nm, np.nan) if np.any(good) else None
 
@@ -196,15 +200,15 @@ class ManyMotors:
             self._missed[signal] += missing
             bad &= ~missing
         finite = np.isfinite(values)
-        self._own[Rejection.NON_FINITE] += bad & ~finite
-        self._own[Rejection.ABSURD] += bad & finite
+        self._own[signal][Rejection.NON_FINITE] += bad & ~finite
+        self._own[signal][Rejection.ABSURD] += bad & finite
 
     def with_speed(self, torque_nm: Array, speed_rad_s: Array) -> Array | None:
         """See :class:`Joining`."""
         without = np.isnan(speed_rad_s) & ~np.isnan(torque_nm)
         if not np.any(without):
             return torque_nm
-        self._own[Rejection.NO_SPEED] += without
+        self._own['torque'][Rejection.NO_SPEED] += without
         return np.where(without, np.nan, torque_nm)
 
     def ahead(self, passed_ns: int, mean_v: Array, gap_ns: int) -> tuple[Array, Array]:
@@ -233,7 +237,7 @@ class ManyMotors:
         begins = np.ones_like(here) if passed_ns is None else span_ns > gap_ns
         first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
         blind = here & begins & np.isnan(first_v)
-        self._own[Rejection.NO_VOLTAGE] += blind
+        self._own['torque'][Rejection.NO_VOLTAGE] += blind
         here &= ~blind
         mean_v = first_v if passed_ns is None else np.where(begins, first_v, self._mean(span_ns, passed_ns, mean_v))
         owed_vns = 0.0 if passed_ns is None else np.where(begins, 0.0, mean_v * span_ns)
@@ -247,10 +251,12 @@ class ManyMotors:
         voltage_v = np.where(here, mean_v, 0.0)
         return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, None if self._regular else here)
 
-    def rejected(self, motor: int) -> Counter[Rejection]:
+    def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        own = {reason: int(count[motor]) for reason, count in self._own.items() if count[motor]}
-        return self._messages + Counter(own)
+        told = {signal: counter.copy() for signal, counter in self._messages.items()}
+        for signal, counts in self._own.items():
+            told[signal].update({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
+        return told
 
     def missed(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""

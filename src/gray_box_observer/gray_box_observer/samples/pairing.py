@@ -51,21 +51,27 @@ class PairingRules:
 class PairingCounts:
     """What became of one motor's messages; see :class:`Pairing`."""
 
-    rejected: Counter[Rejection]
+    refused: dict[str, Counter[Rejection]]
     received_torque: int
     received_voltage: int
+    taken_voltage: int
     used: int
     waiting: int
     restarts: int
     held: int
     delay_ns: int
 
+    @property
+    def rejected(self) -> Counter[Rejection]:
+        """What could not be used, by reason, whatever signal it was of."""
+        return sum(self.refused.values(), Counter())
+
 
 class Pairing:
     """Turns stamped voltages and torques into samples, counting what cannot be used.
 
-    Every message that comes in is used or counted under its reason: ``received = used + rejected + waiting``. Of a
-    group :meth:`of` tells what became of each motor's.
+    Everything that comes in is used or counted under its reason. Of torque, ``received = used + refused + waiting``; of
+    voltage, ``received = taken + refused``. Of a group :meth:`of` tells what became of each motor's.
 
     Args:
         rules: how patient it is.
@@ -76,6 +82,8 @@ class Pairing:
     Attributes:
         history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
+        refused: what could not be used, by signal and reason; of a group, messages that were refused as a whole.
+        taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
 
@@ -87,10 +95,11 @@ class Pairing:
         self.needs_speed = own_speed
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
-        self.rejected: Counter[Rejection] = Counter()
-        self._joining: Joining = OneMotor(self.rejected) if motors == 1 else ManyMotors(self.rejected, motors)
+        self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
+        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(self.refused, motors)
         self.received_torque = 0
         self.received_voltage = 0
+        self.taken_voltage = 0
         self.used = 0
         self.restarts = 0
         self.held = 0
@@ -133,6 +142,11 @@ class Pairing:
         return self._delay_ns
 
     @property
+    def rejected(self) -> Counter[Rejection]:
+        """What could not be used, by reason, whatever signal it was of."""
+        return sum(self.refused.values(), Counter())
+
+    @property
     def waiting(self) -> int:
         """Number of torque samples that wait for their voltage."""
         return len(self._torques)
@@ -166,17 +180,18 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts = self.received_torque, self.received_voltage, self.used, self.restarts, self.held
-        rejected, waited = self.rejected.copy(), self.waiting
+        counts = self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held
+        refused, waited = {name: counter.copy() for name, counter in self.refused.items()}, self.waiting
         self._set_delay(delay_s)
         self._restart()
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
             samples += self._take[signal](stamp_ns, *values)
-        self.received_torque, self.received_voltage, self.used, self.restarts, self.held = counts
-        self.rejected.clear()
-        self.rejected.update(rejected)
+        self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held = counts
+        for name, counter in self.refused.items():
+            counter.clear()
+            counter.update(refused[name])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
@@ -200,9 +215,10 @@ class Pairing:
         if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order(stamp_ns, self._newest_voltage_ns)
+        done = self._order('voltage', stamp_ns, self._newest_voltage_ns)
         if done is None:
             return []
+        self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
         self._newest_voltage_ns = stamp_ns
         self._voltages.append((stamp_ns, voltage_v))
@@ -212,9 +228,9 @@ class Pairing:
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
-        if not self._joining.usable(speed_rad_s):
+        if not self._joining.usable('speed', speed_rad_s):
             return []
-        done = self._order(stamp_ns, self._newest_speed_ns)
+        done = self._order('speed', stamp_ns, self._newest_speed_ns)
         if done is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
@@ -235,7 +251,7 @@ class Pairing:
         torque_nm = self._joining.torque(torque_nm, speed_rad_s, missing)
         if torque_nm is None:
             return []
-        done = self._order(stamp_ns, self._newest_torque_ns)
+        done = self._order('torque', stamp_ns, self._newest_torque_ns)
         if done is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
@@ -279,10 +295,12 @@ class Pairing:
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         missed, used = self._joining.missed(motor), self._joining.lost(motor)
+        received_voltage, refused = self.received_voltage - missed['voltage'], self._joining.refused(motor)
         return PairingCounts(
-            rejected=self._joining.rejected(motor),
+            refused=refused,
             received_torque=self.received_torque - missed['torque'],
-            received_voltage=self.received_voltage - missed['voltage'],
+            received_voltage=received_voltage,
+            taken_voltage=received_voltage - refused['voltage'].total(),
             used=self.used - used,
             waiting=self.waiting,
             restarts=self.restarts,
@@ -294,13 +312,13 @@ class Pairing:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
         return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
 
-    def _order(self, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
+    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
             return self.restart()
-        self.rejected[Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
+        self.refused[signal][Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
         return None
 
     def _complete(self, known_until_ns: int) -> list[Sample]:

@@ -123,26 +123,3 @@ def integrated_regressors(
     start = white_box.drive(voltage_v, state[..., :-1], speed[..., :-1])
     end = white_box.drive(voltage_v, state[..., 1:], speed[..., 1:])
     return np.stack(columns, axis=-1), 0.5 * interval_s * (start + end)
-
-
-def steady_state(white_box: WhiteBox, theta: Any, voltage_v: Any, speed_rad_s: Any, iterations: int = 12) -> Any:
-    """Current at which the voltage balances (``di/dt = 0``), by damped Newton steps; arrays and tensors alike.
-
-    Args:
-        white_box: the physics.
-        theta: shape (..., parameter).
-        voltage_v: held voltage, any shape that ``theta[..., 0]`` broadcasts against.
-        speed_rad_s: measured speed.
-        iterations: the quadratic of the thesis is solved to rounding by 8.
-    """
-    state = voltage_v / (theta[..., 1] + 0.0 * voltage_v) if len(white_box.parameters) > 1 else 0.0 * voltage_v
-    for _ in range(iterations):
-        speed = white_box.speed(state, speed_rad_s)
-        gap = white_box.drive(voltage_v, state, speed)
-        slope = -white_box.drive_slope(state, speed)
-        phis, slopes = white_box.basis(state, speed), white_box.basis_slope(state, speed)
-        for j, (phi, phi_slope) in enumerate(zip(phis, slopes, strict=True), start=1):
-            gap = gap - theta[..., j] * phi
-            slope = slope + theta[..., j] * phi_slope
-        state = state + gap / slope
-    return state

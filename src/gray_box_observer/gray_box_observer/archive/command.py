@@ -1,0 +1,157 @@
+"""``identify --each``: the part of the offline command that reads every bag by itself."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TextIO
+
+from gray_box_observer.archive.bag_work import BagResult, BagWork
+from gray_box_observer.archive.dask_engine import DaskEngine, require_dask
+from gray_box_observer.archive.discovery import find_bags
+from gray_box_observer.archive.options import DEFAULT_RETRIES, EXIT_INTERRUPTED, EXIT_SOME_FAILED
+from gray_box_observer.archive.serial_engine import SerialEngine
+from gray_box_observer.archive.table import require_pyarrow, write_table
+from gray_box_observer.archive.trends import digest_of, gather
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.outputs import refuse_unwritable, write_json
+from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.report.trend import ArchiveHistory, MotorTrend
+from gray_box_observer.report.trend_page import drift_words, write_trend_report
+
+_INTERRUPTED = 'interrupted before it was read'
+
+
+def run(options: argparse.Namespace, configuration: Configuration) -> int:
+    """Identify every bag by itself and write what was asked for; the result is the exit code.
+
+    Raises:
+        GrayBoxError: input that cannot be used at all: no bag, no engine, a result that could not be written.
+    """
+    if options.truth:
+        raise GrayBoxError('--truth is of one recording; it does not go with --each, --engine and --table')
+    engine = _engine(options)
+    for target, makes_folders in ((options.table, True), (options.report, True), (_json_file(options), False)):
+        if target is not None:
+            refuse_unwritable(target, makes_folders=makes_folders)
+    bags = find_bags(options.bags)
+    training = None if options.skip_predictor else InlineTraining
+    found: dict[int, BagResult] = {}
+    is_interrupted = False
+    with _progress(len(bags)) as count:
+        try:
+            for index, result in engine.run(BagWork(configuration, training), bags):
+                found[index] = result
+                count(result)
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            is_interrupted = True
+    results = [found.get(k) or BagResult(str(bag), error=_INTERRUPTED) for k, bag in enumerate(bags)]
+    _tell(options, results)
+    if is_interrupted:
+        print(f'identify: interrupted; {len(found)} of {len(bags)} bags were read', file=sys.stderr)
+        return EXIT_INTERRUPTED
+    return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
+
+
+def _engine(options: argparse.Namespace) -> SerialEngine | DaskEngine:
+    """Make the engine, and say before the work what is missing for it and for the results."""
+    if options.table is not None:
+        require_pyarrow()
+    if options.report is not None:
+        from gray_box_observer.report import require_plotly
+
+        require_plotly()
+    if options.engine != 'dask':
+        return SerialEngine()
+    require_dask()
+    return DaskEngine(
+        options.scheduler, options.workers, DEFAULT_RETRIES if options.retries is None else options.retries
+    )
+
+
+def _json_file(options: argparse.Namespace) -> Path | None:
+    return None if options.json in (None, '-') else Path(options.json)
+
+
+def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
+    """Write what was asked for, and say what went wrong."""
+    for result in results:
+        if result.error not in (None, _INTERRUPTED):
+            print(f'identify: {_named(result)}', file=sys.stderr)
+    warned = sum(bool(result.warnings) for result in results)
+    if warned:
+        print(f'identify: warning: {warned} bags have warnings; --table and --json say which', file=sys.stderr)
+    motors, digest = gather(results), digest_of(results)
+    if options.table is not None:
+        write_table(results, options.table)
+    if options.json:
+        write_json({'bags': [result.to_dict() for result in results], 'digest': digest}, options.json)
+    if options.report is not None:
+        write_trend_report(_history(options, results, motors, digest), options.report)
+    if options.json != '-':
+        _print_trends(results, motors, sys.stdout)
+
+
+def _named(result: BagResult) -> str:
+    """The error of a bag in one line that names the bag once."""
+    error = result.error or ''
+    return error if error.startswith(result.bag) else f'{result.bag}: {error}'
+
+
+def _history(
+    options: argparse.Namespace, results: Sequence[BagResult], motors: tuple[MotorTrend, ...], digest: str
+) -> ArchiveHistory:
+    failed = {result.bag: result.error for result in results if result.error is not None}
+    places = [str(place) for place in options.bags]
+    samples = sum(motor['samples'] for result in results for motor in result.motors.values())
+    hours = sum(max((m['duration_s'] for m in r.motors.values()), default=0.0) for r in results) / 3600.0
+    return ArchiveHistory(
+        title=f'Trends of {len(motors)} motors' if len(motors) != 1 else f'Trends of {motors[0].name}',
+        source=places,
+        created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        motors=motors,
+        failed=failed,
+        summary={'bags': len(results), 'without result': len(failed), 'samples': samples, 'hours': round(hours, 2)},
+        command=' '.join(['identify --each', *(shlex.quote(place) for place in places), '--report', 'FILE.html']),
+        digest=digest,
+    )
+
+
+def _print_trends(results: Sequence[BagResult], motors: Sequence[MotorTrend], stream: TextIO) -> None:
+    failed = sum(result.error is not None for result in results)
+    print(f'{len(results)} bags, {failed} without result', file=stream)
+    for motor in motors:
+        print(f'{motor.name}: {len(motor.parameters[0].value)} bags', file=stream)
+        for trend in motor.parameters:
+            value, std = trend.value[-1], trend.std[-1]
+            told = f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} in the last'
+            print(f'  {told}; change: {drift_words(trend.drift())}', file=stream)
+
+
+@contextmanager
+def _progress(total: int) -> Iterator[Callable[[BagResult], object]]:
+    """Show a bar of the bags read, where somebody watches."""
+    if not sys.stderr.isatty():
+        yield lambda result: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=total, unit=' bags', file=sys.stderr, leave=False) as bar:
+        failed = 0
+
+        def count(result: BagResult) -> None:
+            nonlocal failed
+            if result.error is not None:
+                failed += 1
+                bar.set_postfix_str(f'{failed} without result', refresh=False)
+            bar.update()
+
+        yield count

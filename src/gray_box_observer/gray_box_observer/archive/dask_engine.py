@@ -1,0 +1,187 @@
+"""Bags spread over the processes of a Dask cluster: one of this machine's own, or one that is there already.
+
+Workers are processes of one thread each, so that a worker never holds more than one bag, and only a few chunks of that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import gray_box_observer
+from gray_box_observer.archive import worker_setup
+from gray_box_observer.archive.bag_work import BagResult
+from gray_box_observer.archive.options import DEFAULT_RETRIES
+from gray_box_observer.archive.serial_engine import Work
+from gray_box_observer.errors import GrayBoxError
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+CONNECT_TIMEOUT_S = 15.0
+WORKER_TIMEOUT_S = 60.0
+_ADDRESS = re.compile(r'((tcp|tls|wss?)://)?[^/\s]+:\d{1,5}')
+
+
+def require_dask() -> None:
+    """Say before a run that it could not be spread; loads nothing.
+
+    Raises:
+        GrayBoxError: dask.distributed is not installed.
+    """
+    if find_spec('distributed') is None:
+        raise GrayBoxError('--engine dask needs dask.distributed, which is not installed: pip install distributed')
+
+
+@dataclass(frozen=True, slots=True)
+class DaskEngine:
+    """Spreads bags over a Dask cluster.
+
+    Attributes:
+        scheduler: address of an existing cluster's scheduler, such as ``tcp://host:8786``; None: a cluster of this
+            machine's own, which ends with the run.
+        workers: processes of the own cluster; None: one a core that this process may use.
+        retries: how often a bag is taken up again after its worker died, in the own cluster; an existing one has a
+            setting of its own (``distributed.scheduler.allowed-failures``).
+    """
+
+    scheduler: str | None = None
+    workers: int | None = None
+    retries: int = DEFAULT_RETRIES
+
+    name = 'dask'
+
+    def run(self, work: Work, bags: Sequence[Path]) -> Iterator[tuple[int, BagResult]]:
+        """Yield the place of every bag in ``bags`` and what it has given, as they come.
+
+        When a worker dies, every bag that stood in its queue is under suspicion. Those that stay so are read once more
+        when the others are done, one at a time: what then dies again has only itself to blame.
+
+        Args:
+            work: what is done with a bag; it is sent to the workers.
+            bags: absolute paths that every worker can read.
+
+        Raises:
+            GrayBoxError: no cluster, no worker in it, or workers that run another program.
+        """
+        with ExitStack() as stack:
+            client = self._connect(stack)
+            _check_workers(client)
+            suspects: list[int] = []
+            for index, result in _spread(client, work, bags, range(len(bags))):
+                if result is None:
+                    suspects.append(index)
+                else:
+                    yield index, result
+            for suspect in sorted(suspects):
+                for index, result in _spread(client, work, bags, [suspect]):
+                    yield index, result or BagResult(str(bags[index]), error=_DIED)
+
+    def _connect(self, stack: ExitStack) -> Client:
+        from distributed import Client
+
+        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
+            raise GrayBoxError(
+                f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786'
+            )
+        address = self._own_cluster(stack) if self.scheduler is None else self.scheduler
+        try:
+            client: Client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
+            client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
+        except (TimeoutError, asyncio.TimeoutError, OSError, ValueError) as error:
+            where = 'its own Dask cluster' if self.scheduler is None else f'the Dask cluster at {self.scheduler}'
+            reason = ' '.join(str(error).split()) or 'no answer'
+            raise GrayBoxError(f'{where} cannot be used: {reason}') from error
+        return client
+
+    def _own_cluster(self, stack: ExitStack) -> Any:
+        """Start a cluster that only this machine can reach; its processes end with the stack."""
+        import dask
+        from distributed import LocalCluster
+
+        stack.enter_context(dask.config.set({'distributed.worker.profile.enabled': False}))  # costs some percent
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='identify-', ignore_cleanup_errors=True))
+        return stack.enter_context(
+            LocalCluster(
+                n_workers=self.workers or len(os.sched_getaffinity(0)),
+                threads_per_worker=1,
+                processes=True,
+                host='127.0.0.1',
+                dashboard_address='127.0.0.1:0',
+                local_directory=folder,
+                preload=[worker_setup.__name__],
+                silence_logs=logging.CRITICAL,  # what becomes of a bag is told in its row
+                scheduler_kwargs={'allowed_failures': self.retries},
+            )
+        )
+
+
+_DIED = 'its worker process died again and again while reading it (out of memory?)'
+_LOST = 'the connection to the Dask scheduler was lost before it was read'
+
+
+def _spread(
+    client: Client, work: Work, bags: Sequence[Path], chosen: Sequence[int]
+) -> Iterator[tuple[int, BagResult | None]]:
+    """Let the workers read the chosen bags; None for one whose worker died too often."""
+    from distributed import as_completed
+    from distributed.scheduler import KilledWorker
+
+    futures = client.map(work, [bags[index] for index in chosen], pure=False)
+    places: dict[Future[BagResult], int] = dict(zip(futures, chosen, strict=True))
+    del futures  # what is done may be forgotten
+    for future in as_completed(list(places), loop=client.loop):
+        index = places.pop(future)
+        if future.status == 'finished':
+            yield index, future.result()
+        elif future.status == 'error':
+            error = future.exception()
+            if isinstance(error, KilledWorker):
+                yield index, None
+            else:  # what can neither be sent nor be imported there
+                yield index, BagResult(str(bags[index]), error=' '.join(f'{type(error).__name__}: {error}'.split()))
+        else:
+            yield index, BagResult(str(bags[index]), error=_LOST)
+
+
+def program() -> tuple[str, str]:
+    """Return what decides the bits of a result: a digest of this package's sources, and numpy's version."""
+    root = Path(gray_box_observer.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob('*.py')):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:12], np.__version__
+
+
+def _check_workers(client: Client) -> None:
+    """Refuse workers that would give other results than this process.
+
+    Raises:
+        GrayBoxError: a worker lacks the package, or has it or numpy in another version.
+    """
+    own = program()
+    try:
+        found = client.run(program)
+    except Exception as error:  # whatever a foreign environment makes of it
+        reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+        raise GrayBoxError(
+            f'the Dask workers cannot run this program: {reason}; install gray_box_observer there'
+        ) from error
+    for worker, theirs in found.items():
+        if theirs != own:
+            raise GrayBoxError(
+                f'the Dask worker {worker} runs gray_box_observer {theirs[0]} with numpy {theirs[1]}, '
+                f'this is {own[0]} with {own[1]}: install the same there, or the digests would differ'
+            )

@@ -1,0 +1,211 @@
+"""The files of a bag: found, opened one at a time, read piece by piece, and held against what is told of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO
+
+from gray_box_observer.bag.losses import UNFINISHED, Losses
+from gray_box_observer.bag.mcap_content import (
+    RawMessage,
+    Unreadable,
+    parse_definitions,
+    parse_messages,
+    read_records,
+)
+from gray_box_observer.bag.mcap_layout import Layout, Piece, walk
+from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, Definitions
+from gray_box_observer.bag.metadata import ListedFile, list_files
+from gray_box_observer.errors import BagError
+
+
+@dataclass(slots=True)
+class BagFile:
+    """One file of a bag: where it is, what stands in it, and what ``metadata.yaml`` tells of it."""
+
+    path: Path
+    layout: Layout
+    listed: ListedFile
+
+
+class BagFiles:
+    """The files of one bag.
+
+    Args:
+        path: A rosbag2 folder or a single MCAP file.
+        losses: Is told what cannot be read.
+
+    Raises:
+        BagError: There is no bag, or none of its files can be used.
+    """
+
+    def __init__(self, path: Path, losses: Losses) -> None:
+        self.path = path
+        self._losses = losses
+        self._opened: tuple[Path, BinaryIO] | None = None
+        self._is_closed = False
+        try:
+            listing = list_files(path)
+            losses.of_bag += listing.complaints
+            self.all = self._open_files(listing.files)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Release the file that is open; reading afterwards is an error."""
+        self._is_closed = True
+        if self._opened is not None:
+            self._opened[1].close()
+            self._opened = None
+
+    def read(self, file: BagFile, piece: Piece, topics: Collection[str] | None) -> list[RawMessage]:
+        """The messages of one piece in the order of the file; what cannot be read is noted.
+
+        Args:
+            file: The file.
+            piece: What of it.
+            topics: Names of the topics that are wanted; None for all.
+
+        Raises:
+            BagError: The file can no longer be read at all, or the bag is closed.
+        """
+        channels = file.layout.channels
+        wanted = channels
+        if topics is not None:
+            wanted = {number: channel for number, channel in channels.items() if channel.topic in topics}
+            if not wanted:
+                return []
+        try:
+            records = read_records(self._stream(file.path), piece)
+        except Unreadable as error:
+            self._damage(file, piece, piece.length, f'a damaged chunk at byte {piece.offset} ({error})')
+            return []
+        except OSError as error:
+            raise BagError(f'{file.path}: cannot be read: {error.strerror or error}') from None
+        found, left, orphans = parse_messages(records, channels, wanted)
+        if piece.is_cut:
+            self._damage(file, piece, left + END_BYTES, 'the file ends in the middle of a chunk')
+        elif left:
+            self._damage(file, piece, left, f'a malformed record in the chunk at byte {piece.offset}')
+        elif orphans:
+            self._damage(file, piece, 0, f'{orphans} messages of a topic that the file does not declare')
+        return found
+
+    def _damage(self, file: BagFile, piece: Piece, byte_count: int, what: str) -> None:
+        self._losses.damage(file.path, piece.offset, byte_count, what)
+
+    def count(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
+        """The messages of one file by topic; their first and last log times are added to the spans."""
+        counts = self._counted(file, spans)
+        self._compare(file, counts.total())
+        return counts
+
+    def _counted(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
+        """From the summary where it can be believed, else by reading."""
+        statistics, counts = file.layout.statistics, Counter[str]()
+        if statistics is None:
+            spans += self._count_by_reading(file, counts)
+        elif statistics.message_count:
+            spans.append((statistics.start_ns, statistics.end_ns))
+            for number, count in statistics.channel_message_counts.items():
+                if number in file.layout.channels:
+                    topic = file.layout.channels[number].topic
+                    counts[topic] += count
+        return counts
+
+    def _compare(self, file: BagFile, found: int) -> None:
+        """Say where a file holds something else than it should, and where it was never finished."""
+        layout, listed = file.layout, file.listed
+        expected = layout.expected
+        if expected is not None and found < expected.message_count:
+            what = f'{expected.message_count - found} of {expected.message_count} messages cannot be read'
+            self._losses.damage(file.path, layout.size, 0, what)
+        elif expected is not None and found > expected.message_count:
+            what = f'{found} messages are there, but only {expected.message_count} according to its summary'
+            self._losses.damage(file.path, layout.size, 0, what)
+        if layout.is_unfinished:
+            self._losses.damage(file.path, layout.size, 0, UNFINISHED)
+        elif not self._losses.has_damage(file.path):
+            if listed.message_count is not None and found < listed.message_count:
+                what = f'it holds {found} messages, but {listed.message_count} according to metadata.yaml'
+                self._losses.damage(file.path, layout.size, 0, what)
+            elif expected is not None and listed.message_count and listed.start_ns not in (None, expected.start_ns):
+                self._losses.damage(file.path, layout.size, 0, 'it does not begin when it should by metadata.yaml')
+
+    def _count_by_reading(self, file: BagFile, counts: Counter[str]) -> list[tuple[int, int]]:
+        """Count the messages of a file without a summary, and put the true times of its pieces in place."""
+        layout, definitions = file.layout, Definitions()
+        for piece in layout.pieces:
+            try:
+                parse_definitions(read_records(self._stream(file.path), piece), definitions)
+            except (Unreadable, OSError):
+                continue  # the second look below says so
+        layout.channels = definitions.channels | layout.channels
+        held: dict[Piece, Counter[str]] = {}
+        for piece in layout.pieces:
+            found = self.read(file, piece, None)
+            if found:
+                times = [message.log_time_ns for message in found]
+                true = replace(piece, start_ns=min(times), end_ns=max(times))
+                held[true] = Counter(message.topic for message in found)
+        self._leave_out_strangers(file, held)
+        layout.pieces = list(held)
+        for topics in held.values():
+            counts.update(topics)
+        self._losses.of_layout(file.path, layout)
+        return [(piece.start_ns, piece.end_ns) for piece in held]
+
+    def _leave_out_strangers(self, file: BagFile, held: dict[Piece, Counter[str]]) -> None:
+        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells of.
+
+        One wrong byte makes any record into such a message, and no checksum covers it.
+        """
+        expected = file.layout.expected
+        loose = {piece: counts.total() for piece, counts in held.items() if not piece.is_chunk}
+        in_chunks = sum(counts.total() for piece, counts in held.items() if piece.is_chunk)
+        if expected is not None and in_chunks == expected.message_count > 0:
+            for piece, count in loose.items():
+                what = f'{count} messages outside the chunks at byte {piece.offset} that the summary does not know'
+                self._damage(file, piece, piece.length, what)
+                del held[piece]
+
+    def _stream(self, path: Path) -> BinaryIO:
+        """The opened file; only one stands open at a time, for a bag may have thousands."""
+        if self._is_closed:
+            raise BagError(f'{self.path}: the bag is closed')
+        if self._opened is None or self._opened[0] != path:
+            stream = path.open('rb')
+            if self._opened is not None:
+                self._opened[1].close()
+            self._opened = (path, stream)
+        return self._opened[1]
+
+    def _open_files(self, listed: Collection[ListedFile]) -> list[BagFile]:
+        """Look at every file; one that cannot be used costs only itself, as long as another can be."""
+        files: list[BagFile] = []
+        refused: list[BagError] = []
+        for entry in listed:
+            try:
+                files.append(BagFile(entry.path, self._look_at(entry.path), entry))
+            except BagError as error:
+                refused.append(error)
+        if refused and not files:
+            raise refused[0]
+        self._losses.of_bag += [str(error) for error in refused]
+        return files
+
+    def _look_at(self, path: Path) -> Layout:
+        try:
+            size = path.stat().st_size
+            if not size:
+                raise BagError(f'{path} is empty')
+            stream = self._stream(path)
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise BagError(f"{path} is no MCAP file; another kind of bag can be converted with 'ros2 bag convert'")
+            return walk(stream, size)
+        except OSError as error:
+            raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

@@ -1,0 +1,46 @@
+"""Parameters of the observer that a bag carries in its metadata, because what is in the bag was made with them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gray_box_observer.bag.metadata import list_files
+from gray_box_observer.errors import BagError
+
+_KEY = 'gray_box_observer.parameters'
+
+
+def to_custom_data(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """Parameters by their dotted names as ``custom_data`` of a bag."""
+    return {_KEY: json.dumps(parameters)}
+
+
+def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
+    """The parameters that bags carry, by their dotted names; none where they carry none.
+
+    Raises:
+        BagError: A bag cannot be read, or two of them carry different values.
+    """
+    carried: dict[str, Any] = {}
+    for bag in bags:
+        for name, value in _of(bag).items():
+            if name == 'motors':
+                known = carried.setdefault(name, [])
+                known += [motor for motor in value if motor not in known]
+            elif carried.setdefault(name, value) != value:
+                raise BagError(f'{bag}: {name} is {value!r}, but {carried[name]!r} in another bag; identify each alone')
+    return carried
+
+
+def _of(bag: Path) -> dict[str, Any]:
+    text = list_files(bag).custom_data.get(_KEY, '{}')
+    try:
+        loaded = json.loads(text)
+    except (ValueError, RecursionError):
+        loaded = None
+    if not isinstance(loaded, dict) or not isinstance(loaded.get('motors', []), list):
+        raise BagError(f'{bag}: {_KEY} in its metadata cannot be understood; remove it there')
+    return loaded

@@ -1,0 +1,53 @@
+"""What ``identify`` makes of its options before it begins to work, and what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import GrayBoxError
+
+if TYPE_CHECKING:  # only logs need it
+    from gray_box_observer.bag.csv_mapping import CsvMapping
+
+
+def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) -> Configuration:
+    """Configure the observer by what the parameter file gives, and else by what the data were made with.
+
+    Args:
+        given: By the parameter file.
+        told: By the data, such as the constant with which current became torque.
+        teller: Who tells it, for messages.
+
+    Raises:
+        GrayBoxError: A value cannot be used, or the two contradict each other. They do where torque would be read with
+            another torque constant than it was made with, which makes every parameter wrong by their ratio, and where
+            the motors have other names.
+    """
+    motors = given.get('motors', told.get('motors'))
+    names = {} if motors is None else {'motors': motors}
+    named = Configuration.from_flat({**names, **given})
+    others = [str(name) for name in told.get('motors', [])]
+    if others and not any(name in named.motors for name in others):
+        raise GrayBoxError(
+            f'motors are {", ".join(others)} by {teller}, but {", ".join(named.motors)} by the parameter file: '
+            "call them alike, such as by 'motor=NAME' among --columns"
+        )
+    constants = {name: value for name, value in told.items() if name.partition('.')[0] in named.motors}
+    for name, value in constants.items():
+        if given.get(name, value) != value:
+            raise GrayBoxError(f'{name} is {value} by {teller}, but {given[name]} by the parameter file: leave one out')
+    return Configuration.from_flat({**names, **constants, **given})
+
+
+def read_mapping(words: Sequence[str]) -> CsvMapping:
+    """What the columns of a CSV log are, said in words or by the name of one YAML file.
+
+    Raises:
+        BagError: They say nothing that can be used.
+    """
+    from gray_box_observer.bag.csv_mapping import CsvMapping
+
+    is_file = len(words) == 1 and '=' not in words[0]
+    return CsvMapping.from_yaml(words[0]) if is_file else CsvMapping.from_options(words)

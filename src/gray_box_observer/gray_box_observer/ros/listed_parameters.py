@@ -1,0 +1,43 @@
+"""Parameters of a node that are declared as a list: on the node, read-only, and in the text of its ``--help``."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rclpy.node import Node
+
+from gray_box_observer.parameters import ParameterSpec
+from gray_box_observer.ros.parameters import describe
+
+
+def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Declare every parameter and return the values by name.
+
+    Args:
+        node: Where they are declared.
+        specs: The parameters.
+        preceding: Values that precede the given ones, such as those of the command line.
+
+    Raises:
+        ConfigurationError: a value of the wrong type or out of its range.
+    """
+    given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
+    given.update(preceding or {})
+    values = {spec.name: spec.check(given.get(spec.name, spec.default)) for spec in specs}
+    for spec in specs:  # rclpy refuses 1 for 1.0, so what was checked is declared
+        node.declare_parameter(spec.name, values[spec.name], describe(spec), ignore_override=True)
+    return values
+
+
+def help_text(specs: Sequence[ParameterSpec]) -> str:
+    """What ``--help`` says of the parameters."""
+    width = max(len(spec.name) for spec in specs) + 4
+    lines = [
+        textwrap.fill(
+            spec.description, 110, initial_indent=f'  {spec.name}'.ljust(width), subsequent_indent=' ' * width
+        )
+        for spec in specs
+    ]
+    return 'parameters (--ros-args -p NAME:=VALUE):\n' + '\n'.join(lines)

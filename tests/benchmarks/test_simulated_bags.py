@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from common.simulated_bags import write_bag
+
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.offline import run
+
+
+def test_the_same_seed_makes_the_same_bag_and_another_one_another(tmp_path: Path) -> None:
+    for name, seed in (('a', 1), ('b', 1), ('c', 2)):
+        write_bag(tmp_path / name / 'bag', seed, 2.0, start_ns=10**18)
+    first, second, other = (next((tmp_path / name).rglob('*.mcap')).read_bytes() for name in 'abc')
+    assert first == second != other
+
+
+def test_a_bag_is_of_the_motor_that_was_asked_for(tmp_path: Path) -> None:
+    write_bag(tmp_path / 'bag', 1, 20.0, start_ns=10**18, resistance=2.0)
+    outcome = run([tmp_path / 'bag'], Configuration.from_flat({}), None)
+    assert outcome.first_ns == {'motor': 10**18}
+    assert outcome.observer.pairing['motor'].used == 2000
+    np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 2.0, 10.0]], rtol=0.02)

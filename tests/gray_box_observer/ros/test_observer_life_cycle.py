@@ -1,0 +1,216 @@
+"""Every transition of the observer's life cycle, with what it must leave behind, and its end under load."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import psutil
+import pytest
+import rclpy
+from lifecycle_msgs.msg import State, Transition
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Float64, Float64MultiArray
+from std_srvs.srv import SetBool, Trigger
+
+from gray_box_observer.ros.observer_node import ObserverNode
+from gray_box_observer.ros.running import Stop
+
+pytestmark = pytest.mark.system
+
+EXCITATION = 'R[5,15]D[0.1,1]'
+INITIAL = {'inductance': 1.5, 'resistance': 3.0, 'hysteresis': 1.0}
+START_NS = 1_000_000_000
+END_S = 5.0
+"""A node that is asked to end has done so after this time."""
+
+CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
+ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
+SHUTDOWN = {
+    State.PRIMARY_STATE_UNCONFIGURED: Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    State.PRIMARY_STATE_INACTIVE: Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    State.PRIMARY_STATE_ACTIVE: Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+
+
+@pytest.mark.parametrize(
+    ('steps', 'state', 'words'),
+    [
+        ([], State.PRIMARY_STATE_UNCONFIGURED, 'unconfigured: configure the node'),
+        ([CONFIGURE], State.PRIMARY_STATE_INACTIVE, 'inactive: activate the node'),
+        ([CONFIGURE, ACTIVATE], State.PRIMARY_STATE_ACTIVE, 'nothing received'),
+        ([CONFIGURE, ACTIVATE, DEACTIVATE], State.PRIMARY_STATE_INACTIVE, 'inactive: activate the node'),
+        ([CONFIGURE, CLEANUP], State.PRIMARY_STATE_UNCONFIGURED, 'unconfigured: configure the node'),
+    ],
+)
+def test_from_every_state_it_is_told_what_to_do_and_can_be_shut_down(rig, steps, state, words):
+    rig.start(autostart='false')
+    for step in steps:
+        assert rig.change(step)
+    assert rig.lifecycle_state() == state
+    rig.wait_for_level(b'\x03', words)
+    assert rig.change(SHUTDOWN[state])
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_FINALIZED
+    rig.wait_for_level(b'\x03', 'finalized: start the node anew')
+    assert not rig.change(CONFIGURE)
+    assert rig.call(Trigger, 'reset').success is False
+    assert rig.call(Trigger, 'save').success is False
+    code, _, said = rig.peer.end(rig.process)
+    assert (code, 'rror' in said) == (0, False)
+
+
+def test_transitions_that_do_not_exist_change_nothing(rig):
+    rig.start(autostart='false')
+    for step in (ACTIVATE, DEACTIVATE, CLEANUP):
+        assert not rig.change(step)
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+    assert rig.change(CONFIGURE)
+    assert not rig.change(CONFIGURE)
+    assert rig.lifecycle_state() == State.PRIMARY_STATE_INACTIVE
+
+
+def test_a_transition_that_fails_for_a_reason_tells_it_and_can_be_tried_again(rig):
+    rig.start(
+        '--ros-args',
+        '-p',
+        'autostart:=false',
+        '-p',
+        'qos_overrides./motor/torque.subscription.reliability:=mostly',
+    )
+    for _ in range(2):
+        assert rig.change(CONFIGURE)
+        assert not rig.change(ACTIVATE)
+        assert rig.lifecycle_state() == State.PRIMARY_STATE_UNCONFIGURED
+        assert rig.peer.node.count_subscribers('/motor/voltage') == 0
+    said = rig.peer.end(rig.process)[2]
+    assert said.count('could not activate: quality of service of motor/torque: ') == 2
+
+
+@pytest.fixture
+def node(peer) -> Iterator[Callable[..., ObserverNode]]:
+    """Make an observer in the test's own process, to break it from inside."""
+    made: list[ObserverNode] = []
+    rclpy.init(domain_id=peer.domain, args=['--ros-args', '-p', 'predictor:=false', '-p', 'autostart:=false'])
+
+    def make() -> ObserverNode:
+        made.append(ObserverNode(Stop()))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+        one.destroy_node()
+    rclpy.shutdown()
+
+
+def broken(*_: Any) -> None:
+    raise ArithmeticError('a defect')
+
+
+TRANSITIONS = {
+    'configure': ([], '_begin'),
+    'activate': (['configure'], '_announce'),
+    'deactivate': (['configure', 'activate'], '_rest'),
+    'cleanup': (['configure'], '_drop_observer'),
+    'shutdown': (['configure', 'activate'], '_end'),
+}
+
+
+@pytest.mark.parametrize('transition', list(TRANSITIONS))
+def test_a_defect_in_any_transition_leads_back_to_unconfigured_and_from_there_on(node, transition, monkeypatch, capfd):
+    """Every action of a transition fails with what is no expected error; afterwards the node must work."""
+    before, action = TRANSITIONS[transition]
+    one = node()
+    for step in before:
+        assert getattr(one, f'trigger_{step}')() == TransitionCallbackReturn.SUCCESS
+    with monkeypatch.context() as patch:
+        patch.setattr(one, action, broken)
+        assert getattr(one, f'trigger_{transition}')() == TransitionCallbackReturn.ERROR
+    assert one._state_machine.current_state[1] == 'unconfigured'
+    assert one.count_subscribers('/motor/voltage') == 0
+    verb = {'cleanup': 'clean up', 'shutdown': 'shut down'}.get(transition, transition)
+    said = capfd.readouterr().err
+    assert f'could not {verb}: Traceback' in said
+    assert 'ArithmeticError: a defect' in said
+    for step in ('configure', 'activate', 'deactivate', 'cleanup'):
+        assert getattr(one, f'trigger_{step}')() == TransitionCallbackReturn.SUCCESS
+
+
+def test_reset_publishes_at_once_what_is_known_then(rig, record):
+    recording = record(EXCITATION, 8.0)
+    rig.start()
+    rig.signals()
+    assert rig.estimates() == INITIAL, 'from the beginning'
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    assert rig.estimates() != INITIAL
+    assert rig.call(Trigger, 'reset').success
+    assert rig.estimates() == INITIAL
+    covariance = rig.latched(Float64MultiArray, 'motor/covariance').data
+    assert covariance[0] == pytest.approx((2.0 * 1.5) ** 2), 'as vague as recursive.prior_relative_std'
+
+
+def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):
+    """Freezing, thawing, saving, pausing and loading publish no value that was not learnt at that time."""
+    recording = record(EXCITATION, 12.0, torque_noise_relative=0.01)
+    rig.start(checkpoint__path=tmp_path / 'c')
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    every = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    heard = rig.peer.listen(Float64, '/gray_box_observer/motor/resistance', every)
+    rig.peer.wait(lambda: heard, 'the value so far')
+    learnt = heard[-1].data
+    for frozen in (True, False):
+        assert rig.call(SetBool, 'freeze', data=frozen).success
+    assert rig.call(Trigger, 'save').success
+    assert rig.change(DEACTIVATE)
+    assert rig.change(ACTIVATE)
+    rig.peer.wait(lambda: len(heard) >= 3, 'announcements')
+    assert {message.data for message in heard} == {learnt}
+    rig.send(recording, range(600, 800))
+    rig.wait_for(samples_used=800)
+    assert heard[-1].data != learnt
+    heard.clear()
+    assert rig.call(Trigger, 'load').success
+    rig.peer.wait(lambda: heard, 'what was loaded')
+    assert {message.data for message in heard} == {learnt}
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_node_soon_while_it_trains_and_a_thousand_samples_a_second_come(rig, record, number):
+    recording = record(EXCITATION, 60.0)
+    rig.start(predictor='true', training__core_share=1.0, training__period=32, training__start='fresh')
+    voltage, torque = rig.signals()
+    stop, sent = threading.Event(), []
+
+    def flood() -> None:
+        begin_s = time.monotonic()
+        for k in itertools.count():
+            if stop.wait(max(0.0, begin_s + 0.001 * k - time.monotonic())):
+                return
+            stamp_ns, column = START_NS + 1_000_000 * k, k % 6000
+            voltage.publish(rig.state('motor', stamp_ns, float(recording.voltage_v[0, column])))
+            torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, column])))
+            sent.append(k)
+
+    sender = threading.Thread(target=flood)
+    sender.start()
+    try:
+        rig.peer.wait(lambda: int(rig.values().get('samples used', 0)) > 500, 'samples')
+        rig.peer.wait(lambda: int(rig.values().get('training jobs done', 0)) > 0, 'training')
+        (child,) = rig.children()
+        before, asked_s = len(sent), time.monotonic()
+        code, _, said = rig.peer.end(rig.process, number)
+        assert time.monotonic() - asked_s < END_S
+        assert len(sent) > before, 'messages came to the end'
+    finally:
+        stop.set()
+        sender.join()
+    assert code == 0
+    assert 'error' not in said.lower()
+    assert not psutil.pid_exists(child.pid) or child.status() == psutil.STATUS_ZOMBIE

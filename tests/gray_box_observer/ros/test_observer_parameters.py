@@ -1,0 +1,180 @@
+"""Parameters of the observer as a process: described, refused as a set, changed while it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+
+from gray_box_observer.configuration import flatten
+from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
+from gray_box_observer.ros.topics import SIGNAL_QOS
+
+pytestmark = pytest.mark.system
+
+EXCITATION = 'R[5,15]D[0.1,1]'
+YAML = Path(__file__).resolve().parents[3] / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
+SPECS = {spec.name: spec for spec in OBSERVER_PARAMETERS} | {f'motor.{spec.name}': spec for spec in MOTOR_PARAMETERS}
+
+
+def message(name: str, value: Any) -> Parameter:
+    kinds = {
+        bool: ('bool_value', ParameterType.PARAMETER_BOOL),
+        int: ('integer_value', ParameterType.PARAMETER_INTEGER),
+        float: ('double_value', ParameterType.PARAMETER_DOUBLE),
+        str: ('string_value', ParameterType.PARAMETER_STRING),
+    }
+    field, kind = kinds[type(value)]
+    return Parameter(name=name, value=ParameterValue(type=kind, **{field: value}))
+
+
+def plain(value: ParameterValue) -> Any:
+    fields = ('bool', 'integer', 'double', 'string', 'byte_array', 'bool_array', 'integer_array', 'double_array')
+    found = getattr(value, f'{(*fields, "string_array")[value.type - 1]}_value')
+    return list(found) if value.type > ParameterType.PARAMETER_STRING else found
+
+
+def set_one(rig, name: str, value: Any) -> tuple[bool, str]:
+    result = rig.call(SetParameters, 'set_parameters', parameters=[message(name, value)]).results[0]
+    return result.successful, result.reason
+
+
+def set_all(rig, **values: Any) -> tuple[bool, str]:
+    parameters = [message(name.replace('__', '.'), value) for name, value in values.items()]
+    result = rig.call(SetParametersAtomically, 'set_parameters_atomically', parameters=parameters).result
+    return result.successful, result.reason
+
+
+def test_descriptors_values_file_and_declarations_agree(rig):
+    rig.start('--ros-args', '--params-file', str(YAML))
+    listed = rig.call(ListParameters, 'list_parameters').result.names
+    foreign = {'use_sim_time', 'start_type_description_service'}
+    own = [name for name in listed if name not in foreign and not name.startswith('qos_overrides.')]
+    assert sorted(own) == sorted(SPECS)
+    descriptors = rig.call(DescribeParameters, 'describe_parameters', names=own).descriptors
+    for described in descriptors:
+        spec = SPECS[described.name]
+        assert (described.description, described.read_only) == (spec.description, not spec.live), described.name
+        ranges = [*described.floating_point_range, *described.integer_range]
+        if ranges:
+            assert ranges[0].from_value == spec.minimum
+            assert spec.maximum is None or ranges[0].to_value == spec.maximum
+        else:
+            assert spec.minimum is None or spec.words or isinstance(spec.default, list), described.name
+    given = flatten(yaml.safe_load(YAML.read_text(encoding='utf-8'))['/**']['ros__parameters'])
+    values = rig.call(GetParameters, 'get_parameters', names=own).values
+    assert dict(zip(own, map(plain, values), strict=True)) == {**given, 'predictor': False}  # as the rig starts it
+
+
+def test_what_may_change_while_it_runs_takes_effect_and_nothing_learnt_is_lost(rig, record):
+    recording = record(EXCITATION, 12.0, torque_noise_relative=0.01)
+    rig.start(predictor='true', training__period=100000)
+    rig.send(recording, range(600))
+    rig.wait_for(samples_used=600)
+    before = rig.estimates()
+    heard = rig.peer.listen(Bool, '/gray_box_observer/motor/identified', SIGNAL_QOS)
+    assert set_one(rig, 'verdict.identified_relative_std', 1e-8) == (True, '')
+    rig.peer.wait(lambda: heard, 'the verdict under the new rule')
+    assert heard[-1].data is False
+    rig.wait_for(resistance_verdict='converging')
+    assert rig.estimates() == before
+    assert set_one(rig, 'verdict.identified_relative_std', 0.02)[0]
+    rig.wait_for(resistance_verdict='identified')
+    assert rig.values()['residual alarm'] == 'learning the residual'
+    assert set_one(rig, 'alarm.learn', 100) == (True, '')
+    rig.wait_for(residual_alarm='armed')
+    forecasts = rig.peer.listen(JointState, '/gray_box_observer/forecast_torque', SIGNAL_QOS)
+    assert set_one(rig, 'horizon_s', 0.5) == (True, '')
+    rig.send(recording, range(600, 700))
+    rig.wait_for(samples_used=700)
+    rig.peer.wait(lambda: forecasts, 'forecasts, though none were asked for at the start')
+    for name, value in (('training.core_share', 0.5), ('gap_s', 0.2), ('checkpoint.period_s', 1.0)):
+        assert set_one(rig, name, value) == (True, '')
+    rig.send(recording, [*range(700, 800), *range(830, 1000)])  # the hole is longer than the new gap_s
+    rig.wait_for(samples_used=970, pauses=1)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'reason'),
+    [
+        ('seed', 3, 'read-only'),
+        ('motor.torque_constant', 0.02, 'read-only'),
+        ('verdict.identified_relative_std', 0.5, 'must not be above verdict.excited_relative_std, got 0.5 and 0.3'),
+        ('verdict.identified_relative_std', 2.0, 'range'),
+        ('alarm.learn', 0, 'range'),
+        ('horizon_s', float('nan'), 'horizon_s'),
+        ('gap_s', 'long', 'type'),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_the_reason(rig, name, value, reason):
+    rig.start()
+    before = rig.call(GetParameters, 'get_parameters', names=[name]).values
+    successful, said = set_one(rig, name, value)
+    assert not successful
+    assert reason in said
+    assert '\n' not in said
+    assert rig.call(GetParameters, 'get_parameters', names=[name]).values == before
+
+
+def test_what_is_set_together_is_judged_together_and_taken_whole_or_not_at_all(rig):
+    rig.start()
+    names = ['verdict.identified_relative_std', 'verdict.excited_relative_std', 'gap_s']
+
+    def values() -> list[float]:
+        return [v.double_value for v in rig.call(GetParameters, 'get_parameters', names=names).values]
+
+    successful, reason = set_all(
+        rig, gap_s=2.0, verdict__identified_relative_std=0.5, verdict__excited_relative_std=0.4
+    )
+    assert not successful
+    assert 'must not be above' in reason
+    assert values() == [0.02, 0.3, 0.5]
+    together = {'gap_s': 2.0, 'verdict__identified_relative_std': 0.5, 'verdict__excited_relative_std': 0.8}
+    assert set_all(rig, **together) == (True, '')
+    assert values() == [0.5, 0.8, 2.0]
+
+
+def test_a_horizon_that_the_variant_does_not_have_is_refused_while_it_runs_too(rig):
+    rig.start(variant='main')
+    successful, reason = set_one(rig, 'horizon_s', 1.0)
+    assert not successful
+    assert 'horizon_s must be 0 with variant main' in reason
+
+
+HOSTILE = [
+    Parameter(name='gap_s'),  # of no type: asks for it to be deleted
+    Parameter(name='checkpoint.path'),
+    Parameter(name='freeze'),
+    Parameter(name='motor', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
+    Parameter(name='größe.🤖', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
+    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0])),
+    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=-1e300)),
+    Parameter(name='alarm.learn', value=ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=-(2**63))),
+    *(
+        Parameter(name='checkpoint.path', value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text))
+        for text in ('a' * 5000, 'a/' * 5000 + 'b', '~root/x/..', '/', '.', ' /../x')
+    ),
+]
+
+
+def test_nothing_that_is_set_from_outside_ends_the_node(rig, record):
+    rig.start()
+    before = rig.call(GetParameters, 'get_parameters', names=sorted(SPECS)).values
+    for parameter in HOSTILE:
+        for kind, service in (
+            (SetParameters, 'set_parameters'),
+            (SetParametersAtomically, 'set_parameters_atomically'),
+        ):
+            answer = rig.call(kind, service, parameters=[parameter])
+            results = answer.results if kind is SetParameters else [answer.result]
+            assert [result.successful for result in results] == [False], parameter
+            assert results[0].reason, parameter
+    assert rig.call(GetParameters, 'get_parameters', names=sorted(SPECS)).values == before
+    rig.send(record(EXCITATION, 8.0), range(100))
+    rig.wait_for(samples_used=100)

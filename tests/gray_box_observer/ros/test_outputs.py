@@ -1,0 +1,61 @@
+"""What goes out, and how often."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.observer import Result
+from gray_box_observer.ros.outputs import Outputs
+
+
+class Node:
+    """Keeps what its publishers are given."""
+
+    def __init__(self) -> None:
+        self.sent = []
+
+    def create_lifecycle_publisher(self, kind, topic, qos, **_):
+        """Make one that only remembers."""
+        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)))
+
+
+def predicted(node: Node) -> list[tuple[int, float]]:
+    messages = [m for _, m in node.sent if isinstance(m, JointState)]
+    return [(m.header.stamp.nanosec, m.effort[0]) for m in messages]
+
+
+def result(stamp_ns: int, torque_nm: float):
+    sample, prediction = SimpleNamespace(stamp_ns=stamp_ns), SimpleNamespace(torque_nm=np.array([torque_nm]))
+    return Result('motor', sample, prediction, None)
+
+
+def test_a_stamp_is_predicted_once_though_voltages_come_in_a_bunch_before_their_torques():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for stamp_ns in (1, 2, 3, 3):
+        outputs.prediction('motor', stamp_ns, 0.1 * stamp_ns)
+    outputs.results([result(1, 1.0), result(2, 2.0)])
+    outputs.results([result(3, 3.0), result(4, 4.0)])  # the voltage of the fourth came after its torque
+    assert [stamp for stamp, _ in predicted(node)] == [1, 2, 3, 4]
+    assert predicted(node)[-1] == (4, 4.0)
+
+
+def test_stamps_that_come_again_after_a_clock_was_set_back_are_predicted_again():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for _ in range(2):
+        outputs.prediction('motor', 1, 0.5)
+        outputs.results([result(1, 0.5)])
+    assert [stamp for stamp, _ in predicted(node)] == [1, 1]
+
+
+def test_what_is_not_finite_is_no_prediction():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    outputs.prediction('motor', 1, np.nan)
+    outputs.results([result(1, np.nan), result(2, 0.2)])
+    assert predicted(node) == [(2, 0.2)]
