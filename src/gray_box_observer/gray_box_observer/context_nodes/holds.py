@@ -176,9 +176,9 @@ class Holds:
         f = int(np.sum(free))
         order = np.argsort(~free, kind='stable')  # what is free first
         back, kept = np.argsort(order), order[f:] - 1
-        covariance = belief.covariance[:, order][:, :, order]
-        a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
-        marginal = held.covariance[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
+        covariance = _permuted(belief.covariance, order)
+        a = np.ascontiguousarray(np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2))
+        marginal = _permuted(held.covariance, kept) / belief.noise[:, None, None] ** 2
         joint = np.zeros_like(covariance)
         joint[:, f:, f:] = marginal
         joint[:, :f, f:] = a @ marginal
@@ -186,7 +186,7 @@ class Holds:
         joint[:, :f, :f] = covariance[:, :f, :f] + a @ (joint[:, f:, :f] - covariance[:, f:, :f])
         moved = np.log(held.p[:, kept] / belief.p[:, kept])
         shift = np.concatenate([(a @ moved[..., None])[..., 0], moved], axis=1)[:, back]
-        joint = joint[:, back][:, :, back]
+        joint = _permuted(joint, back)
         restored = replace(
             belief,
             state=belief.state + shift[:, 0] * belief.current_a,
@@ -194,6 +194,12 @@ class Holds:
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
         return belief.overwritten(restored, which & restored.finite)
+
+
+def _permuted(covariance: Array, order: NDArray[np.intp]) -> Array:
+    """Rows and columns in another order; in memory too, for matrix products round by it, and groups as single motors do."""
+    permuted: Array = np.ascontiguousarray(covariance[:, order[:, None], order])
+    return permuted
 
 
 def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:
