@@ -197,7 +197,7 @@ class Holds:
 
 
 def _permuted(covariance: Array, order: NDArray[np.intp]) -> Array:
-    """Rows and columns in another order; in memory too, for matrix products round by it, and groups as single motors do."""
+    """Rows and columns in another order, in memory too: products round by it, and must do so in groups as alone."""
     permuted: Array = np.ascontiguousarray(covariance[:, order[:, None], order])
     return permuted
 
