@@ -71,6 +71,6 @@ def test_simulator_and_observer_follow_the_same_rule():
 
 def test_scripts_that_start_nodes_keep_them_on_this_host():
     """Demo, benchmarks and tests set the range for the processes they start themselves."""
-    for path in ('ros_ws/demo.py', 'benchmarks/live.py', 'tests/conftest.py'):
+    for path in ('ros_ws/demo.py', 'benchmarks/common/live/processes.py', 'tests/conftest.py'):
         text = (ROOT / path).read_text(encoding='utf-8')
         assert f"'{RANGE}'" in text and "'LOCALHOST'" in text, path

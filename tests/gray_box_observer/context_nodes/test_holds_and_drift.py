@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveRules, RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveRules, RecursiveUpdate
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -73,23 +73,6 @@ def test_a_warming_winding_is_still_followed_through_a_long_hold(
     after = teach(nodes, warm)[-1]
     assert abs(after.value[0, R] - 1.2) < 0.01
     assert abs(after.value[0, K_HS] - before.value[0, K_HS]) < before.std[0, K_HS]
-
-
-@pytest.mark.parametrize('volt', [2, 10, 30])
-@pytest.mark.parametrize('seed', range(6))
-def test_a_motor_that_was_at_rest_from_the_first_is_never_called_identified(
-    thesis_box: MotorWhiteBox,
-    record: Callable[..., Recording],
-    samples_of: Callable[..., Samples],
-    volt: int,
-    seed: int,
-) -> None:
-    settled = samples_of(record(f'C[{volt}]', 40.0, seed, torque_noise_relative=0.01))[3000:]
-    nodes = RecursiveUpdate(thesis_box, np.array([[1.5, 3.0, 1.0]]))
-    for estimate in teach(nodes, settled):
-        assert Verdict.IDENTIFIED not in estimate.verdicts[0]
-        assert [estimate.verdicts[0][j] for j in (L, K_HS)] == [Verdict.UNEXCITED] * 2
-    assert nodes.alarms == 0
 
 
 @pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]'])

@@ -37,7 +37,7 @@ def test_a_stamp_is_predicted_once_though_voltages_come_in_a_bunch_before_their_
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
     for stamp_ns in (1, 2, 3, 3):
-        outputs.prediction('motor', stamp_ns, 0.1 * stamp_ns)
+        outputs.prediction(('motor',), stamp_ns, np.array([0.1 * stamp_ns]))
     outputs.results([result(1, 1.0), result(2, 2.0)])
     outputs.results([result(3, 3.0), result(4, 4.0)])  # the voltage of the fourth came after its torque
     assert [stamp for stamp, _ in predicted(node)] == [1, 2, 3, 4]
@@ -48,7 +48,7 @@ def test_stamps_that_come_again_after_a_clock_was_set_back_are_predicted_again()
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
     for _ in range(2):
-        outputs.prediction('motor', 1, 0.5)
+        outputs.prediction(('motor',), 1, np.array([0.5]))
         outputs.results([result(1, 0.5)])
     assert [stamp for stamp, _ in predicted(node)] == [1, 1]
 
@@ -56,6 +56,6 @@ def test_stamps_that_come_again_after_a_clock_was_set_back_are_predicted_again()
 def test_what_is_not_finite_is_no_prediction():
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
-    outputs.prediction('motor', 1, np.nan)
+    outputs.prediction(('motor',), 1, np.array([np.nan]))
     outputs.results([result(1, np.nan), result(2, 0.2)])
     assert predicted(node) == [(2, 0.2)]

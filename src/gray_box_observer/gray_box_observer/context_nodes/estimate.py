@@ -61,39 +61,6 @@ class Estimate:
         return all(verdict is Verdict.IDENTIFIED for verdict in self.verdicts[motor])
 
 
-LARGEST_VARIANCE = 4.0
-"""Of a logarithm (a factor of seven either way); what is wider is not known, and said to be no wider than that."""
-
-LOG_NORMAL = 0.3
-"""Relative standard deviation up to which a log-normal is as good as a normal distribution."""
-
-
-def honest_spread(value: Array, covariance: Array) -> Array:
-    """Turn the spread of logarithms into that of the values, where it is so wide that the two differ.
-
-    Along every principal axis of the relative covariance, a standard deviation s of the logarithm becomes that of a
-    log-normal, ``exp(s^2 / 2) sqrt(exp(s^2) - 1)``. What is known to a fraction stays as it is, and so do sharply
-    known combinations of vaguely known values. Without this, R would be called known where K_HS happens to be guessed
-    small: the share of the voltage that falls on it, and so the spread of R, would be as small as the guess.
-
-    Args:
-        value: shape (motor, parameter).
-        covariance: shape (motor, parameter, parameter): linearised, in the units of the values.
-    """
-    wide = np.any(np.diagonal(covariance, axis1=1, axis2=2) > (LOG_NORMAL * value) ** 2, axis=1)
-    wide &= np.isfinite(covariance).all(axis=(1, 2))
-    if not np.any(wide):
-        return covariance
-    unit = value[wide, :, None] * value[wide, None, :]
-    variance, axes = np.linalg.eigh(covariance[wide] / unit)
-    variance = np.maximum(variance, 0.0)
-    known = np.minimum(variance, LARGEST_VARIANCE)
-    spread = np.where(variance > LOG_NORMAL**2, np.exp(known) * np.expm1(known), variance)
-    honest = covariance.copy()
-    honest[wide] = (axes * spread[:, None, :]) @ np.swapaxes(axes, 1, 2) * unit
-    return honest
-
-
 @dataclass(frozen=True, slots=True)
 class VerdictRules:
     """When a parameter counts as identified.

@@ -4,11 +4,6 @@ In a long hold the torque tells one combination of the parameters, the static on
 independent samples it would make the observer sure of parameters that nothing excites. A winding warms meanwhile, so
 the level is allowed to tell what a warming winding changes, given the others; what is believed of these stays what it
 was when the hold began to be a mere level.
-
-What is known only vaguely is kept from the moment the transition is over: the recursion linearises block by block, each
-about a slightly different current, so that the one combination which the level tells seems to turn, and two directions
-that differ by noise alone would tell them apart. A fit has one linearisation for all its samples and is not deceived;
-so the next fit, not the level, has the word on what is vague.
 """
 
 from __future__ import annotations
@@ -19,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, Parameter
 
@@ -28,12 +22,6 @@ HOLD_TOLERANCE = 0.01
 
 SETTLED = 5.0
 """Time constants after which a transition tells nothing more."""
-
-VAGUE = 0.1
-"""Relative standard deviation beyond which a linearisation, block by block, is not to be trusted with a mere level."""
-
-NO_TRANSITION = 0.3
-"""Relative standard deviation of the leading coordinate (1/L): a fit that leaves more has seen no transition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,92 +81,36 @@ class Holds:
         away = np.fmax(high - held.level, held.level - low)
         same = away <= HOLD_TOLERANCE * largest
         if self._speed_measured:  # then a load excites too
-            same &= self._steady_speed(stretch)
+            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
+            same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
         held_s = np.where(same, held.held_s + np.sum(stretch.interval_s, axis=1), 0.0)
         level = np.where(same, held.level, stretch.voltage_v[:, -1])
         if not np.any(same):
             return replace(held, level=level, largest=largest, held_s=held_s, settled=same), belief
         with np.errstate(divide='ignore'):
             rate = np.min(np.where(moving, -np.log(decay), np.inf) / np.where(moving, stretch.interval_s, 1.0), axis=1)
-        settled = same & (held.settled | (held_s * rate > SETTLED))
+        settled = same & (held_s * rate > SETTLED)
         fresh = settled & ~held.settled
         p = np.where(fresh[:, None], belief.p, held.p)
         covariance = np.where(fresh[:, None, None], belief.posterior, held.covariance)
         now = HoldState(level, largest, held_s, settled, p, covariance)
         return now, self.cut(now, belief)
 
-    def refitted(self, held: HoldState, belief: Belief, stretch: Stretch) -> HoldState:
-        """Take what a fit of everything remembered has found; return where we stand.
-
-        A fit knows more of the samples before the hold than the recursion did, so what it found is kept from now on,
-        except through a long hold. Where all its samples lie at one level and it has found no transition among them,
-        the motor was at rest from the first.
-
-        Args:
-            held: where we stood.
-            belief: what the fit has found.
-            stretch: everything remembered.
-        """
-        same, level, largest = self._level(stretch)
-        still = same & (belief.posterior[:, 0, 0] > NO_TRANSITION**2)
-        kept = still | (held.settled & (held.held_s <= self._long_s))
-        return HoldState(
-            np.where(still, level, held.level),
-            np.where(still, np.fmax(held.largest, largest), held.largest),
-            np.where(still, np.fmax(held.held_s, np.sum(stretch.interval_s, axis=1)), held.held_s),
-            held.settled | still,
-            np.where(kept[:, None], belief.p, held.p),
-            np.where(kept[:, None, None], belief.posterior, held.covariance),
-        )
-
-    def _level(self, stretch: Stretch) -> tuple[NDArray[np.bool_], Array, Array]:
-        """Whether a whole stretch lies at one level, at which, and its largest voltage, each of shape (motor,)."""
-        moving = ~stretch.restart
-        low, high = _range(stretch.voltage_v, moving)
-        largest = np.fmax(-low, high)
-        same = high - low <= HOLD_TOLERANCE * largest
-        if self._speed_measured:
-            same &= self._steady_speed(stretch)
-        return same, stretch.voltage_v[:, -1], largest
-
-    @staticmethod
-    def _steady_speed(stretch: Stretch) -> NDArray[np.bool_]:
-        slow, fast = _range(stretch.speed_rad_s[:, 1:], ~stretch.restart)
-        steady: NDArray[np.bool_] = fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
-        return steady
-
-    def vague(self, held: HoldState) -> NDArray[np.bool_]:
-        """Tell who is at a level while something that does not heat is known only vaguely, shape (motor,)."""
-        variance = np.diagonal(held.covariance, axis1=1, axis2=2)[:, ~self._free[1:]]
-        vague: NDArray[np.bool_] = held.settled & np.any(variance > VAGUE**2, axis=1)
-        return vague
-
     def cut(self, held: HoldState, belief: Belief) -> Belief:
-        """Give what does not heat back what was believed of it when the hold had settled.
-
-        In long holds; of a motor of which something was vague then, in every hold, and then no coordinate moves.
-        """
-        vague = self.vague(held)
-        long = held.settled & ~vague & (held.held_s > self._long_s)
-        if np.any(vague):
-            belief = self._kept(held, belief, vague, np.arange(self._free.size) == 0)
-        if np.any(long) and not np.all(self._free):
-            belief = self._kept(held, belief, long, self._free)
-        return belief
-
-    @staticmethod
-    def _kept(held: HoldState, belief: Belief, which: NDArray[np.bool_], free: NDArray[np.bool_]) -> Belief:
-        """Give some motors back what was believed of the unknowns that are not free.
+        """Give what does not heat back what was believed of it when the hold had settled, in long holds only.
 
         The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c + A (k - m_k)`` and
         ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is the kept marginal.
         """
-        f = int(np.sum(free))
-        order = np.argsort(~free, kind='stable')  # what is free first
+        long: NDArray[np.bool_] = held.settled & (held.held_s > self._long_s)
+        if not np.any(long) or np.all(self._free):
+            return belief
+        f = int(np.sum(self._free))
+        order = np.argsort(~self._free, kind='stable')  # what is free first
         back, kept = np.argsort(order), order[f:] - 1
-        covariance = _permuted(belief.covariance, order)
-        a = np.ascontiguousarray(np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2))
-        marginal = _permuted(held.covariance, kept) / belief.noise[:, None, None] ** 2
+        covariance = belief.covariance[:, order][:, :, order]
+        a = np.swapaxes(np.linalg.solve(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
+        marginal = held.covariance[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
         joint = np.zeros_like(covariance)
         joint[:, f:, f:] = marginal
         joint[:, :f, f:] = a @ marginal
@@ -186,20 +118,14 @@ class Holds:
         joint[:, :f, :f] = covariance[:, :f, :f] + a @ (joint[:, f:, :f] - covariance[:, f:, :f])
         moved = np.log(held.p[:, kept] / belief.p[:, kept])
         shift = np.concatenate([(a @ moved[..., None])[..., 0], moved], axis=1)[:, back]
-        joint = _permuted(joint, back)
+        joint = joint[:, back][:, :, back]
         restored = replace(
             belief,
             state=belief.state + shift[:, 0] * belief.current_a,
             p=belief.p * np.exp(shift[:, 1:]),
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
-        return belief.overwritten(restored, which & restored.finite)
-
-
-def _permuted(covariance: Array, order: NDArray[np.intp]) -> Array:
-    """Rows and columns in another order, in memory too: products round by it, and must do so in groups as alone."""
-    permuted: Array = np.ascontiguousarray(covariance[:, order[:, None], order])
-    return permuted
+        return belief.overwritten(restored, long & restored.finite)
 
 
 def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -84,7 +84,6 @@ class Learner:
         known.anchored = known.at - stretch.restart.shape[1]
         if np.any(drifting := fit.ramp > RAMP_EVIDENCE):
             self._drifts(group, drifting)
-        known.hold = self._holds.refitted(known.hold, known.belief, stretch)
         known.belief = self._holds.cut(known.hold, known.belief)
 
     @staticmethod
@@ -101,8 +100,7 @@ class Learner:
         block = blocks.predict(group.white_box, known.belief, self._newest(group, samples + 1))
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
-        # what is vague cannot be found changed: it was not known
-        known.asked = np.where(self._holds.vague(known.hold), 0, self._suspects(known, block))
+        known.asked = self._suspects(known, block)
         calm = known.asked == 0
         if np.all(calm):
             self._learn(group, block)
@@ -148,11 +146,7 @@ class Learner:
         walked = drifting.spread(np.sum(block.stretch.interval_s, axis=1))
         known.belief = blocks.learn(group.white_box, known.belief, block, walked)
         self._follow_noise(known, block)
-        vague = self._holds.vague(known.hold)
         known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
-        if np.any(excited := vague & ~known.hold.settled):  # too far to go for one linearisation: fit again, soon
-            soon = self._replay.remembered(group.which, known.at) + self._rules.block
-            known.next_fit = np.where(excited, np.minimum(soon, self._rules.replay_capacity), known.next_fit)
         walking = known.walk_rate > 0.0
         due = known.at - known.anchored >= self._rules.replay_capacity // np.where(walking, 2, 1)
         if np.any(due):

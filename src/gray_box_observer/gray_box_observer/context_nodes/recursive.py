@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules, honest_spread
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.context_nodes.holds import HoldState
 from gray_box_observer.context_nodes.learner import WALK_AGAIN, Group, Learner
 from gray_box_observer.context_nodes.learnt import Learnt, copied, put
@@ -135,7 +135,7 @@ class RecursiveUpdate:
         by_relative = parameter_jacobian(p) * p[:, None, :]
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
         covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
-        covariance = honest_spread(theta, 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+        covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
