@@ -8,7 +8,7 @@ import numpy as np
 from sensor_msgs.msg import JointState
 
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Result
+from gray_box_observer.group import GroupResult
 from gray_box_observer.ros.outputs import Outputs
 
 
@@ -30,7 +30,8 @@ def predicted(node: Node) -> list[tuple[int, float]]:
 
 def result(stamp_ns: int, torque_nm: float):
     sample, prediction = SimpleNamespace(stamp_ns=stamp_ns), SimpleNamespace(torque_nm=np.array([torque_nm]))
-    return Result('motor', sample, prediction, None)
+    group = SimpleNamespace(names=('motor',))
+    return GroupResult(group, sample, prediction, np.array([], dtype=int), None, np.array([False]))
 
 
 def test_a_stamp_is_predicted_once_though_voltages_come_in_a_bunch_before_their_torques():
