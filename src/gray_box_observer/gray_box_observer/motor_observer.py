@@ -48,7 +48,7 @@ class MotorObserver:
         self._foreseen: tuple[bytes, Prediction] | None = None
         self.motors = context_nodes.theta.shape[0]
         self._identified = np.zeros(self.motors, dtype=bool)
-        self.changed: NDArray[np.intp] = np.arange(0)
+        self.changed: NDArray[np.intp] = _NOBODY
         self._know(context_nodes.estimate(), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
@@ -72,9 +72,8 @@ class MotorObserver:
         """
         if self.predictor is None:
             return None
-        motors = self.context_nodes.theta.shape[0]
-        since = None if ahead is None else self.predict(*(np.full(motors, value) for value in ahead))
-        return self.predictor.forecast(horizon_s, np.full(motors, voltage_v), self.context_nodes.theta, since)
+        since = None if ahead is None else self.predict(*(np.full(self.motors, value) for value in ahead))
+        return self.predictor.forecast(horizon_s, np.full(self.motors, voltage_v), self.context_nodes.theta, since)
 
     def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
         """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""

@@ -1,4 +1,4 @@
-"""The observer: feeds every configured motor's measurements, one at a time, to a motor observer of its own.
+"""The observer: feeds every group of motors that come in the same messages to a motor observer, sample by sample.
 
 One core, three doors: live topics, a replayed bag and the offline command all feed this object.
 """

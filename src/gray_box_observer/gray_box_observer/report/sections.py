@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
+from typing import Any
 
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, RunHistory
 from gray_box_observer.report.parameter_figure import parameter_scale
@@ -56,13 +57,17 @@ def contents(motors: Sequence[str]) -> str:
 
 def headline(history: RunHistory) -> str:
     """Return one row of verdict cards for every motor."""
-    if not history.motors:
-        return '<p class="empty">This run holds no motor.</p>'
-    several = len(history.motors) > 1
+    return card_rows(history.motors, card, 'This run holds no motor.')
+
+
+def card_rows(motors: Sequence[Any], card_of: Callable[[Any], str], empty: str) -> str:
+    """Return one row of cards for every motor, one for each of its ``parameters``; where there is none, say so."""
+    if not motors:
+        return f'<p class="empty">{escape(empty)}</p>'
     rows = []
-    for index, motor in enumerate(history.motors):
-        title = f'<h2><a href="#motor-{index}">{escape(motor.name)}</a></h2>' if several else ''
-        cards = ''.join(card(parameter) for parameter in motor.parameters)
+    for index, motor in enumerate(motors):
+        title = f'<h2><a href="#motor-{index}">{escape(motor.name)}</a></h2>' if len(motors) > 1 else ''
+        cards = ''.join(card_of(parameter) for parameter in motor.parameters)
         rows.append(f'<section class="headline">{title}<div class="cards">{cards}</div></section>')
     return ''.join(rows)
 

@@ -51,15 +51,7 @@ def drift_words(drift: Drift | None) -> str:
 
 
 def _headline(history: ArchiveHistory) -> str:
-    if not history.motors:
-        return '<p class="empty">No bag of this archive gave an estimate.</p>'
-    several = len(history.motors) > 1
-    rows = []
-    for index, motor in enumerate(history.motors):
-        title = f'<h2><a href="#motor-{index}">{escape(motor.name)}</a></h2>' if several else ''
-        cards = ''.join(_card(trend) for trend in motor.parameters)
-        rows.append(f'<section class="headline">{title}<div class="cards">{cards}</div></section>')
-    return ''.join(rows)
+    return sections.card_rows(history.motors, _card, 'No bag of this archive gave an estimate.')
 
 
 def _card(trend: ParameterTrend) -> str:
