@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
+from gray_box_observer.context_nodes.starts import reach_of, without_starts
 from gray_box_observer.context_nodes.trajectory import (
     Stretch,
     Trajectory,
     find_kicks,
     follow,
-    left_of_restarts,
     linearise,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
@@ -33,26 +33,35 @@ class Block:
 
     Attributes:
         stretch: the samples, restarted where the state was kicked.
-        path: the predicted trajectory, from the sample before the block.
-        residual: measured less predicted current.
-        jacobian: derivative of the predicted current by the unknowns.
+        path: the predicted trajectory, from the sample before the block; after a restart from where that was measured.
+        transfer: shape (motor, unknown, unknown): how the unknowns become those at the end of the block.
+        end: shape (motor,): the predicted current at the end of the block.
+        end_variance: shape (motor,): of it, for unit noise, by the start of the last piece alone; 0 without restarts.
+        residual: measured less predicted current; what the starts of pieces explain is taken out of it
+            (:mod:`~gray_box_observer.context_nodes.starts`).
+        jacobian: derivative of the predicted current by the unknowns, likewise.
         spread: standard deviation of the residual, in units of the noise.
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
+        counted: where it is kept, or measures the start of a piece.
         kicked: shape (motor,): whether the state was let go.
         samples: shape (motor,): how many are valid.
         used: shape (motor,): how many are kept.
-        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
+        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples counted.
         right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning and testing ask for.
     """
 
     stretch: Stretch
     path: Trajectory
+    transfer: Array
+    end: Array
+    end_variance: Array
     residual: Array
     jacobian: Array
     spread: Array
     valid: NDArray[np.bool_]
     kept: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
     kicked: NDArray[np.bool_]
     samples: NDArray[np.int_]
     used: NDArray[np.int_]
@@ -92,10 +101,19 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
-    residual, jacobian = residual[:, 1:], jacobian[:, 1:]
+    counted = kept | stretch.restart
+    transfer, end = belief.frame.transfer(path), path.state[:, -1]
+    weights = np.concatenate([np.zeros((belief.state.size, 1)), counted], axis=1)
+    left = without_starts(jacobian, residual, stretch.restart, path.factor, weights)
+    if np.any(stretch.restart):
+        transfer = left.transfer(transfer, stretch.restart, belief.current_a)
+        end = end + (residual[:, -1] - left.residual[:, -1])
+        spread = _spread(belief, left.jacobian)
+    residual, jacobian = left.residual[:, 1:], left.jacobian[:, 1:]
     counts = valid.sum(axis=1), kept.sum(axis=1)
-    normal = weighted(jacobian, kept.astype(float), residual)
-    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *counts, *normal)
+    normal = weighted(jacobian, counted.astype(float), residual)
+    signals = residual, jacobian, spread[:, 1:], valid, kept, counted, kicked
+    return Block(stretch, path, transfer, end, left.variance, *signals, *counts, *normal)
 
 
 def _from(
@@ -106,8 +124,16 @@ def _from(
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before
+    spread = _spread(belief, jacobian)
+    if np.any(stretch.restart):  # the start was measured once
+        spread = np.hypot(spread, reach_of(stretch.restart, path.factor))
+    return path, residual, jacobian, spread
+
+
+def _spread(belief: Belief, jacobian: Array) -> Array:
     variance = np.sum((jacobian @ belief.covariance) * jacobian, axis=2)
-    return path, residual, jacobian, np.sqrt(1.0 + np.maximum(variance, 0.0))
+    spread: Array = np.sqrt(1.0 + np.maximum(variance, 0.0))
+    return spread
 
 
 def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> Belief:
@@ -125,11 +151,10 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     step = (posterior @ block.right[..., None])[..., 0]
     step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
-    transfer = belief.frame.transfer(block.path)
+    transfer = block.transfer
     moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
-    if np.any(block.stretch.restart):
-        moved[:, 0, 0] += left_of_restarts(block.path, block.stretch) / belief.current_a**2
-    state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
+    moved[:, 0, 0] += block.end_variance / belief.current_a**2
+    state = block.end + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
     moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
     after = replace(belief, p=p, state=state)
     after = replace(after, covariance=belief.frame.moved(moved, after.frame))
@@ -187,7 +212,7 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     gram = np.eye(n + 1) + block.information @ belief.covariance
     sign, logarithm = np.linalg.slogdet(gram)
     explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
-    squares = (np.sum(block.kept * block.residual**2, axis=1) - explained) / belief.noise**2
+    squares = (np.sum(block.counted * block.residual**2, axis=1) - explained) / belief.noise**2
     told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
     count = np.where(told, block.used, 0)
     return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count

@@ -265,7 +265,7 @@ class Learner:
     def _follow_noise(self, known: Learnt, block: Block) -> None:
         count = block.residual.shape[1]
         known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
-        seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
+        seen = np.sum(block.counted * (block.residual / block.spread) ** 2, axis=1)
         seen = seen / np.maximum(block.used, 1)
         share = np.where(block.used > 0, count / known.noise_count, 0.0)
         before = known.belief.noise

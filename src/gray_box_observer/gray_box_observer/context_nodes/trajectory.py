@@ -123,7 +123,7 @@ class Linearised:
 
     Attributes:
         decay: shape (motor, k): derivative of the end by the start; 0 at a restart.
-        offset: shape (motor, k): end for a start of zero; the measured state at a restart.
+        offset: shape (motor, k): end for a start of zero; at a restart the state that the new piece begins with.
         by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
     """
 
@@ -143,7 +143,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
         white_box: the physics.
         p: shape (motor, coordinate).
         stretch: the samples.
-        about: shape (motor, k + 1): states to linearise about.
+        about: shape (motor, k + 1): states to linearise about; at a restart that which the new piece begins with.
     """
     speed = stretch.speed_rad_s
     moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
@@ -154,7 +154,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     offset, forced = moved.end - decay * about[:, :-1], moved.by_coordinate
     if np.any(stretch.restart):
         decay = np.where(stretch.restart, 0.0, decay)
-        offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
+        offset = np.where(stretch.restart, about[:, 1:], offset)
         forced = np.where(stretch.restart, 0.0, forced)
     return Linearised(decay, offset, forced)
 
@@ -218,15 +218,6 @@ def _shifted(values: Array, by: int) -> Array:
     if by < 0:
         return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
     return np.pad(values, ((0, 0), (by, 0)))[:, :k]
-
-
-def left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
-    """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
-    k = stretch.restart.shape[1]
-    last = k - 1 - np.argmax(stretch.restart[:, ::-1], axis=1)
-    after = np.arange(k) > last[:, None]
-    left = np.prod(np.where(after, path.factor, 1.0), axis=1) ** 2
-    return np.where(np.any(stretch.restart, axis=1), left, 0.0)
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
