@@ -37,9 +37,6 @@ CHUNK = 20
 END_S = 5.0
 """A node that is asked to end has done so after this time."""
 
-ORPHAN_END_S = 120.0
-"""What a node that was killed has started has ended after this time."""
-
 
 def rejected(rig) -> dict[str, int]:
     text = rig.values()['rejected']
@@ -478,14 +475,6 @@ def test_help_says_how_to_give_parameters(peer):
     assert '--params-file' in out
 
 
-def is_gone(process: psutil.Process) -> bool:
-    """Whether a process has ended; what nobody fetches the exit code of has ended too."""
-    try:
-        return process.status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True
-
-
 @pytest.fixture
 def training(rig, record) -> Iterator[Callable[[], psutil.Process]]:
     """Start an observer whose training process runs; return that process."""
@@ -508,7 +497,7 @@ def test_a_signal_ends_the_node_soon_and_its_training_process_too(rig, training,
     assert code == 0
     assert time.monotonic() - asked_s < END_S
     assert 'error' not in said
-    assert not child.is_running()
+    rig.wait_until_gone(child)
 
 
 @pytest.mark.timeout(300)
@@ -516,7 +505,7 @@ def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
     child = training()
     assert rig.peer.end(rig.process, signal.SIGKILL)[0] == -signal.SIGKILL
     # it reads its end only when it has loaded torch, which takes a busy machine long
-    rig.peer.wait(lambda: is_gone(child), 'the end of the training process', timeout_s=ORPHAN_END_S)
+    rig.wait_until_gone(child)
 
 
 def test_a_training_process_that_dies_is_reported_and_costs_no_sample(rig, training, record, learnt_offline):
