@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
-from gray_box_observer.context_nodes.starts import Left, without_starts
 from gray_box_observer.context_nodes.trajectory import (
     Linearised,
     Stretch,
@@ -23,6 +22,7 @@ from gray_box_observer.context_nodes.trajectory import (
     follow,
     linearise,
     recurrence,
+    restart_variance,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -62,7 +62,7 @@ class Fit:
 def batch_fit(
     white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float, trusting: int = 2
 ) -> Fit:
-    """Fit the coordinates, the first state and that after every restart to a stretch.
+    """Fit the coordinates and the first state to a stretch.
 
     Args:
         white_box: the physics.
@@ -113,6 +113,7 @@ class _Search:
         self._about = self._measured_near
         self._first = self._about[:, 0]
         self._gain = np.zeros(measured.shape[0])
+        self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = Frame(self._size, self._p), prior.covariance  # until the first step
         self._begin()
@@ -170,18 +171,24 @@ class _Search:
     def _evaluate(self, *, robust: bool) -> None:
         """Predict the stretch from where we stand, and weigh its samples."""
         self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
-        gain = np.tile(self._gain[:, None], (1, self._stretch.state.shape[1]))
+        gain = self._gains()
         self._predict(self._maps, gain)
         near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
         if robust and not np.all(near):
             kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale())
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
-                self._about = np.where(np.pad(kicks, ((0, 0), (1, 0))), self._measured_near, self._about)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
+                gain = self._gains()
             self._predict(self._maps, gain * near)
             near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
-        self._weights = (near if robust else np.ones_like(near)).astype(float)
+        self._weights = (self._valid & near if robust else self._valid) / (1.0 + self._loose)
+
+    def _gains(self) -> Array:
+        """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
+        steady, restart = self._gain[:, None], self._stretch.restart
+        self._loose = restart_variance(self._maps.decay, restart) if np.any(restart) else np.zeros_like(self._about)
+        return np.maximum(steady, self._loose / (1.0 + self._loose))
 
     def _predict(self, maps: Linearised, gain: Array) -> None:
         self._path = follow(maps, self._stretch, self._first, gain)
@@ -198,28 +205,20 @@ class _Search:
 
     @property
     def _valid(self) -> NDArray[np.bool_]:
-        """Samples that tell of the noise: the others measure the start of a piece."""
         first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
         return np.concatenate([first, ~self._stretch.restart], axis=1)
-
-    def _without_starts(self, frame: Frame, residual: Array) -> Left:
-        """Jacobian and residual for starts that follow the unknowns; that of the first piece is one of these."""
-        jacobian = frame.jacobian(self._path)
-        return without_starts(jacobian, residual, self._stretch.restart, self._path.factor, self._weights)
 
     def _step(self, which: NDArray[np.bool_]) -> Array:
         """One Gauss-Newton step of some of the motors; return the largest relative move of each."""
         n, p, prior = self._p.shape[1], self._p, self._prior
         frame = Frame(self._size, p)
-        left = self._without_starts(frame, self._residual)
-        jacobian, residual = left.jacobian, left.residual
-        information, right = weighted(jacobian, self._weights, residual)
+        jacobian = frame.jacobian(self._path)
+        information, right = weighted(jacobian, self._weights, self._residual)
         finite = np.all(np.isfinite(information), axis=(1, 2)) & np.all(np.isfinite(right), axis=1)
         information = np.where(finite[:, None, None], information, 0.0)  # numbers no float can square say nothing
         right = np.where(finite[:, None], right, 0.0)
-        starts = 1 + self._stretch.restart.sum(axis=1)
-        freedom = np.maximum(self._weights.sum(axis=1) - n - starts, 1.0)
-        spread = np.sqrt(np.sum(self._weights * residual**2, axis=1) / freedom)
+        freedom = np.maximum(self._weights.sum(axis=1) - n - 1, 1.0)
+        spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
         pull[:, 1:, 1:] = self._precision * noise[:, None, None] ** 2
@@ -229,7 +228,7 @@ class _Search:
         step = self._damping[:, None] * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
-        about = self._path.state + (self._residual - residual) + (jacobian @ step[..., None])[..., 0]
+        about = self._path.state + (jacobian @ step[..., None])[..., 0]
         moved = within_bounds(self._white_box, p * (1.0 + step[:, 1:]))
         if not np.all(which):
             one, two = which[:, None], which[:, None, None]
@@ -245,11 +244,11 @@ class _Search:
     def choose_gain(self) -> NDArray[np.bool_]:
         """Take the gain that explains the stretch best, if the evidence is clear; tell where it is not zero."""
         count = np.sum(self._weights, axis=1)
-        trust = self._weights.astype(bool)
+        trust, taken = self._weights > 0.0, self._loose / (1.0 + self._loose)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
-            path = follow(self._maps, self._stretch, self._first, gain * trust)
+            path = follow(self._maps, self._stretch, self._first, np.maximum(gain, taken) * trust)
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
@@ -263,14 +262,14 @@ class _Search:
 
     def result(self) -> Fit:
         """Return where the search has ended."""
-        whole = self._frame.transfer(self._path)
-        left = self._without_starts(self._frame, self._residual)
-        transfer = left.transfer(whole, self._stretch.restart, self._size)
+        transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
-        covariance[:, 0, 0] += left.variance / self._size**2
-        belief = Belief(self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, whole[:, 0, 1:])
+        covariance[:, 0, 0] += self._loose[:, -1] / (1.0 + self._loose[:, -1]) / self._size**2
+        belief = Belief(
+            self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
+        )
         restarts = np.sum(self._stretch.restart, axis=1)
-        left_out = np.sum(self._weights == 0.0, axis=1) + restarts - self._restarts
+        left_out = np.sum(self._valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
         return Fit(belief, self._ramp(), left_out.astype(float))
 
     def _ramp(self) -> Array:
@@ -283,8 +282,7 @@ class _Search:
         by_heat = np.einsum('jmk,mj->mk', self._maps.by_coordinate[heats], self._p[:, heats])
         inputs = np.where(self._stretch.restart, 0.0, by_heat * share)
         drift = recurrence(self._path.factor, inputs[None], np.zeros((1, self._p.shape[0])))[0]
-        free = self._without_starts(self._frame, drift)
-        jacobian, drift = free.jacobian, free.residual
+        jacobian = self._frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, drift)
         n = information.shape[1]
         ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] / n + 1e-300

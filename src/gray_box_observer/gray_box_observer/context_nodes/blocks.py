@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
-from gray_box_observer.context_nodes.starts import reach_of, without_starts
 from gray_box_observer.context_nodes.trajectory import (
     Stretch,
     Trajectory,
     find_kicks,
     follow,
     linearise,
+    restart_variance,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -33,35 +33,30 @@ class Block:
 
     Attributes:
         stretch: the samples, restarted where the state was kicked.
-        path: the predicted trajectory, from the sample before the block; after a restart from where that was measured.
-        transfer: shape (motor, unknown, unknown): how the unknowns become those at the end of the block.
-        end: shape (motor,): the predicted current at the end of the block.
-        end_variance: shape (motor,): of it, for unit noise, by the start of the last piece alone; 0 without restarts.
-        residual: measured less predicted current; what the starts of pieces explain is taken out of it
-            (:mod:`~gray_box_observer.context_nodes.starts`).
-        jacobian: derivative of the predicted current by the unknowns, likewise.
+        path: the predicted trajectory, from the sample before the block.
+        residual: measured less predicted current.
+        jacobian: derivative of the predicted current by the unknowns.
         spread: standard deviation of the residual, in units of the noise.
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
-        counted: where it is kept, or measures the start of a piece.
+        weights: what each sample counts: less than one after a restart, nothing where it is not kept.
+        left: shape (motor,): variance that restarts leave in the state at the end, in units of the noise's.
         kicked: shape (motor,): whether the state was let go.
         samples: shape (motor,): how many are valid.
         used: shape (motor,): how many are kept.
-        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples counted.
+        information: shape (motor, unknown, unknown): ``A = J'J`` of the samples kept.
         right: shape (motor, unknown): ``b = J'r`` of them; with the information all that learning and testing ask for.
     """
 
     stretch: Stretch
     path: Trajectory
-    transfer: Array
-    end: Array
-    end_variance: Array
     residual: Array
     jacobian: Array
     spread: Array
     valid: NDArray[np.bool_]
     kept: NDArray[np.bool_]
-    counted: NDArray[np.bool_]
+    weights: Array
+    left: Array
     kicked: NDArray[np.bool_]
     samples: NDArray[np.int_]
     used: NDArray[np.int_]
@@ -72,6 +67,11 @@ class Block:
         """Return the block of the chosen motors."""
         signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
         return Block(self.stretch.of(index), self.path.of(index), *signals)
+
+    def silenced(self, which: NDArray[np.bool_]) -> Block:
+        """Return the block as telling nothing of some of the motors, shape (motor,); they only move on."""
+        information = np.where(which[:, None, None], 0.0, self.information)
+        return replace(self, information=information, right=np.where(which[:, None], 0.0, self.right))
 
 
 def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
@@ -84,56 +84,49 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     """
     reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
     about = np.concatenate([belief.state[:, None], np.clip(stretch.state[:, 1:], -reach, reach)], axis=1)
-    trust = np.tile(belief.gain[:, None], (1, stretch.state.shape[1]))
-    path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+    near = np.ones(stretch.state.shape, dtype=bool)
+    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
     if np.any(np.abs(residual) > limit):
         kicks = find_kicks(path, residual, ~stretch.restart, belief.noise)
         kicked = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
-        trust = trust * (np.abs(residual) <= limit)
-        path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+        near = np.abs(residual) <= limit
+        path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
         off = np.abs(residual) > OUTLIER * belief.noise[:, None] * spread
         if np.any(off):  # the motor never stood where an outlier says: linearise about where it was expected
             about = np.where(off, path.state, about)
-            path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+            path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
-    counted = kept | stretch.restart
-    transfer, end = belief.frame.transfer(path), path.state[:, -1]
-    weights = np.concatenate([np.zeros((belief.state.size, 1)), counted], axis=1)
-    left = without_starts(jacobian, residual, stretch.restart, path.factor, weights)
-    if np.any(stretch.restart):
-        transfer = left.transfer(transfer, stretch.restart, belief.current_a)
-        end = end + (residual[:, -1] - left.residual[:, -1])
-        spread = _spread(belief, left.jacobian)
-    residual, jacobian = left.residual[:, 1:], left.jacobian[:, 1:]
+    residual, jacobian = residual[:, 1:], jacobian[:, 1:]
     counts = valid.sum(axis=1), kept.sum(axis=1)
-    normal = weighted(jacobian, counted.astype(float), residual)
-    signals = residual, jacobian, spread[:, 1:], valid, kept, counted, kicked
-    return Block(stretch, path, transfer, end, left.variance, *signals, *counts, *normal)
+    weights = kept / (1.0 + loose[:, 1:])
+    normal = weighted(jacobian, weights, residual)
+    left = loose[:, -1] / (1.0 + loose[:, -1])
+    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, weights, left, kicked, *counts, *normal)
 
 
 def _from(
-    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, trust: Array
-) -> tuple[Trajectory, Array, Array, Array]:
-    """Trajectory, residuals, their derivatives by the unknowns, and their spread in units of the noise."""
-    path = follow(linearise(white_box, belief.p, stretch, about), stretch, belief.state, trust)
+    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
+) -> tuple[Trajectory, Array, Array, Array, Array]:
+    """Trajectory, residuals, their derivatives by the unknowns, their spread, and the variance that restarts leave.
+
+    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near.
+    """
+    maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
+    loose = np.zeros_like(about)
+    if np.any(stretch.restart):
+        loose = restart_variance(maps.decay, stretch.restart)
+        gain = np.maximum(gain, loose / (1.0 + loose))
+    path = follow(maps, stretch, belief.state, gain * near)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before
-    spread = _spread(belief, jacobian)
-    if np.any(stretch.restart):  # the start was measured once
-        spread = np.hypot(spread, reach_of(stretch.restart, path.factor))
-    return path, residual, jacobian, spread
-
-
-def _spread(belief: Belief, jacobian: Array) -> Array:
-    variance = np.sum((jacobian @ belief.covariance) * jacobian, axis=2)
-    spread: Array = np.sqrt(1.0 + np.maximum(variance, 0.0))
-    return spread
+    variance = loose + np.maximum(np.sum((jacobian @ belief.covariance) * jacobian, axis=2), 0.0)
+    return path, residual, jacobian, np.sqrt(1.0 + variance), loose
 
 
 def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> Belief:
@@ -151,10 +144,10 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     step = (posterior @ block.right[..., None])[..., 0]
     step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
-    transfer = block.transfer
+    transfer = belief.frame.transfer(block.path)
     moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
-    moved[:, 0, 0] += block.end_variance / belief.current_a**2
-    state = block.end + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
+    moved[:, 0, 0] += block.left / belief.current_a**2
+    state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
     moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
     after = replace(belief, p=p, state=state)
     after = replace(after, covariance=belief.frame.moved(moved, after.frame))
@@ -212,7 +205,8 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     gram = np.eye(n + 1) + block.information @ belief.covariance
     sign, logarithm = np.linalg.slogdet(gram)
     explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
-    squares = (np.sum(block.counted * block.residual**2, axis=1) - explained) / belief.noise**2
+    squares = (np.sum(block.weights * block.residual**2, axis=1) - explained) / belief.noise**2
+    logarithm = logarithm - np.sum(np.log(np.where(block.kept, block.weights, 1.0)), axis=1)
     told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
     count = np.where(told, block.used, 0)
     return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count

@@ -29,6 +29,15 @@ FAR = 1e3
 ABSURD = 1e100
 """No sensitivity is larger; products of a few of them must still be numbers."""
 
+SETTLING = 100
+"""Samples after a restart for which it is remembered how badly its state was known."""
+
+UNKNOWN = 1e12
+"""Variance of a state of which nothing is known, in units of the noise's."""
+
+NEGLIGIBLE = 1e-3
+"""Variance of a state, in units of the noise's, that needs no remembering."""
+
 LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
@@ -123,7 +132,7 @@ class Linearised:
 
     Attributes:
         decay: shape (motor, k): derivative of the end by the start; 0 at a restart.
-        offset: shape (motor, k): end for a start of zero; at a restart the state that the new piece begins with.
+        offset: shape (motor, k): end for a start of zero; the measured state at a restart.
         by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
     """
 
@@ -143,7 +152,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
         white_box: the physics.
         p: shape (motor, coordinate).
         stretch: the samples.
-        about: shape (motor, k + 1): states to linearise about; at a restart that which the new piece begins with.
+        about: shape (motor, k + 1): states to linearise about.
     """
     speed = stretch.speed_rad_s
     moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
@@ -154,7 +163,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     offset, forced = moved.end - decay * about[:, :-1], moved.by_coordinate
     if np.any(stretch.restart):
         decay = np.where(stretch.restart, 0.0, decay)
-        offset = np.where(stretch.restart, about[:, 1:], offset)
+        offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
         forced = np.where(stretch.restart, 0.0, forced)
     return Linearised(decay, offset, forced)
 
@@ -218,6 +227,36 @@ def _shifted(values: Array, by: int) -> Array:
     if by < 0:
         return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
     return np.pad(values, ((0, 0), (by, 0)))[:, :k]
+
+
+def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
+    """Variance of the predicted state that restarts leave, in units of the noise's, shape (motor, k + 1).
+
+    A restart begins at one measured sample, whose noise decays with the motion while the samples that follow tell the
+    state better and better: a Kalman filter of the state alone, ``P' = decay^2 P / (1 + P)``, from UNKNOWN at the
+    sample that it restarts from. With its gain ``P / (1 + P)`` innovations are white and of variance ``1 + P``, so that
+    what comes after a gap teaches what it can and no more.
+
+    Args:
+        decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
+        restart: shape (motor, k).
+    """
+    motors, k = restart.shape
+    variance = np.zeros((motors, k + 1))
+    motor, at = np.nonzero(restart)
+    variance[motor, at + 1] = UNKNOWN
+    left = np.ones(motor.size)  # after the sample that it restarts from
+    for ahead in range(1, SETTLING):
+        onward = at + ahead < k
+        onward[onward] = ~restart[motor[onward], at[onward] + ahead]
+        onward &= left > NEGLIGIBLE
+        if not np.any(onward):
+            break
+        motor, at, left = motor[onward], at[onward], left[onward]
+        predicted = decay[motor, at + ahead] ** 2 * left
+        variance[motor, at + ahead + 1] = predicted
+        left = predicted / (1.0 + predicted)
+    return variance
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
