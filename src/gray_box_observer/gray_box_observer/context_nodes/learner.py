@@ -38,6 +38,9 @@ from gray_box_observer.white_box.base import Array, WhiteBox
 WALK_AGAIN = -1
 """Asked of a motor that drifts: does it still, and how fast? What is above 0 asks to examine so many samples."""
 
+AT_REST = 4
+"""Times a first fit's, samples at most that are kept when a motor first moves: more of a level tell nothing."""
+
 LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""
 
@@ -118,7 +121,7 @@ class Learner:
             self._learn(part, block.of(index))
             put(known, index, part.learnt)
         if np.any(begun := fresh & known.hold.begun):
-            self._begin_again(group, begun, 2)
+            self._begin_again(group, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
 
     def _look_at_rest(self, group: Group, fresh: NDArray[np.bool_], block: Block) -> None:
         """Ask of motors that have only been at rest whether they rest elsewhere now, at the same voltage."""
@@ -126,19 +129,19 @@ class Learner:
         sudden = fresh & (known.suspicion >= SUSPICIOUS_BLOCKS)
         if np.any(elsewhere := sudden & self._holds.same(known.hold, block.stretch)):
             known.alarms = known.alarms + elsewhere
-            self._begin_again(group, elsewhere, 1)
+            self._begin_again(group, elsewhere, self._rules.first_fit, 0)
         known.asked = np.where(fresh, 0, known.asked)
 
-    def _begin_again(self, group: Group, which: NDArray[np.bool_], times: int) -> None:
-        """Let some motors start anew from their newest samples, with a fit of so many times a first fit's.
+    def _begin_again(self, group: Group, which: NDArray[np.bool_], keep: int, more: int) -> None:
+        """Let some motors start anew from their newest samples, with a fit of these and so many more.
 
         A motor that has only been at rest is too far from what it will prove to be for the recursion to get there.
         """
         known, index = group.learnt, np.flatnonzero(which)
-        few = self._rules.first_fit
-        self._replay.forget(few, np.arange(self._replay.motors)[group.which][index], known.at[index])
+        self._replay.forget(keep, np.arange(self._replay.motors)[group.which][index], known.at[index])
         known.started = known.started & ~which
-        known.next_fit = np.where(which, times * few, known.next_fit)
+        remembered = self._replay.remembered(group.which, known.at)
+        known.next_fit = np.where(which, remembered + more, known.next_fit)
         known.suspicion, known.left_out = np.where(which, 0.0, known.suspicion), np.where(which, 0.0, known.left_out)
 
     def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
