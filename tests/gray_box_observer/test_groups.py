@@ -91,7 +91,7 @@ def test_motors_in_one_message_are_what_each_would_be_alone(said: dict[str, tupl
         ]
         np.testing.assert_allclose(*torques, rtol=1e-3, atol=1e-9, err_msg=name)
         waits = np.abs(torques[0] - torques[1]) > 1e-6 * np.abs(torques[1]) + 1e-9
-        assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
+        assert np.sum(waits) <= 64, f'{name}: only fits and blocks that wait for their turn may be late'
         kept, own = whole.pairing[name], single.pairing[name]
         assert (kept.used, kept.received_torque, kept.received_voltage) == (
             own.used, own.received_torque, own.received_voltage,
