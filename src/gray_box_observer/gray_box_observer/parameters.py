@@ -143,7 +143,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000),
     ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
     ParameterSpec(
-        'recursive.prior_relative_std', 2.0, 'Relative std of initial values of which none is given.', 1e-6, 100.0
+        'recursive.prior_relative_std', 2.0, "Std of initial values' logarithms where no std is given.", 1e-6, 100.0
     ),
     ParameterSpec('recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0),
     ParameterSpec('recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9),
