@@ -31,7 +31,8 @@ def predicted(node: Node) -> list[tuple[int, float]]:
 def result(stamp_ns: int, torque_nm: float):
     sample, prediction = SimpleNamespace(stamp_ns=stamp_ns), SimpleNamespace(torque_nm=np.array([torque_nm]))
     group = SimpleNamespace(names=('motor',))
-    return GroupResult(group, sample, prediction, np.array([], dtype=int), None, np.array([False]))
+    done = SimpleNamespace(alarm=np.array([False]))
+    return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
 
 
 def test_a_stamp_is_predicted_once_though_voltages_come_in_a_bunch_before_their_torques():

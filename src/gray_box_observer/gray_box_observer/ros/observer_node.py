@@ -197,11 +197,13 @@ class ObserverNode(LifecycleNode):
             except ConfigurationError as error:
                 self._stop(error)
                 return
-            self._meter.take(taken.groups)
             self._outputs.results(taken.groups)
             if name == 'voltage' and taken.names:
                 for group in self._observer.groups(taken.names):
                     self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+            for result in taken.groups:  # all has gone out that somebody waits for
+                result.settle()
+            self._meter.take(taken.groups)
 
     def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
         """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
