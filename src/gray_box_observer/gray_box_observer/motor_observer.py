@@ -113,7 +113,7 @@ class MotorObserver:
         return left, estimate
 
     def settle(self) -> None:
-        """Judge and learn the prediction of the last sample, where that is still to be done."""
+        """Judge and learn the prediction of the last sample, where that is still to be done, and work ahead."""
         left, self._aftermath = self._aftermath, None
         if left is None:
             return
@@ -123,6 +123,7 @@ class MotorObserver:
         left.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
             self._predictor.learn(sample, prediction, left.theta, left.covariance)
+        self.context_nodes.work_ahead()
 
     @property
     def predictor(self) -> Predictor | None:

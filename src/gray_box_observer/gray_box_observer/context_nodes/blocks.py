@@ -16,12 +16,14 @@ from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
 from gray_box_observer.context_nodes.trajectory import (
+    LONG,
     Stretch,
     Trajectory,
     find_kicks,
     follow,
     left_of_restarts,
     linearise,
+    one_further,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -65,18 +67,36 @@ class Block:
         return Block(self.stretch.of(index), self.path.of(index), *signals)
 
 
-def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
+def begin(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Trajectory | None:
+    """Follow a single motor's block ahead of its last sample.
+
+    Args:
+        white_box: the physics.
+        belief: at the sample before the block.
+        stretch: that sample and the block, all but its last sample.
+
+    Returns:
+        What :func:`predict` can go on from, or None where it has to see the whole block.
+    """
+    if stretch.restart.shape[1] >= LONG:
+        return None
+    about, trust = _outset(belief, stretch)
+    maps = linearise(white_box, belief.p, stretch, about)
+    return follow(maps, stretch, belief.state, trust) if maps.apart else None
+
+
+def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch, ahead: Trajectory | None = None) -> Block:
     """Predict a block, and tell its good samples from the others.
 
     Args:
         white_box: the physics.
         belief: at the sample before the block.
         stretch: that sample and the block.
+        ahead: what :func:`begin` has found of it; nothing depends on it but the time that this takes.
     """
-    reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
-    about = np.concatenate([belief.state[:, None], np.clip(stretch.state[:, 1:], -reach, reach)], axis=1)
-    trust = np.tile(belief.gain[:, None], (1, stretch.state.shape[1]))
-    path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+    about, trust = _outset(belief, stretch)
+    path = None if ahead is None else one_further(white_box, belief.p, ahead, stretch, about, trust)
+    path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust, path)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
     if np.any(np.abs(residual) > limit):
@@ -98,11 +118,19 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *counts, *normal)
 
 
+def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, Array]:
+    """States to linearise about, and the share of every error that the state takes over, shape (motor, k + 1)."""
+    reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
+    about = np.clip(stretch.state, -reach, reach)
+    about[:, 0] = belief.state
+    return about, np.broadcast_to(belief.gain[:, None], stretch.state.shape)
+
+
 def _from(
-    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, trust: Array
+    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, trust: Array, path: Trajectory | None = None
 ) -> tuple[Trajectory, Array, Array, Array]:
     """Trajectory, residuals, their derivatives by the unknowns, and their spread in units of the noise."""
-    path = follow(linearise(white_box, belief.p, stretch, about), stretch, belief.state, trust)
+    path = path or follow(linearise(white_box, belief.p, stretch, about), stretch, belief.state, trust)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before

@@ -31,7 +31,7 @@ from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import Stretch, Trajectory
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -68,6 +68,25 @@ class Learner:
         self._drift = DriftTest(rules.drift_threshold)
         self._changes = changes(white_box.parameters, rules.drift_relative_std)
         self._heats = np.array([float(p.heats) for p in white_box.parameters])
+        self._ahead: tuple[Belief, int, Trajectory] | None = None
+
+    def begin(self, group: Group, samples: int) -> None:
+        """Work ahead for the block of a single motor that the next sample completes, of so many samples."""
+        known, until = group.learnt, group.learnt.at + (samples - 1)
+        stretch = Stretch.newest(group.white_box, self._replay, samples, group.which, until)
+        path = blocks.begin(group.white_box, known.belief, stretch)
+        self._ahead = None if path is None else (known.belief, int(until[0]), path)
+
+    def _begun(self, known: Learnt) -> Trajectory | None:
+        """What was found ahead, if it was found from what is believed now."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is None or ahead[0] is not known.belief or ahead[1] != int(known.at[0]) - 1:
+            return None
+        return ahead[2]
+
+    def begin_anew(self) -> None:
+        """Forget what was found ahead: samples or belief are not what they were."""
+        self._ahead = None
 
     def fit(self, group: Group, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -97,7 +116,8 @@ class Learner:
     def update(self, group: Group, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
         known = group.learnt
-        block = blocks.predict(group.white_box, known.belief, self._newest(group, samples + 1))
+        stretch = self._newest(group, samples + 1)
+        block = blocks.predict(group.white_box, known.belief, stretch, self._begun(known))
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)

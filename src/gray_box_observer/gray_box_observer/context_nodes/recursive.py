@@ -158,6 +158,16 @@ class RecursiveUpdate:
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
             return self._serve()
 
+    def work_ahead(self) -> None:
+        """Do what can be done of a single motor's block before the sample that completes it."""
+        if self._due.size > 1 or self._frozen or self.replay.total + 1 != self._wake or self._fits[0]:
+            return
+        if self.replay.received[0] + 1 != self._due[0] or self._learnt.asked[0] != 0:
+            return
+        samples = int(self._due[0] - self._learnt.at[0])
+        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+            self._learner.begin(Group(self._white_box, slice(None), self._learnt), samples)
+
     def _resumed(self, sample: Sample, waiting: NDArray[np.bool_]) -> Sample:
         """Begin a new signal history of every motor at its first sample after learning was stopped."""
         waits = self._nobody if sample.present is None else waiting & ~sample.present
@@ -300,6 +310,7 @@ class RecursiveUpdate:
             self._resumes[motor] = True
         self._reckon(which)
         self._wake = 0
+        self._learner.begin_anew()
 
 
 def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:
