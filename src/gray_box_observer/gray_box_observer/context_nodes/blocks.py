@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, semidefinite, solved, weighted
 from gray_box_observer.context_nodes.trajectory import (
     LONG,
     Stretch,
@@ -99,7 +99,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch, ahead: Trajec
     path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust, path)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
-    if np.any(np.abs(residual) > limit):
+    if (np.abs(residual) > limit).any():
         kicks = find_kicks(path, residual, ~stretch.restart, belief.noise)
         kicked = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
@@ -134,7 +134,7 @@ def _from(
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before
-    variance = np.sum((jacobian @ belief.covariance) * jacobian, axis=2)
+    variance = ((jacobian @ belief.covariance) * jacobian).sum(axis=2)
     return path, residual, jacobian, np.sqrt(1.0 + np.maximum(variance, 0.0))
 
 
@@ -149,18 +149,18 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     """
     n = belief.p.shape[1]
     posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
-    posterior = 0.5 * (posterior + np.swapaxes(posterior, 1, 2))
+    posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
     step = (posterior @ block.right[..., None])[..., 0]
-    step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
+    step[:, 1:] = step[:, 1:].clip(-0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
     transfer = belief.frame.transfer(block.path)
-    moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
-    if np.any(block.stretch.restart):
+    moved = transfer @ posterior @ transfer.swapaxes(1, 2)
+    if block.stretch.restart.any():
         moved[:, 0, 0] += left_of_restarts(block.path, block.stretch) / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
     moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
-    after = replace(belief, p=p, state=state)
-    after = replace(after, covariance=belief.frame.moved(moved, after.frame))
+    covariance = belief.frame.moved(moved, Frame(belief.current_a, p))
+    after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 
 
@@ -179,10 +179,11 @@ def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
         Shapes (motor, coordinate) and (motor, coordinate, coordinate).
     """
     n = belief.p.shape[1]
-    both = np.concatenate([block.information, block.right[..., None]], axis=2)
+    both = np.empty((*block.right.shape, n + 2))
+    both[..., :-1], both[..., -1] = block.information, block.right
     reached = solved(np.eye(n + 1) + block.information @ belief.covariance, both)
     sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
-    if not np.all(sound):  # rounding has made the covariance indefinite: mend it
+    if not sound.all():  # rounding has made the covariance indefinite: mend it
         mended = semidefinite(belief.covariance)
         again = solved(np.eye(n + 1) + block.information @ mended, both)
         reached = np.where(sound[:, None, None], reached, again)

@@ -30,7 +30,7 @@ from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
 
 UPDATES = 128
@@ -67,9 +67,7 @@ class RecursiveUpdate:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
         self.verdict_rules = verdict_rules or VerdictRules()
-        parameters = white_box.parameters
-        self._lower = np.array([p.lower for p in parameters])
-        self._upper = np.array([p.upper for p in parameters])
+        self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
         prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
@@ -131,11 +129,11 @@ class RecursiveUpdate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief = self._learnt.belief
         p = belief.p[which]
-        theta = np.clip(to_parameters(p), self._lower, self._upper)
+        theta = to_parameters(p).clip(self._lower, self._upper)
         by_relative = parameter_jacobian(p) * p[:, None, :]
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
-        covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
-        covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+        covariance = by_relative @ posterior @ by_relative.swapaxes(1, 2)
+        covariance = 0.5 * (covariance + covariance.swapaxes(1, 2))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
@@ -218,7 +216,7 @@ class RecursiveUpdate:
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
         """Do a piece of work for some motors, in order, those with equally many samples together."""
         self._learnt.at[motors] = self._due[motors]
-        counts = samples[:1] if np.all(samples == samples[0]) else np.unique(samples)
+        counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
         for count in counts.tolist():
             alike = motors if counts.size == 1 else motors[samples == count]
             if alike.size == self._due.size:

@@ -150,11 +150,11 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     speed = stretch.speed_rad_s
     moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
-    if not np.all(np.abs(moved.end) <= limit):
+    if not (np.abs(moved.end) <= limit).all():
         moved = _tamed(moved, limit)
     decay = np.clip(moved.by_state, -1.0, 1.0)
     offset, forced = moved.end - decay * about[:, :-1], moved.by_coordinate
-    if np.any(stretch.restart):
+    if stretch.restart.any():
         decay = np.where(stretch.restart, 0.0, decay)
         offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
         forced = np.where(stretch.restart, 0.0, forced)
@@ -243,7 +243,7 @@ def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], nois
     """
     signed = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
     limit, change = KICK * noise[:, None], np.abs(signed)
-    if not np.any(change > limit):
+    if not (change > limit).any():
         return change > limit
     earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
     one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 
 LARGEST_STEP = 0.35
 """Largest product of step and decay rate; the Runge-Kutta step is then right to 5e-5 of a decay."""
@@ -31,8 +31,10 @@ _Rate = tuple[Array, Array, Array]
 
 def to_coordinates(theta: Array) -> Array:
     """Turn parameters, shape (motor, parameter), into the coordinates of the rate."""
-    leading = theta[:, :1]
-    return np.concatenate([1.0 / leading, theta[:, 1:] / leading], axis=1)
+    leading, coordinates = theta[:, :1], np.empty_like(theta)
+    np.divide(1.0, leading, out=coordinates[:, :1])
+    np.divide(theta[:, 1:], leading, out=coordinates[:, 1:])
+    return coordinates
 
 
 def to_parameters(p: Array) -> Array:
@@ -42,16 +44,14 @@ def to_parameters(p: Array) -> Array:
 
 def within_bounds(white_box: WhiteBox, p: Array) -> Array:
     """Move coordinates so that every parameter lies inside its bounds."""
-    lower = np.array([parameter.lower for parameter in white_box.parameters])
-    upper = np.array([parameter.upper for parameter in white_box.parameters])
-    return to_coordinates(np.clip(to_parameters(p), lower, upper))
+    return to_coordinates(to_parameters(p).clip(*bounds(white_box.parameters)))
 
 
 def parameter_jacobian(p: Array) -> Array:
     """Derivative of the parameters by the coordinates, shape (motor, parameter, coordinate)."""
     motors, n = p.shape
     jacobian = np.zeros((motors, n, n))
-    jacobian[:, np.arange(1, n), np.arange(1, n)] = 1.0 / p[:, :1]
+    jacobian.reshape(motors, -1)[:, n + 1 :: n + 1] = 1.0 / p[:, :1]
     jacobian[:, 0, 0] = -1.0 / p[:, 0] ** 2
     jacobian[:, 1:, 0] = -p[:, 1:] / p[:, :1] ** 2
     return jacobian
