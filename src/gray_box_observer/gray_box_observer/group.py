@@ -84,14 +84,10 @@ class GroupResult:
 
         Ask when all else of the result has gone out: it takes the work that was left for then.
         """
-        self.settle()
-        assert self.aftermath.alarm is not None
-        return self.aftermath.alarm
-
-    def settle(self) -> None:
-        """Do what the sample has left to be done."""
         if self.aftermath.alarm is None and self.group.observer is not None:
             self.group.observer.settle()
+        assert self.aftermath.alarm is not None
+        return self.aftermath.alarm
 
     def __iter__(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction

@@ -24,6 +24,7 @@ class Aftermath:
         sample: the sample.
         prediction: what had been predicted of it; None without predictor.
         theta, covariance, identified: what was believed before it was learnt.
+        followed: whether the predictor has gone on from it.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the sample; None: to be done.
     """
 
@@ -32,6 +33,7 @@ class Aftermath:
     theta: Array
     covariance: Array
     identified: NDArray[np.bool_]
+    followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
 
@@ -79,7 +81,9 @@ class MotorObserver:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
         if self._predictor is None:
             return None
-        self.settle()
+        if self._predictor.trains_next:
+            self.settle()
+        self._follow()
         question = interval_s.tobytes() + voltage_v.tobytes()
         if self._foreseen is None or self._foreseen[0] != question:
             self._foreseen = question, self._predictor.predict(interval_s, voltage_v, self._theta)
@@ -114,6 +118,7 @@ class MotorObserver:
 
     def settle(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done, and work ahead."""
+        self._follow()
         left, self._aftermath = self._aftermath, None
         if left is None:
             return
@@ -122,8 +127,17 @@ class MotorObserver:
             self._alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, left.identified)
         left.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
-            self._predictor.learn(sample, prediction, left.theta, left.covariance)
+            self._predictor.study(sample, prediction, left.theta, left.covariance)
         self.context_nodes.work_ahead()
+
+    def _follow(self) -> None:
+        """Let the predictor go on from the last sample, where that is still to be done."""
+        left = self._aftermath
+        if left is None or left.followed:
+            return
+        left.followed = True
+        if self._predictor is not None and left.prediction is not None:
+            self._predictor.follow(left.sample, left.prediction)
 
     @property
     def predictor(self) -> Predictor | None:

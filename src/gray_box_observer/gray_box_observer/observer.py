@@ -246,6 +246,7 @@ class Observer:
             self._learn(group, group.pairing.flush())  # what still waited belongs to the old signal history
             group.pairing.restart(observer.delay_of(0).applied_s)
             if group.observer is not None:
+                group.observer.settle()
                 group.observer.close()
             self._adopt(group, observer)
 

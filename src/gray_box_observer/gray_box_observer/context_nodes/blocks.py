@@ -138,14 +138,15 @@ def _from(
     return path, residual, jacobian, np.sqrt(1.0 + np.maximum(variance, 0.0))
 
 
-def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> Belief:
+def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | None) -> Belief:
     """Turn a block's residuals into new coordinates, state and covariance.
 
     Args:
         white_box: the physics.
         belief: what the block was predicted from.
         block: the block.
-        walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms have walked over it.
+        walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms have walked over it;
+            None: none.
     """
     n = belief.p.shape[1]
     posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
@@ -158,7 +159,8 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     if block.stretch.restart.any():
         moved[:, 0, 0] += left_of_restarts(block.path, block.stretch) / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
-    moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
+    if walked is not None:
+        moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
     covariance = belief.frame.moved(moved, Frame(belief.current_a, p))
     after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)

@@ -96,6 +96,10 @@ class Holds:
         now = HoldState(level, largest, held_s, settled, p, covariance)
         return now, self.cut(now, belief)
 
+    def tells(self, held: HoldState, passed_s: Array) -> bool:
+        """Whether a block of so many seconds, shape (motor,), may make a hold a long one, of any motor."""
+        return bool((held.held_s + passed_s > self._long_s).any())
+
     def cut(self, held: HoldState, belief: Belief) -> Belief:
         """Give what does not heat back what was believed of it when the hold had settled, in long holds only.
 

@@ -6,7 +6,9 @@ Every motor of the group goes its own way: which of its samples are read is sett
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -69,6 +71,7 @@ class Learner:
         self._changes = changes(white_box.parameters, rules.drift_relative_std)
         self._heats = np.array([float(p.heats) for p in white_box.parameters])
         self._ahead: tuple[Belief, int, Trajectory] | None = None
+        self._held: Callable[[], None] | None = None
 
     def begin(self, group: Group, samples: int) -> None:
         """Work ahead for the block of a single motor that the next sample completes, of so many samples."""
@@ -87,6 +90,12 @@ class Learner:
     def begin_anew(self) -> None:
         """Forget what was found ahead: samples or belief are not what they were."""
         self._ahead = None
+
+    def catch_up(self) -> None:
+        """Watch the hold of the last block, where that could wait; before another sample is remembered."""
+        held, self._held = self._held, None
+        if held is not None:
+            held()
 
     def fit(self, group: Group, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -122,9 +131,9 @@ class Learner:
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
         calm = known.asked == 0
-        if np.all(calm):
+        if calm.all():
             self._learn(group, block)
-        elif np.any(calm):
+        elif calm.any():
             index = np.flatnonzero(calm)
             part = self._part(group, index)
             self._learn(part, block.of(index))
@@ -144,6 +153,8 @@ class Learner:
         known.left_out = LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
         misfit = (known.left_out > LEFT_OUT) & ~lost
+        if not (alarm | sudden | misfit).any():
+            return np.zeros_like(known.asked)
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
         asked: NDArray[np.int_] = np.where(alarm | sudden | misfit, np.where(sudden, known.since, samples), 0)
@@ -152,7 +163,7 @@ class Learner:
     @staticmethod
     def _suspicion(known: Learnt, block: Block, lost: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
         """Count blocks in a row of which most does not fit, and the samples since the first of them began not to."""
-        if not np.any(lost):
+        if not lost.any():
             return 0.0 * known.suspicion, 0 * known.since
         suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
         unfit = block.valid & ~block.kept
@@ -162,16 +173,24 @@ class Learner:
     def _learn(self, group: Group, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
         known = group.learnt
-        drifting = walk.Walk(self._heats, known.walk_rate)
-        walked = drifting.spread(np.sum(block.stretch.interval_s, axis=1))
+        walking = known.walk_rate > 0.0
+        passed_s, walked = block.stretch.interval_s.sum(axis=1), None
+        if walking.any():
+            walked = walk.Walk(self._heats, known.walk_rate).spread(passed_s)
         known.belief = blocks.learn(group.white_box, known.belief, block, walked)
         self._follow_noise(known, block)
-        known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
-        walking = known.walk_rate > 0.0
+        if known.motors == 1 and self._replay.motors == 1 and not self._holds.tells(known.hold, passed_s):
+            self._held = partial(self._watch_hold, known, block)  # the estimate need not wait for that
+        else:
+            self._watch_hold(known, block)
         due = known.at - known.anchored >= self._rules.replay_capacity // np.where(walking, 2, 1)
-        if np.any(due):
+        if due.any():
+            self.catch_up()
             known.asked = np.where(due & walking, WALK_AGAIN, known.asked)
             self._anchor_here(known, due & ~walking)
+
+    def _watch_hold(self, known: Learnt, block: Block) -> None:
+        known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
 
     def examine(self, group: Group, samples: int) -> None:
         """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
@@ -285,7 +304,7 @@ class Learner:
     def _follow_noise(self, known: Learnt, block: Block) -> None:
         count = block.residual.shape[1]
         known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
-        seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
+        seen = (block.kept * (block.residual / block.spread) ** 2).sum(axis=1)
         seen = seen / np.maximum(block.used, 1)
         share = np.where(block.used > 0, count / known.noise_count, 0.0)
         before = known.belief.noise

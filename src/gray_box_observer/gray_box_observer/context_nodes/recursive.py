@@ -150,6 +150,7 @@ class RecursiveUpdate:
             return False
         if self._resumes is not None:
             sample = self._resumed(sample, self._resumes)
+        self._learner.catch_up()
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
             return False
@@ -157,7 +158,8 @@ class RecursiveUpdate:
             return self._serve()
 
     def work_ahead(self) -> None:
-        """Do what can be done of a single motor's block before the sample that completes it."""
+        """Do what is left of a single motor's last block, and what can be done of the next before it is complete."""
+        self._learner.catch_up()
         if self._due.size > 1 or self._frozen or self.replay.total + 1 != self._wake or self._fits[0]:
             return
         if self.replay.received[0] + 1 != self._due[0] or self._learnt.asked[0] != 0:
@@ -245,6 +247,7 @@ class RecursiveUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
+        self._learner.catch_up()
         which = slice(motor, motor + 1)
         known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
         received = int(self.replay.received[motor])
@@ -277,6 +280,7 @@ class RecursiveUpdate:
         Raises:
             ConfigurationError: it was learnt of other parameters.
         """
+        self._learner.catch_up()
         names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')

@@ -177,21 +177,18 @@ class Predictor:
         return torque_nm + self.residual.along(question, path_nm, None if since is None else since.residual_memory)
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
-        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+        """Go on from a sample and learn it: :meth:`follow` and :meth:`study`."""
+        self.follow(sample, prediction)
+        self.study(sample, prediction, theta, covariance)
+
+    def follow(self, sample: Sample, prediction: Prediction) -> None:
+        """Go on from a sample to where the next one is predicted from.
 
         Args:
             sample: what came.
             prediction: what had been expected of it.
-            theta: shape (motor, parameter): context nodes before the sample is learnt.
-            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
         """
         anew = sample.interval_s <= 0.0
-        rivals = {
-            'predictor': prediction.torque_nm,
-            'persistence': np.where(anew, np.nan, self._previous_torque),
-            'white_box': prediction.white_box_torque_nm,
-        }
-        self.scores.add(sample.torque_nm, rivals)
         physics_nm = _physics_of(prediction)
         self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
         self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
@@ -199,16 +196,40 @@ class Predictor:
         rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
         self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
-        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
+
+    def study(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
+        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+
+        Comes after :meth:`follow` and before the next sample is followed; where :attr:`trains_next`, also before it is
+        predicted, for a trained network may take over.
+
+        Args:
+            sample: what came.
+            prediction: what had been expected of it.
+            theta: shape (motor, parameter): context nodes before the sample is learnt.
+            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
+        """
+        rivals = {
+            'predictor': prediction.torque_nm,
+            'persistence': np.where(sample.interval_s <= 0.0, np.nan, self._previous_torque),
+            'white_box': prediction.white_box_torque_nm,
+        }
+        self.scores.add(sample.torque_nm, rivals)
+        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         if self._frozen:
             return
         self.replay.append(sample.beginning() if self._resumes else sample, self._previous_speed)
         self._resumes = False
-        self._schedule.follow(self.replay, physics_nm)
+        self._schedule.follow(self.replay, _physics_of(prediction))
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
+
+    @property
+    def trains_next(self) -> bool:
+        """Whether a training job may start or finish with the next sample that is studied."""
+        return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume training; predictions go on with the network that runs."""

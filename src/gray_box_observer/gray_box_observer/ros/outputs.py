@@ -37,11 +37,13 @@ class Outputs:
         self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in told}
         self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in told}
         self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in told}
+        self._covariances: dict[str, Float64MultiArray] = {}
         self._parameters = {
             (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
             for m, motor in told.items()
             for p in motor.values['context_nodes']
         }
+        self._said = JointState()
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
@@ -55,7 +57,7 @@ class Outputs:
         return publish
 
     def results(self, results: Iterable[GroupResult]) -> None:
-        """Publish predictions that have not gone out as forecasts, every changed estimate and alarm."""
+        """Publish predictions that have not gone out as forecasts, and every changed estimate."""
         for result in results:
             names = result.group.names
             foretold = self._awaited.setdefault(names, {}).pop(result.sample.stamp_ns, False)
@@ -63,8 +65,13 @@ class Outputs:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
                 self._changed(names, result.changed.tolist(), result.estimate)
+
+    def alarms(self, results: Iterable[GroupResult]) -> None:
+        """Publish every changed alarm; with it all is done that these samples have left to be done."""
+        for result in results:
+            raised = result.alarm
             if self._alarm:
-                self._alarms(names, result.alarm)
+                self._alarms(result.group.names, raised)
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish the torques predicted of motors that come together for a stamp still without torque, once."""
@@ -76,7 +83,7 @@ class Outputs:
             del awaited[next(iter(awaited))]
 
     def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
-        message = torque_message(names, stamp_ns, torque_nm)
+        message = torque_message(names, stamp_ns, torque_nm, self._said)
         if message is None:
             return False
         self._predicted(message)
@@ -137,7 +144,11 @@ class Outputs:
             return
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             self._parameters[motor, parameter.name](Float64(data=float(value)))
-        self._covariance[motor](covariance_message(estimate.parameters, estimate.covariance[0].ravel().tolist()))
+        message = self._covariances.get(motor)
+        if message is None:  # but for its values it is always the same
+            message = self._covariances[motor] = covariance_message(estimate.parameters)
+        message.data = array('d', estimate.covariance[0].tobytes())
+        self._covariance[motor](message)
         self._identified[motor](Bool(data=estimate.identified(0) if identified is None else identified))
 
     def alarm(self, motor: str, raised: bool) -> None:
@@ -147,8 +158,17 @@ class Outputs:
         self._alarm[motor](Bool(data=raised))
 
 
-def torque_message(names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> JointState | None:
-    """Build the message of torques in N m at their stamp, of those motors of which there is one; None of none."""
+def torque_message(
+    names: tuple[str, ...], stamp_ns: int, torque_nm: Array, said: JointState | None = None
+) -> JointState | None:
+    """Build the message of torques in N m at their stamp, of those motors of which there is one; None of none.
+
+    Args:
+        names: of the motors.
+        stamp_ns: the stamp.
+        torque_nm: shape (motor,).
+        said: a message that has gone out and may be used again.
+    """
     known = np.isfinite(torque_nm)
     if not known.all():
         names, torque_nm = (
@@ -157,14 +177,17 @@ def torque_message(names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> J
         )
     if not names:
         return None
-    message = JointState(name=names, effort=array('d', torque_nm))
+    message = JointState() if said is None else said
+    if message.name != list(names):
+        message.name = list(names)
+    message.effort = array('d', torque_nm.tobytes())
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     return message
 
 
-def covariance_message(parameters: tuple[Parameter, ...], values: list[float]) -> Float64MultiArray:
-    """Build the covariance: square, row-major, both dimensions labelled with the parameter names in order."""
-    message = Float64MultiArray(data=values)
+def covariance_message(parameters: tuple[Parameter, ...]) -> Float64MultiArray:
+    """Build the covariance, still empty: square, row-major, both dimensions labelled with the parameter names."""
+    message = Float64MultiArray()
     label, n = ','.join(p.name for p in parameters), len(parameters)
     message.layout.dim = [
         MultiArrayDimension(label=label, size=n, stride=n * n),
