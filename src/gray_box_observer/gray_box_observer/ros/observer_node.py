@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -192,20 +193,21 @@ class ObserverNode(LifecycleNode):
         self._diagnose.catch_up()
         if self._checkpoint is not None:
             self._checkpoint.catch_up()
-        with self._meter.busy():
-            try:
-                taken = self._intake.take(name, message, arrival_ns)
-            except ConfigurationError as error:
-                self._stop(error)
-                return
-            self._outputs.results(taken.groups)
-            if name == 'voltage' and taken.names:
-                for group in self._observer.groups(taken.names):
-                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
-            self._meter.take(taken.groups)
-            self._unsettled += taken.groups
-            if all(result.estimate is None for result in taken.groups):
-                self._settle()  # else the next prediction comes first: an update has taken its time
+        since_s = time.perf_counter()
+        try:
+            taken = self._intake.take(name, message, arrival_ns)
+        except ConfigurationError as error:
+            self._stop(error)
+            return
+        self._outputs.results(taken.groups)
+        if name == 'voltage' and taken.names:
+            for group in self._observer.groups(taken.names):
+                self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+        self._meter.take(taken.groups)
+        self._unsettled += taken.groups
+        if all(result.estimate is None for result in taken.groups):
+            self._settle()  # else the next prediction comes first: an update has taken its time
+        self._meter.worked(since_s)
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""

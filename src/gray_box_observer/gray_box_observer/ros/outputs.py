@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
@@ -22,6 +24,13 @@ from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
 Publish = Callable[[Any], None]
+
+MOST_FORMS = 64
+"""Lists of names of which a serialised message is kept."""
+
+_STAMP = struct.Struct('=iI')
+_STAMP_AT = 4
+"""Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
 
 
 class Outputs:
@@ -43,7 +52,7 @@ class Outputs:
             for m, motor in told.items()
             for p in motor.values['context_nodes']
         }
-        self._said = JointState()
+        self._torques = TorqueMessages()
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
@@ -83,10 +92,10 @@ class Outputs:
             del awaited[next(iter(awaited))]
 
     def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
-        message = torque_message(names, stamp_ns, torque_nm, self._said)
-        if message is None:
+        data = self._torques.told(names, stamp_ns, torque_nm)
+        if data is None:
             return False
-        self._predicted(message)
+        self._predicted(data)
         return True
 
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
@@ -95,10 +104,10 @@ class Outputs:
             self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
         if self._foretold.get(names) == stamp_ns:
             return
-        message = torque_message(names, stamp_ns, torque_nm)
-        if message is not None:
+        data = self._torques.told(names, stamp_ns, torque_nm)
+        if data is not None:
             self._foretold[names] = stamp_ns
-            self._forecast(message)
+            self._forecast(data)
 
     def _changed(self, names: tuple[str, ...], changed: list[int], estimate: Estimate) -> None:
         for row, motor in enumerate(changed):
@@ -158,31 +167,47 @@ class Outputs:
         self._alarm[motor](Bool(data=raised))
 
 
-def torque_message(
-    names: tuple[str, ...], stamp_ns: int, torque_nm: Array, said: JointState | None = None
-) -> JointState | None:
-    """Build the message of torques in N m at their stamp, of those motors of which there is one; None of none.
+class TorqueMessages:
+    """Torques in N m at their stamp as serialised JointState messages.
 
-    Args:
-        names: of the motors.
-        stamp_ns: the stamp.
-        torque_nm: shape (motor,).
-        said: a message that has gone out and may be used again.
+    One is built and serialised for every list of names; from then on stamp and values are written into its bytes,
+    which takes half the time of building and converting a message for every sample.
     """
-    known = np.isfinite(torque_nm)
-    if not known.all():
-        names, torque_nm = (
-            tuple(name for name, is_known in zip(names, known, strict=True) if is_known),
-            torque_nm[known],
-        )
-    if not names:
-        return None
-    message = JointState() if said is None else said
-    if message.name != list(names):
-        message.name = list(names)
-    message.effort = array('d', torque_nm.tobytes())
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-    return message
+
+    def __init__(self) -> None:
+        self._forms: dict[tuple[str, ...], tuple[bytearray, slice]] = {}
+
+    def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
+        """Return the message of those motors of which there is a torque; None of none.
+
+        Args:
+            names: of the motors.
+            stamp_ns: the stamp.
+            torque_nm: shape (motor,).
+        """
+        known = np.isfinite(torque_nm)
+        if not known.all():
+            names = tuple(name for name, is_known in zip(names, known.tolist(), strict=True) if is_known)
+            torque_nm = torque_nm[known]
+        if not names:
+            return None
+        form = self._forms.get(names)
+        if form is None:
+            if len(self._forms) >= MOST_FORMS:
+                self._forms.clear()
+            form = self._forms[names] = _form(names)
+        data, values = form
+        _STAMP.pack_into(data, _STAMP_AT, *divmod(stamp_ns, 1_000_000_000))
+        data[values] = torque_nm.tobytes()
+        return bytes(data)
+
+
+def _form(names: tuple[str, ...]) -> tuple[bytearray, slice]:
+    """Serialise a message with these names; return it and where its values stand."""
+    marks = np.arange(len(names)) + 1234.5678
+    data = bytearray(serialize_message(JointState(name=names, effort=array('d', marks.tobytes()))))
+    at = data.index(marks.tobytes())
+    return data, slice(at, at + marks.nbytes)
 
 
 def covariance_message(parameters: tuple[Parameter, ...]) -> Float64MultiArray:
