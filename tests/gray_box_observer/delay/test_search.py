@@ -38,7 +38,7 @@ def signals_of(recording: Recording, delay_s: float) -> RawSignals:
 
 
 def coarse(box: MotorWhiteBox, signals: RawSignals, gap_s: float = 0.5) -> Profile:
-    found = profile(box, signals, np.diff(signals.time_s) > gap_s, STEP_S, REACH_S)
+    found = finished(profile(box, signals, np.diff(signals.time_s) > gap_s, STEP_S, REACH_S))
     assert found is not None
     return found
 

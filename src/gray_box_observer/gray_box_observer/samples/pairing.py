@@ -103,7 +103,7 @@ class Pairing:
         self.used = 0
         self.restarts = 0
         self.held = 0
-        self.history = RawHistory()
+        self.history = RawHistory(motors)
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
