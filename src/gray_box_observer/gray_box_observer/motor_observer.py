@@ -18,7 +18,7 @@ from gray_box_observer.white_box.base import Array
 
 @dataclass(slots=True)
 class Aftermath:
-    """What a sample leaves to be done once its prediction and its estimates are known; see :meth:`MotorObserver.settle`.
+    """What a sample leaves to be done when its prediction and estimates are known; see :meth:`MotorObserver.settle`.
 
     Attributes:
         sample: the sample.

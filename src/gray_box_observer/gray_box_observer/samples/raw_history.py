@@ -108,7 +108,7 @@ class _Numbers:
         self._end = 0
 
     def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
-        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, as many of ``most`` as are."""
+        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most so many."""
         first = self._end - len(self)
         end = first + int(np.searchsorted(self._stamps[first : self._end], stamp_ns, side='right'))
         rows = slice(max(first, end - most), end)

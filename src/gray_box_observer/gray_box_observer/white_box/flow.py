@@ -144,8 +144,9 @@ def flow(
 
 
 def flow_of_one(
-    white_box: WhiteBox, p: list[float], start: float, voltage_v: float, speeds_rad_s: tuple[float, float], step_s: float
-) -> tuple[float, float, list[float]] | None:
+    white_box: WhiteBox, p: list[float], start: float, voltage_v: float, speeds_rad_s: tuple[float, float],
+    step_s: float,
+) -> tuple[float, float, list[float]] | None:  # fmt: skip
     """As :func:`flow`, to the last bit, for one interval of a single motor in plain floats: a third of the time.
 
     Args:
