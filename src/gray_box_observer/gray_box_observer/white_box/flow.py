@@ -164,7 +164,8 @@ def flow_of_one(
     def rate(state: float, speed_rad_s: float) -> tuple[float, float, list[float]]:
         speed: Any = white_box.speed(state, speed_rad_s)  # type: ignore[arg-type]
         drive: Any = white_box.drive(voltage_v, state, speed)  # type: ignore[arg-type]
-        value, slope = p[0] * drive, p[0] * white_box.drive_slope(state, speed)  # type: ignore[arg-type]
+        value = p[0] * drive
+        slope: Any = p[0] * white_box.drive_slope(state, speed)  # type: ignore[arg-type]
         by_coordinate = [drive]
         phis, slopes = white_box.basis(state, speed), white_box.basis_slope(state, speed)  # type: ignore[arg-type]
         for column, phi, phi_slope in zip(p[1:], phis, slopes, strict=True):
