@@ -55,7 +55,7 @@ def test_estimates_are_the_same_bytes_with_and_without_work_ahead(
     without, plain = learnt(thesis_box, disturbed, ahead=False)
     assert not gone_further
     ahead, busy = learnt(thesis_box, disturbed, ahead=True)
-    assert sum(gone_further) > 0.8 * len(ahead)
+    assert sum(gone_further) > 0.5 * len(ahead), 'all but blocks in which the history begins anew'
     assert without == ahead
     assert plain.counters() == busy.counters()
     assert plain.counters()['torque outliers'] > 10

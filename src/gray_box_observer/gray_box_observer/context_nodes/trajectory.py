@@ -29,6 +29,15 @@ FAR = 1e3
 ABSURD = 1e100
 """No sensitivity is larger; products of a few of them must still be numbers."""
 
+SETTLING = 100
+"""Samples after a restart for which it is remembered how badly its state was known."""
+
+UNKNOWN = 1e12
+"""Variance of a state of which nothing is known, in units of the noise's."""
+
+NEGLIGIBLE = 1e-3
+"""Variance of a state, in units of the noise's, that needs no remembering."""
+
 LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
@@ -190,7 +199,7 @@ def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Tra
 
 
 def one_further(
-    white_box: WhiteBox, p: Array, path: Trajectory, stretch: Stretch, about: Array, gain: Array
+    white_box: WhiteBox, p: Array, path: Trajectory, stretch: Stretch, about: Array, gain: float
 ) -> Trajectory | None:
     """Follow a single motor's trajectory through the last interval of a stretch: to the last bit as :func:`follow`.
 
@@ -198,28 +207,25 @@ def one_further(
         white_box: the physics.
         p: shape (1, coordinate).
         path: the trajectory to the last sample but one, its intervals linearised apart from each other.
-        stretch: the samples.
+        stretch: the samples, without restart up to the last but one.
         about: shape (1, k + 1): states to linearise about.
-        gain: shape (1, k + 1): as :func:`follow` takes it.
+        gain: share of every sample's error that the state takes over.
 
     Returns:
-        The whole trajectory; None where the last interval cannot be linearised apart from the others.
+        The whole trajectory; None at a restart and where the last interval cannot be linearised apart from the others.
     """
-    measured, share = stretch.state[0, -2:].tolist(), gain[0, -2].item()
     if stretch.restart[0, -1]:
-        decay, offset, forced = 0.0, measured[1], [0.0] * p.shape[1]
-    else:
-        start, speeds = about[0, -2].item(), stretch.speed_rad_s[0, -2:].tolist()
-        voltage_v, interval_s = stretch.voltage_v[0, -1].item(), stretch.interval_s[0, -1].item()
-        moved = flow_of_one(white_box, p[0].tolist(), start, voltage_v, (speeds[0], speeds[1]), interval_s)
-        if moved is None or not abs(moved[0]) <= FAR * (float(np.max(np.abs(stretch.state))) + 1e-9):
-            return None
-        decay, forced = min(max(moved[1], -1.0), 1.0), moved[2]
-        offset = moved[0] - decay * start
-    factor = decay * (1.0 - share)
-    offset = offset + decay * share * measured[0]
+        return None
+    start, speeds = about[0, -2].item(), stretch.speed_rad_s[0, -2:].tolist()
+    voltage_v, interval_s = stretch.voltage_v[0, -1].item(), stretch.interval_s[0, -1].item()
+    moved = flow_of_one(white_box, p[0].tolist(), start, voltage_v, (speeds[0], speeds[1]), interval_s)
+    if moved is None or not abs(moved[0]) <= FAR * (float(np.max(np.abs(stretch.state))) + 1e-9):
+        return None
+    decay = min(max(moved[1], -1.0), 1.0)
+    factor = decay * (1.0 - gain)
+    offset = moved[0] - decay * start + decay * gain * stretch.state[0, -2].item()
     before = [path.state[0, -1].item(), path.by_start[0, -1].item(), *path.by_coordinate[:, 0, -1].tolist()]
-    last = [factor * value + added for value, added in zip(before, [offset, 0.0, *forced], strict=True)]
+    last = [factor * value + added for value, added in zip(before, [offset, 0.0, *moved[2]], strict=True)]
     rows = np.empty((len(last), 1, stretch.state.shape[1]))
     rows[0, :, :-1], rows[1, :, :-1], rows[2:, :, :-1] = path.state, path.by_start, path.by_coordinate
     rows[:, 0, -1] = last
@@ -260,13 +266,34 @@ def _shifted(values: Array, by: int) -> Array:
     return np.pad(values, ((0, 0), (by, 0)))[:, :k]
 
 
-def left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
-    """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
-    k = stretch.restart.shape[1]
-    last = k - 1 - np.argmax(stretch.restart[:, ::-1], axis=1)
-    after = np.arange(k) > last[:, None]
-    left = np.prod(np.where(after, path.factor, 1.0), axis=1) ** 2
-    return np.where(np.any(stretch.restart, axis=1), left, 0.0)
+def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
+    """Variance of the predicted state that restarts leave, in units of the noise's, shape (motor, k + 1).
+
+    A restart begins at one measured sample, whose noise decays with the motion while the samples that follow tell the
+    state better and better: a Kalman filter of the state alone, ``P' = decay^2 P / (1 + P)``, from UNKNOWN at the
+    sample that it restarts from. With its gain ``P / (1 + P)`` innovations are white and of variance ``1 + P``, so that
+    what comes after a gap teaches what it can and no more.
+
+    Args:
+        decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
+        restart: shape (motor, k).
+    """
+    motors, k = restart.shape
+    variance = np.zeros((motors, k + 1))
+    motor, at = np.nonzero(restart)
+    variance[motor, at + 1] = UNKNOWN
+    left = np.ones(motor.size)  # after the sample that it restarts from
+    for ahead in range(1, SETTLING):
+        onward = at + ahead < k
+        onward[onward] = ~restart[motor[onward], at[onward] + ahead]
+        onward &= left > NEGLIGIBLE
+        if not np.any(onward):
+            break
+        motor, at, left = motor[onward], at[onward], left[onward]
+        predicted = decay[motor, at + ahead] ** 2 * left
+        variance[motor, at + ahead + 1] = predicted
+        left = predicted / (1.0 + predicted)
+    return variance
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
