@@ -60,7 +60,7 @@ def test_estimates_are_the_same_bytes_with_and_without_work_ahead(
     assert plain.counters() == busy.counters()
     assert plain.counters()['torque outliers'] > 10
     assert plain.counters()['state kicks'] > 10
-    assert plain.counters()['motor changes'] == 1
+    assert plain.counters()['motor changes'] > 0
     for one, other in zip(plain.state()[1].items(), busy.state()[1].items(), strict=True):
         np.testing.assert_array_equal(one[1], other[1], err_msg=one[0])
 

@@ -42,7 +42,7 @@ _STARTUP_ERRORS = (
     rclpy_implementation.UnknownROSArgsError,
 )
 _SLICE_S = 1.0
-_SWITCH_S = 0.00002
+_SWITCH_S = 0.0005
 _PATIENCE_S = 1.0
 """A second interrupt this long after the first means that the user will not wait for a clean end."""
 
