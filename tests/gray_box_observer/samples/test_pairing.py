@@ -125,6 +125,18 @@ def test_a_voltage_that_comes_when_it_changes_is_in_force_until_it_does() -> Non
     assert [float(s.interval_s[0]) for s in samples[1:]] == [0.01] * 199
 
 
+def test_there_is_no_newest_voltage_while_nobody_knows_what_it_does() -> None:
+    voltages, torques = steady(100)
+    pairing = Pairing()
+    feed(pairing, sorted(voltages + torques, key=lambda e: e[1]))
+    assert pairing.newest_voltage == (990 * MS, 1.0 + 99 % 7)
+    feed(pairing, [('t', 3000, 1.0), ('t', 3300, 1.0)])
+    assert pairing.rejected == {Rejection.NO_VOLTAGE: 1}
+    assert pairing.newest_voltage is None
+    feed(pairing, [('v', 3310, 2.0)])
+    assert pairing.newest_voltage == (3310 * MS, 2.0)
+
+
 @pytest.mark.parametrize('delivered_late', [False, True])
 def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_late: bool) -> None:
     """Torque goes on through an outage of the voltage, or comes first when both are delivered after it."""

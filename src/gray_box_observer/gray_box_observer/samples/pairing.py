@@ -280,8 +280,9 @@ class Pairing:
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
-        """Instant in ns from which the newest voltage acts, and the voltage in V; None before the first."""
-        if self._newest_voltage_ns is None:
+        """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is not known."""
+        unknown = not self._voltages and self._held_v is self._joining.blank
+        if self._newest_voltage_ns is None or unknown:
             return None
         return self._newest_voltage_ns, self._voltages[-1][1] if self._voltages else self._held_v
 
@@ -299,7 +300,8 @@ class Pairing:
         start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
         if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
             return None
-        if stamp_ns - start_ns > self._gap_ns or self._unknown_until_ns(start_ns, stamp_ns) is not None:
+        blind = self._held_v is self._joining.blank and not (self._voltages and self._voltages[0][0] <= start_ns)
+        if blind or stamp_ns - start_ns > self._gap_ns or self._unknown_until_ns(start_ns, stamp_ns) is not None:
             return None
         return self._joining.ahead(stamp_ns - start_ns, self._mean_voltage(start_ns, stamp_ns), self._gap_ns)
 
