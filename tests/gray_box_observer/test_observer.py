@@ -61,6 +61,33 @@ def test_the_same_samples_give_the_same_bytes(record: Callable[..., Recording], 
     assert first == second
 
 
+def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
+    record: Callable[..., Recording],
+) -> None:
+    recording = record('R[5,15]D[0.2,3]', 30.0, torque_noise_relative=0.01)
+    torque_nm = np.where(np.arange(3000) < 2500, 1.0, 0.6) * recording.torque_nm[0]
+    told, states = [], []
+    for at_once, foretold in ((True, False), (False, True), (False, False)):
+        one, results = observer(InlineTraining), []
+        for k, stamp in enumerate(recording.stamp_ns.tolist()):
+            taken = one.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            if foretold:  # predicted before the last sample is settled, as a node does after an update
+                one.forecast('motor', stamp)
+            taken += one.take('torque', ('motor',), stamp, [float(torque_nm[k])])
+            if at_once:
+                assert all(result.alarm.size == 1 for result in taken)
+            results += taken
+        told.append([(trace(list(result))[0], bool(result.alarm[0])) for result in results])
+        states.append(one.motors['motor'].state())
+        one.close()
+    assert told[0] == told[1] == told[2]
+    assert any(alarm for _, alarm in told[0])
+    for plain, arrays in states[1:]:
+        assert plain == states[0][0]
+        for name, array in arrays.items():
+            np.testing.assert_array_equal(array, states[0][1][name], err_msg=name)
+
+
 def test_another_seed_trains_another_network(record: Callable[..., Recording]) -> None:
     recording = record(duration_s=6.0)
     first, second = (trace(feed(observer(InlineTraining, variant='main', seed=k), recording)) for k in range(2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.motor_observer import MotorObserver
+from gray_box_observer.motor_observer import Aftermath, MotorObserver
 from gray_box_observer.predictor import Prediction
 from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -67,7 +68,7 @@ class GroupResult:
         prediction: what had been predicted of it; None without predictor.
         changed: places on the motor axis of those whose estimate has changed.
         estimate: their new estimates, in that order; None where there is none.
-        alarm: shape (motor,): whether the alarm on the prediction's residual stands after the sample.
+        aftermath: what it leaves to be done.
     """
 
     group: Group
@@ -75,7 +76,18 @@ class GroupResult:
     prediction: Prediction | None
     changed: NDArray[np.intp]
     estimate: Estimate | None
-    alarm: NDArray[np.bool_]
+    aftermath: Aftermath
+
+    @property
+    def alarm(self) -> NDArray[np.bool_]:
+        """Shape (motor,): whether the alarm on the prediction's residual stands after the sample.
+
+        Ask when all else of the result has gone out: it takes the work that was left for then.
+        """
+        if self.aftermath.alarm is None and self.group.observer is not None:
+            self.group.observer.settle()
+        assert self.aftermath.alarm is not None
+        return self.aftermath.alarm
 
     def __iter__(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction
@@ -89,13 +101,17 @@ class GroupResult:
             one = slice(motor, motor + 1)
             said = None
             if prediction is not None:
-                said = Prediction(prediction.torque_nm[one], prediction.white_box_torque_nm[one], None, None)
+                said = Prediction(prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None)
             estimate = self.estimate.of(row[motor]) if self.estimate is not None and motor in row else None
             alone = Sample(
                 sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one], sample.torque_nm[one],
                 sample.speed_rad_s[one],
             )  # fmt: skip
             yield Result(name, alone, said, estimate, bool(self.alarm[motor]))
+
+
+def _rollout_of(prediction: Prediction, one: slice) -> Array:
+    return prediction.white_box_torque_nm[one]
 
 
 class PairingOfOne:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,33 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 
 
+@dataclass(slots=True)
+class Aftermath:
+    """What a sample leaves to be done when its prediction and estimates are known; see :meth:`MotorObserver.settle`.
+
+    Attributes:
+        sample: the sample.
+        prediction: what had been predicted of it; None without predictor.
+        theta, covariance, identified: what was believed before it was learnt.
+        followed: whether the predictor has gone on from it.
+        alarm: shape (motor,): whether the alarm on the prediction's residual stands after the sample; None: to be done.
+    """
+
+    sample: Sample
+    prediction: Prediction | None
+    theta: Array
+    covariance: Array
+    identified: NDArray[np.bool_]
+    followed: bool = False
+    alarm: NDArray[np.bool_] | None = None
+
+
 class MotorObserver:
     """White box, context nodes and predictor of motors that are sampled together.
+
+    Whoever waits for a sample's prediction and estimates gets them first: alarm, scores and training follow when
+    something of them is asked for (:attr:`predictor`, :attr:`alarm`), with :meth:`settle`, or before the next sample.
+    What comes of it is the same whenever that is.
 
     Args:
         white_box: the physics.
@@ -41,9 +66,10 @@ class MotorObserver:
     ) -> None:
         self.white_box = white_box
         self.context_nodes = context_nodes
-        self.predictor = predictor
+        self._predictor = predictor
         self.delay = delay
-        self.alarm = alarm
+        self._alarm = alarm
+        self._aftermath: Aftermath | None = None
         self._frozen = False
         self._foreseen: tuple[bytes, Prediction] | None = None
         self.motors = context_nodes.theta.shape[0]
@@ -53,12 +79,14 @@ class MotorObserver:
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
-        if self.predictor is None:
+        if self._predictor is None:
             return None
+        if self._predictor.trains_next:
+            self.settle()
+        self._follow()
         question = interval_s.tobytes() + voltage_v.tobytes()
         if self._foreseen is None or self._foreseen[0] != question:
-            prediction = self.predictor.predict(interval_s, voltage_v, self.context_nodes.theta)
-            self._foreseen = question, prediction
+            self._foreseen = question, self._predictor.predict(interval_s, voltage_v, self._theta)
         return self._foreseen[1]
 
     def forecast_held(self, ahead: tuple[Any, Any] | None, horizon_s: float, voltage_v: Any) -> Array | None:
@@ -73,16 +101,55 @@ class MotorObserver:
         if self.predictor is None:
             return None
         since = None if ahead is None else self.predict(*(np.full(self.motors, value) for value in ahead))
-        return self.predictor.forecast(horizon_s, np.full(self.motors, voltage_v), self.context_nodes.theta, since)
+        return self.predictor.forecast(horizon_s, np.full(self.motors, voltage_v), self._theta, since)
 
-    def step(self, sample: Sample) -> tuple[Prediction | None, Estimate | None]:
-        """Predict the sample, then learn it; return the prediction and, where it has changed, the estimate."""
+    def step(self, sample: Sample) -> tuple[Aftermath, Estimate | None]:
+        """Predict the sample, then learn it.
+
+        Returns:
+            What is left to be done, the prediction among it, and, where they have changed, the estimates.
+        """
+        self.settle()
         prediction = self.predict(sample.interval_s, sample.voltage_v)
-        if self.alarm is not None and prediction is not None:
-            self.alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, self._identified)
-        if self.predictor is not None and prediction is not None:
-            self.predictor.learn(sample, prediction, self.context_nodes.theta, self._covariance)
-        return prediction, self.repeat(sample)
+        left = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
+        estimate = self.repeat(sample)
+        self._aftermath = left
+        return left, estimate
+
+    def settle(self) -> None:
+        """Judge and learn the prediction of the last sample, where that is still to be done, and work ahead."""
+        self._follow()
+        left, self._aftermath = self._aftermath, None
+        if left is None:
+            return
+        sample, prediction = left.sample, left.prediction
+        if self._alarm is not None and prediction is not None:
+            self._alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, left.identified)
+        left.alarm = self.alarmed
+        if self._predictor is not None and prediction is not None:
+            self._predictor.study(sample, prediction, left.theta, left.covariance)
+        self.context_nodes.work_ahead()
+
+    def _follow(self) -> None:
+        """Let the predictor go on from the last sample, where that is still to be done."""
+        left = self._aftermath
+        if left is None or left.followed:
+            return
+        left.followed = True
+        if self._predictor is not None and left.prediction is not None:
+            self._predictor.follow(left.sample, left.prediction)
+
+    @property
+    def predictor(self) -> Predictor | None:
+        """Forecasts torque, all samples learnt; None where there is none."""
+        self.settle()
+        return self._predictor
+
+    @property
+    def alarm(self) -> ResidualAlarm | None:
+        """Watches the prediction's residual, all samples taken; None where no prediction is good enough to judge by."""
+        self.settle()
+        return self._alarm
 
     def repeat(self, sample: Sample) -> Estimate | None:
         """Learn a sample, which has been predicted and scored; return the estimates that have changed."""
@@ -98,16 +165,22 @@ class MotorObserver:
         return estimate
 
     def _know(self, estimate: Estimate, which: Any) -> None:
-        """Keep the covariance of some motors, and whether all is identified, which freezing does not undo."""
+        """Keep what is believed of some motors, and whether all is identified, which freezing does not undo.
+
+        What was believed before may still be needed: it is replaced, never written to.
+        """
         if not self._frozen:
+            self._identified = self._identified.copy()
             self._identified[which] = [estimate.identified(motor) for motor in range(estimate.value.shape[0])]
         if estimate.value.shape[0] == self.motors:
-            self._covariance = estimate.covariance
+            self._theta, self._covariance = estimate.value, estimate.covariance
         else:
-            self._covariance[which] = estimate.covariance
+            self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
+            self._theta[which], self._covariance[which] = estimate.value, estimate.covariance
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning, of the context nodes and of the predictor; predictions and the alarm go on."""
+        self.settle()
         self._frozen = frozen
         self.context_nodes.freeze(frozen)
         if self.predictor is not None:
@@ -138,7 +211,8 @@ class MotorObserver:
     @property
     def alarmed(self) -> NDArray[np.bool_]:
         """For which of these motors the alarm stands, shape (motor,)."""
-        return np.zeros(self.motors, dtype=bool) if self.alarm is None else self.alarm.raised
+        alarm = self.alarm
+        return np.zeros(self.motors, dtype=bool) if alarm is None else alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Start over with new context nodes from samples that were paired anew; the network is trained on from there.
@@ -148,6 +222,7 @@ class MotorObserver:
         """
         if not samples:
             return
+        self.settle()
         content = ReplayBuffer.of(samples).content()
         plain, arrays = context_nodes.state()
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
@@ -180,8 +255,8 @@ class MotorObserver:
 
     def close(self) -> None:
         """Stop training."""
-        if self.predictor is not None:
-            self.predictor.close()
+        if self._predictor is not None:
+            self._predictor.close()
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor."""

@@ -246,6 +246,7 @@ class Observer:
             self._learn(group, group.pairing.flush())  # what still waited belongs to the old signal history
             group.pairing.restart(observer.delay_of(0).applied_s)
             if group.observer is not None:
+                group.observer.settle()
                 group.observer.close()
             self._adopt(group, observer)
 
@@ -403,8 +404,8 @@ class Observer:
                 if again is not None and results:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
-            prediction, estimate = observer.step(sample)
-            results.append(GroupResult(group, sample, prediction, observer.changed, estimate, observer.alarmed))
+            left, estimate = observer.step(sample)
+            results.append(GroupResult(group, sample, left.prediction, observer.changed, estimate, left))
             delay_s = None if self._frozen else observer.delay.take(pairing.history, sample.stamp_ns)
             if delay_s is not None:
                 known, rest = pairing.redelay(delay_s, sample.stamp_ns)

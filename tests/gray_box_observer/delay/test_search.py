@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from typing import Any
 
@@ -38,19 +38,23 @@ def signals_of(recording: Recording, delay_s: float) -> RawSignals:
 
 
 def coarse(box: MotorWhiteBox, signals: RawSignals, gap_s: float = 0.5) -> Profile:
-    found = profile(box, signals, np.diff(signals.time_s) > gap_s, STEP_S, REACH_S)
+    found = finished(profile(box, signals, np.diff(signals.time_s) > gap_s, STEP_S, REACH_S))
     assert found is not None
     return found
 
 
-def fine(box: MotorWhiteBox, signals: RawSignals, start_s: float, free: bool) -> Fitted:
-    search = FineSearch(box, signals, np.diff(signals.time_s) > 0.5, STEP_S, INITIAL, REACH_S)
-    work = search.fit(start_s, free=free)
+def finished(work: Generator[None, None, Any]) -> Any:
+    """Do every piece of work; return what comes of it."""
     while True:
         try:
             next(work)
         except StopIteration as end:
             return end.value
+
+
+def fine(box: MotorWhiteBox, signals: RawSignals, start_s: float, free: bool) -> Fitted:
+    search = FineSearch(box, signals, np.diff(signals.time_s) > 0.5, STEP_S, INITIAL, REACH_S)
+    return finished(search.fit(start_s, free=free))
 
 
 @pytest.mark.parametrize('delay', [-0.05, 0.0, 0.03, 0.3])

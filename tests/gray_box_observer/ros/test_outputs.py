@@ -5,11 +5,13 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.group import GroupResult
-from gray_box_observer.ros.outputs import Outputs
+from gray_box_observer.ros.outputs import Outputs, TorqueMessages
 
 
 class Node:
@@ -24,14 +26,15 @@ class Node:
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:
-    messages = [m for _, m in node.sent if isinstance(m, JointState)]
+    messages = [deserialize_message(data, JointState) for _, data in node.sent if isinstance(data, bytes)]
     return [(m.header.stamp.nanosec, m.effort[0]) for m in messages]
 
 
 def result(stamp_ns: int, torque_nm: float):
     sample, prediction = SimpleNamespace(stamp_ns=stamp_ns), SimpleNamespace(torque_nm=np.array([torque_nm]))
     group = SimpleNamespace(names=('motor',))
-    return GroupResult(group, sample, prediction, np.array([], dtype=int), None, np.array([False]))
+    done = SimpleNamespace(alarm=np.array([False]))
+    return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
 
 
 def test_a_stamp_is_predicted_once_though_voltages_come_in_a_bunch_before_their_torques():
@@ -60,3 +63,37 @@ def test_what_is_not_finite_is_no_prediction():
     outputs.prediction(('motor',), 1, np.array([np.nan]))
     outputs.results([result(1, np.nan), result(2, 0.2)])
     assert predicted(node) == [(2, 0.2)]
+
+
+def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None:
+    torques = TorqueMessages()
+    for names, stamp_ns, values in (
+        (('motor',), 1_234_567_890_123, [0.25]),
+        (('motor',), 7, [-1e-9]),
+        (('a', 'longer name', ''), 2_000_000_000_999_999_999, [1.0, 2.0, 3.0]),
+        (('motor',), 8, [1e300]),
+    ):
+        data = torques.told(names, stamp_ns, np.array(values))
+        message = deserialize_message(data, JointState)
+        assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(stamp_ns, 1_000_000_000)
+        assert message.header.frame_id == ''
+        assert (tuple(message.name), list(message.effort)) == (names, values)
+        assert not message.position
+        assert not message.velocity
+
+
+def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:
+    torques = TorqueMessages()
+    message = deserialize_message(torques.told(('a', 'b', 'c'), 1, np.array([0.1, np.nan, 0.3])), JointState)
+    assert (message.name, list(message.effort)) == (['a', 'c'], [0.1, 0.3])
+    assert torques.told(('a',), 1, np.array([np.nan])) is None
+
+
+def test_an_alarm_goes_out_when_it_changes_and_only_then():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for raised in (False, False, True, True, False):
+        one = result(1, 1.0)
+        one.aftermath.alarm = np.array([raised])
+        outputs.alarms([one])
+    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [False, True, False]

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.samples import RawHistory
 from gray_box_observer.samples.raw_history import SLACK, TORQUES, VOLTAGES, RawSignals
 
@@ -75,3 +76,39 @@ def test_speed_of_its_own_is_read_at_the_torques() -> None:
     assert signals is not None
     assert signals.speed_rad_s[-1] == pytest.approx(4.0)  # the speed at 105 ms is not known yet
     assert signals.speed_rad_s[5] == pytest.approx(2.25)
+
+
+def test_what_is_remembered_is_the_newest_however_much_has_come() -> None:
+    for count in (TORQUES, TORQUES + SLACK, 2 * (TORQUES + SLACK) + 7, 5 * TORQUES + 3):
+        made = history(count)
+        torques = [(stamp, values) for signal, stamp, values in made.events(0) if signal == 'torque']
+        expected = range(max(0, count - TORQUES - SLACK), count)
+        assert [stamp for stamp, _ in torques] == [k * 10 * MS for k in expected]
+        assert [values[0] for _, values in torques] == [0.1 * k for k in expected]
+        signals = made.signals((count - 3) * 10 * MS, 0)
+        assert signals is not None
+        assert signals.torque_nm[-1] == 0.1 * (count - 3)
+        assert signals.torque_nm.size == min(TORQUES, count - 2)
+
+
+def test_what_was_read_out_stays_when_more_comes() -> None:
+    made = history(50)
+    signals = made.signals(200 * MS, 0)
+    assert signals is not None
+    before = signals.torque_nm.copy()
+    for k in range(50, 4 * TORQUES):
+        made.torque(k * 10 * MS, -1.0)
+    np.testing.assert_array_equal(signals.torque_nm, before)
+
+
+def test_a_group_tells_the_signals_of_each_motor_and_none_of_its_own() -> None:
+    group = RawHistory(2)
+    for k in range(5):
+        group.voltage(k * MS, np.array([1.0, 2.0]))
+        group.torque(k * MS, np.array([0.1, np.nan if k == 3 else 0.2]))
+    signals = group.of(1).signals(4 * MS, 0)
+    assert signals is not None
+    assert signals.torque_nm.tolist() == [0.2] * 4
+    assert signals.voltage_v.tolist() == [2.0] * 5
+    with pytest.raises(GrayBoxError, match=r'of\(motor\)'):
+        group.signals(4 * MS, 0)

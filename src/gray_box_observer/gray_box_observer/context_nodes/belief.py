@@ -105,13 +105,13 @@ class Belief:
     def finite(self) -> NDArray[np.bool_]:
         """Whether everything is a finite number, shape (motor,)."""
         motors = self.state.size
-        rows = np.concatenate([array.reshape(motors, -1) for array in self.arrays().values()], axis=1)
+        rows = np.concatenate([getattr(self, name).reshape(motors, -1) for name in _ARRAYS], axis=1)
         finite: NDArray[np.bool_] = np.isfinite(rows).all(axis=1)
         return finite
 
     def overwritten(self, other: Belief, which: NDArray[np.bool_]) -> Belief:
         """Return this belief with that of another for some of the motors."""
-        if np.all(which):
+        if which.all():
             return other
         mixed = {
             name: np.where(which.reshape((-1,) + (1,) * (old.ndim - 1)), getattr(other, name), old)
@@ -135,3 +135,6 @@ class Belief:
     def arrays(self) -> dict[str, Array]:
         """Every array by its name, for a checkpoint."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+_ARRAYS = tuple(field.name for field in fields(Belief))

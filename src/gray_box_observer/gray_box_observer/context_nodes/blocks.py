@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, semidefinite, solved, weighted
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, semidefinite, solved, weighted
 from gray_box_observer.context_nodes.trajectory import (
+    LONG,
     Stretch,
     Trajectory,
     find_kicks,
     follow,
     linearise,
+    one_further,
     restart_variance,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
@@ -74,21 +76,40 @@ class Block:
         return replace(self, information=information, right=np.where(which[:, None], 0.0, self.right))
 
 
-def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
+def begin(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Trajectory | None:
+    """Follow a single motor's block ahead of its last sample.
+
+    Args:
+        white_box: the physics.
+        belief: at the sample before the block.
+        stretch: that sample and the block, all but its last sample.
+
+    Returns:
+        What :func:`predict` can go on from, or None where it has to see the whole block.
+    """
+    if stretch.restart.shape[1] >= LONG or stretch.restart.any():
+        return None
+    about, near = _outset(belief, stretch)
+    maps = linearise(white_box, belief.p, stretch, about)
+    return follow(maps, stretch, belief.state, belief.gain[:, None] * near) if maps.apart else None
+
+
+def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch, ahead: Trajectory | None = None) -> Block:
     """Predict a block, and tell its good samples from the others.
 
     Args:
         white_box: the physics.
         belief: at the sample before the block.
         stretch: that sample and the block.
+        ahead: what :func:`begin` has found of it; nothing depends on it but the time that this takes.
     """
-    reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
-    about = np.concatenate([belief.state[:, None], np.clip(stretch.state[:, 1:], -reach, reach)], axis=1)
-    near = np.ones(stretch.state.shape, dtype=bool)
-    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
+    about, near = _outset(belief, stretch)
+    gain = belief.gain[0].item()
+    path = None if ahead is None else one_further(white_box, belief.p, ahead, stretch, about, gain)
+    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near, path)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
-    if np.any(np.abs(residual) > limit):
+    if (np.abs(residual) > limit).any():
         kicks = find_kicks(path, residual, ~stretch.restart, belief.noise)
         kicked = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
@@ -109,48 +130,65 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, weights, left, kicked, *counts, *normal)
 
 
+def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]:
+    """States to linearise about, and which samples are near enough to tell of the state, shape (motor, k + 1)."""
+    reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
+    about = np.clip(stretch.state, -reach, reach)
+    about[:, 0] = belief.state
+    return about, np.ones(stretch.state.shape, dtype=bool)
+
+
 def _from(
-    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
+    white_box: WhiteBox,
+    belief: Belief,
+    stretch: Stretch,
+    about: Array,
+    near: NDArray[np.bool_],
+    path: Trajectory | None = None,
 ) -> tuple[Trajectory, Array, Array, Array, Array]:
     """Trajectory, residuals, their derivatives by the unknowns, their spread, and the variance that restarts leave.
 
-    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near.
+    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near. A
+    trajectory that is known is that of a stretch without restarts.
     """
-    maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
     loose = np.zeros_like(about)
-    if np.any(stretch.restart):
-        loose = restart_variance(maps.decay, stretch.restart)
-        gain = np.maximum(gain, loose / (1.0 + loose))
-    path = follow(maps, stretch, belief.state, gain * near)
+    if path is None:
+        maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
+        if stretch.restart.any():
+            loose = restart_variance(maps.decay, stretch.restart)
+            gain = np.maximum(gain, loose / (1.0 + loose))
+        path = follow(maps, stretch, belief.state, gain * near)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before
-    variance = loose + np.maximum(np.sum((jacobian @ belief.covariance) * jacobian, axis=2), 0.0)
+    variance = loose + np.maximum(((jacobian @ belief.covariance) * jacobian).sum(axis=2), 0.0)
     return path, residual, jacobian, np.sqrt(1.0 + variance), loose
 
 
-def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> Belief:
+def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | None) -> Belief:
     """Turn a block's residuals into new coordinates, state and covariance.
 
     Args:
         white_box: the physics.
         belief: what the block was predicted from.
         block: the block.
-        walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms have walked over it.
+        walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms have walked over it;
+            None: none.
     """
     n = belief.p.shape[1]
     posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
-    posterior = 0.5 * (posterior + np.swapaxes(posterior, 1, 2))
+    posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
     step = (posterior @ block.right[..., None])[..., 0]
-    step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
+    step[:, 1:] = step[:, 1:].clip(-0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
     transfer = belief.frame.transfer(block.path)
-    moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
+    moved = transfer @ posterior @ transfer.swapaxes(1, 2)
     moved[:, 0, 0] += block.left / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
-    moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
-    after = replace(belief, p=p, state=state)
-    after = replace(after, covariance=belief.frame.moved(moved, after.frame))
+    if walked is not None:
+        moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
+    covariance = belief.frame.moved(moved, Frame(belief.current_a, p))
+    after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 
 
@@ -169,10 +207,11 @@ def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
         Shapes (motor, coordinate) and (motor, coordinate, coordinate).
     """
     n = belief.p.shape[1]
-    both = np.concatenate([block.information, block.right[..., None]], axis=2)
+    both = np.empty((*block.right.shape, n + 2))
+    both[..., :-1], both[..., -1] = block.information, block.right
     reached = solved(np.eye(n + 1) + block.information @ belief.covariance, both)
     sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
-    if not np.all(sound):  # rounding has made the covariance indefinite: mend it
+    if not sound.all():  # rounding has made the covariance indefinite: mend it
         mended = semidefinite(belief.covariance)
         again = solved(np.eye(n + 1) + block.information @ mended, both)
         reached = np.where(sound[:, None, None], reached, again)

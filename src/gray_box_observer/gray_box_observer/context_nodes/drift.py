@@ -42,6 +42,7 @@ UNCHANGED = 1e-4
 """Relative freedom left to every coordinate in a fit that stands for an unchanged motor."""
 
 MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
+_MEMORIES = np.array(MEMORIES_BLOCKS)
 
 Scores = tuple[Array, Array]
 """Scores, shape (motor, memory, coordinate), and their information, shape (motor, memory, coordinate, coordinate)."""
@@ -75,10 +76,9 @@ class DriftTest:
         n = scores.shape[-1]
         ridge = 1e-6 * np.trace(all_information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
         reached = np.linalg.solve(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
-        statistic = np.sum(scores * reached, axis=-1)
-        worst = np.argmax(statistic > self._threshold, axis=1)
-        alarm: NDArray[np.bool_] = np.any(statistic > self._threshold, axis=1)
-        return (scores, all_information), alarm, np.array(MEMORIES_BLOCKS)[worst]
+        over = (scores * reached).sum(axis=-1) > self._threshold
+        alarm: NDArray[np.bool_] = over.any(axis=1)
+        return (scores, all_information), alarm, _MEMORIES[over.argmax(axis=1)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from gray_box_observer.white_box.base import Array, Parameter
+from gray_box_observer.white_box.base import Array, Parameter, bounds
 
 
 class Verdict(str, Enum):
@@ -114,7 +114,7 @@ class VerdictRules:
         """Judge every parameter of every motor from its value and standard deviation, shape (motor, parameter)."""
         if frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
-        lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+        lower, upper = bounds(parameters)
         at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (value >= upper * (1.0 - self.bound_tolerance))
         known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
         code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)

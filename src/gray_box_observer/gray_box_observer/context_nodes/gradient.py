@@ -117,6 +117,9 @@ class GradientUpdate:
         self._resumes = self._frozen and not frozen
         self._frozen = frozen
 
+    def work_ahead(self) -> None:
+        """Nothing can be done ahead of an update whose samples are drawn at random."""
+
     def estimate(self, which: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         theta, covariance = self.theta[which], self._covariance[which]

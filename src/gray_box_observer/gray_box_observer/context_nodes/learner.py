@@ -6,7 +6,9 @@ Every motor of the group goes its own way: which of its samples are read is sett
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import Stretch, Trajectory
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -71,6 +73,32 @@ class Learner:
         self._drift = DriftTest(rules.drift_threshold)
         self._changes = changes(white_box.parameters, rules.drift_relative_std)
         self._heats = np.array([float(p.heats) for p in white_box.parameters])
+        self._ahead: tuple[Belief, int, Trajectory] | None = None
+        self._held: Callable[[], None] | None = None
+
+    def begin(self, group: Group, samples: int) -> None:
+        """Work ahead for the block of a single motor that the next sample completes, of so many samples."""
+        known, until = group.learnt, group.learnt.at + (samples - 1)
+        stretch = Stretch.newest(group.white_box, self._replay, samples, group.which, until)
+        path = blocks.begin(group.white_box, known.belief, stretch)
+        self._ahead = None if path is None else (known.belief, int(until[0]), path)
+
+    def _begun(self, known: Learnt) -> Trajectory | None:
+        """What was found ahead, if it was found from what is believed now."""
+        ahead, self._ahead = self._ahead, None
+        if ahead is None or ahead[0] is not known.belief or ahead[1] != int(known.at[0]) - 1:
+            return None
+        return ahead[2]
+
+    def begin_anew(self) -> None:
+        """Forget what was found ahead: samples or belief are not what they were."""
+        self._ahead = None
+
+    def catch_up(self) -> None:
+        """Watch the hold of the last block, where that could wait; before another sample is remembered."""
+        held, self._held = self._held, None
+        if held is not None:
+            held()
 
     def fit(self, group: Group, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -101,26 +129,26 @@ class Learner:
     def update(self, group: Group, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
         known = group.learnt
-        fresh, expected = ~known.hold.begun, known.belief
-        if np.any(fresh):  # what is vague must not make everything seem possible
+        stretch, fresh, expected = self._newest(group, samples + 1), ~known.hold.begun, known.belief
+        if fresh.any():  # what is vague must not make everything seem possible
             expected = replace(expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance))
-        block = blocks.predict(group.white_box, expected, self._newest(group, samples + 1))
-        if np.any(fresh):
+        block = blocks.predict(group.white_box, expected, stretch, self._begun(known))
+        if fresh.any():
             block = block.silenced(fresh)
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
-        if np.any(fresh):
+        if fresh.any():
             self._look_at_rest(group, fresh, block)
         calm = known.asked == 0
-        if np.all(calm):
+        if calm.all():
             self._learn(group, block)
-        elif np.any(calm):
+        elif calm.any():
             index = np.flatnonzero(calm)
             part = self._part(group, index)
             self._learn(part, block.of(index))
             put(known, index, part.learnt)
-        if np.any(begun := fresh & known.hold.begun):
+        if (begun := fresh & known.hold.begun).any():
             self._begin_again(group, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
 
     def _look_at_rest(self, group: Group, fresh: NDArray[np.bool_], block: Block) -> None:
@@ -158,6 +186,8 @@ class Learner:
         known.left_out = LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of another inductance
         misfit = (known.left_out > LEFT_OUT) & ~lost
+        if not (alarm | sudden | misfit).any():
+            return np.zeros_like(known.asked)
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
         asked: NDArray[np.int_] = np.where(alarm | sudden | misfit, np.where(sudden, known.since, samples), 0)
@@ -166,7 +196,7 @@ class Learner:
     @staticmethod
     def _suspicion(known: Learnt, block: Block, lost: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
         """Count blocks in a row of which most does not fit, and the samples since the first of them began not to."""
-        if not np.any(lost):
+        if not lost.any():
             return 0.0 * known.suspicion, 0 * known.since
         suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
         unfit = block.valid & ~block.kept
@@ -176,16 +206,24 @@ class Learner:
     def _learn(self, group: Group, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
         known = group.learnt
-        drifting = walk.Walk(self._heats, known.walk_rate)
-        walked = drifting.spread(np.sum(block.stretch.interval_s, axis=1))
+        walking = known.walk_rate > 0.0
+        passed_s, walked = block.stretch.interval_s.sum(axis=1), None
+        if walking.any():
+            walked = walk.Walk(self._heats, known.walk_rate).spread(passed_s)
         known.belief = blocks.learn(group.white_box, known.belief, block, walked)
         self._follow_noise(known, block)
-        known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
-        walking = known.walk_rate > 0.0
+        if known.motors == 1 and self._replay.motors == 1 and not self._holds.tells(known.hold, passed_s):
+            self._held = partial(self._watch_hold, known, block)  # the estimate need not wait for that
+        else:
+            self._watch_hold(known, block)
         due = known.at - known.anchored >= self._rules.replay_capacity // np.where(walking, 2, 1)
-        if np.any(due):
+        if due.any():
+            self.catch_up()
             known.asked = np.where(due & walking, WALK_AGAIN, known.asked)
             self._anchor_here(known, due & ~walking)
+
+    def _watch_hold(self, known: Learnt, block: Block) -> None:
+        known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
 
     def examine(self, group: Group, samples: int) -> None:
         """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
@@ -299,7 +337,7 @@ class Learner:
     def _follow_noise(self, known: Learnt, block: Block) -> None:
         count = block.residual.shape[1]
         known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
-        seen = np.sum(block.kept * (block.residual / block.spread) ** 2, axis=1)
+        seen = (block.kept * (block.residual / block.spread) ** 2).sum(axis=1)
         seen = seen / np.maximum(block.used, 1)
         share = np.where(block.used > 0, count / known.noise_count, 0.0)
         before = known.belief.noise

@@ -33,23 +33,24 @@ class Frame:
 
     def jacobian(self, path: Trajectory) -> Array:
         """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
-        by_start = path.by_start * self.current_a[:, None]
-        by_coordinate = np.moveaxis(path.by_coordinate, 0, -1) * self.p[:, None, :]
-        return np.concatenate([by_start[..., None], by_coordinate], axis=-1)
+        jacobian = np.empty((*path.by_start.shape, self.p.shape[1] + 1))
+        np.multiply(path.by_start, self.current_a[:, None], out=jacobian[..., 0])
+        np.multiply(path.by_coordinate.transpose(1, 2, 0), self.p[:, None, :], out=jacobian[..., 1:])
+        return jacobian
 
     def transfer(self, path: Trajectory) -> Array:
         """How unknowns (first state, coordinates) become (last state, coordinates), shape (motor, unknown, unknown)."""
         n = self.p.shape[1]
         matrix = np.zeros((self.p.shape[0], n + 1, n + 1))
-        matrix[:, 1:, 1:] = np.eye(n)
+        matrix.reshape(-1, (n + 1) ** 2)[:, :: n + 2] = 1.0
         matrix[:, 0, 0] = path.by_start[:, -1]
         matrix[:, 0, 1:] = path.by_coordinate[:, :, -1].T * self.p / self.current_a[:, None]
         return matrix
 
     def moved(self, covariance: Array, new: Frame) -> Array:
         """Express a covariance of this frame in the units of another."""
-        state = self.current_a / new.current_a
-        ratio = np.concatenate([state[:, None], self.p / new.p], axis=1)
+        ratio = np.empty((self.p.shape[0], self.p.shape[1] + 1))
+        ratio[:, 0], ratio[:, 1:] = self.current_a / new.current_a, self.p / new.p
         moved: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
         return moved
 
@@ -65,7 +66,7 @@ def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:
     """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor, unknown)."""
-    turned = np.swapaxes(jacobian * weights[..., None], 1, 2)
+    turned = (jacobian * weights[..., None]).swapaxes(1, 2)
     return turned @ jacobian, (turned @ residual[..., None])[..., 0]
 
 

@@ -30,7 +30,7 @@ from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
 
 UPDATES = 128
@@ -67,9 +67,7 @@ class RecursiveUpdate:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
         self.verdict_rules = verdict_rules or VerdictRules()
-        parameters = white_box.parameters
-        self._lower = np.array([p.lower for p in parameters])
-        self._upper = np.array([p.upper for p in parameters])
+        self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
         vague = np.full(theta.shape, self._rules.prior_relative_std)
@@ -129,11 +127,11 @@ class RecursiveUpdate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief = self._learnt.belief
         p = belief.p[which]
-        theta = np.clip(to_parameters(p), self._lower, self._upper)
+        theta = to_parameters(p).clip(self._lower, self._upper)
         by_relative = parameter_jacobian(p) * p[:, None, :]
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
-        covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
-        covariance = spread_of_values(theta, 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
+        covariance = by_relative @ posterior @ by_relative.swapaxes(1, 2)
+        covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
@@ -150,11 +148,23 @@ class RecursiveUpdate:
             return False
         if self._resumes is not None:
             sample = self._resumed(sample, self._resumes)
+        self._learner.catch_up()
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
             return False
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
             return self._serve()
+
+    def work_ahead(self) -> None:
+        """Do what is left of a single motor's last block, and what can be done of the next before it is complete."""
+        self._learner.catch_up()
+        if self._due.size > 1 or self._frozen or self.replay.total + 1 != self._wake or self._fits[0]:
+            return
+        if self.replay.received[0] + 1 != self._due[0] or self._learnt.asked[0] != 0:
+            return
+        samples = int(self._due[0] - self._learnt.at[0])
+        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+            self._learner.begin(Group(self._white_box, slice(None), self._learnt), samples)
 
     def _resumed(self, sample: Sample, waiting: NDArray[np.bool_]) -> Sample:
         """Begin a new signal history of every motor at its first sample after learning was stopped."""
@@ -206,7 +216,7 @@ class RecursiveUpdate:
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
         """Do a piece of work for some motors, in order, those with equally many samples together."""
         self._learnt.at[motors] = self._due[motors]
-        counts = samples[:1] if np.all(samples == samples[0]) else np.unique(samples)
+        counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
         for count in counts.tolist():
             alike = motors if counts.size == 1 else motors[samples == count]
             if alike.size == self._due.size:
@@ -235,6 +245,7 @@ class RecursiveUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
+        self._learner.catch_up()
         which = slice(motor, motor + 1)
         known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
         received = int(self.replay.received[motor])
@@ -267,6 +278,7 @@ class RecursiveUpdate:
         Raises:
             ConfigurationError: it was learnt of other parameters.
         """
+        self._learner.catch_up()
         names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
@@ -298,6 +310,7 @@ class RecursiveUpdate:
             self._resumes[motor] = True
         self._reckon(which)
         self._wake = 0
+        self._learner.begin_anew()
 
 
 def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ a few.
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +70,8 @@ def profile(
     restart: NDArray[np.bool_],
     interval_s: float,
     reach_s: tuple[float, float],
-) -> Profile | None:
-    """Work out the profile over a range of delays.
+) -> Generator[None, None, Profile | None]:
+    """Work out the profile over a range of delays, a piece of work at a time.
 
     Args:
         white_box: the physics.
@@ -100,9 +101,10 @@ def profile(
     wide = first + interval_s * np.arange(round((last - first) / interval_s) + 1)
     integral = signals.voltage_integral(wide)
     volt = integral[WINDOW:] - integral[:-WINDOW]  # of the window that ends at each instant of the wide grid
-    misfit = _misfits(change, basis, known, whole, volt)[::-1]  # a later window is a smaller delay
+    yield
+    misfit = yield from _misfits(change, basis, known, whole, volt)
     delays: Array = interval_s * np.arange(low, high + 1, dtype=np.float64)
-    return Profile(delays, misfit, int(whole.sum()))
+    return Profile(delays, misfit[::-1], int(whole.sum()))  # a later window is a smaller delay
 
 
 def credible(current: Array) -> Array:
@@ -128,7 +130,9 @@ def _windowed(values: Array, interval_s: float) -> Array:
     return whole
 
 
-def _misfits(change: Array, basis: list[Array], known: Array, whole: Array, volt: Array) -> Array:
+def _misfits(
+    change: Array, basis: list[Array], known: Array, whole: Array, volt: Array
+) -> Generator[None, None, Array]:
     """Sums of squares of ``change = p_0 (volt - known) - sum_j p_j basis_j`` for every place of the voltage's windows.
 
     What the basis explains is projected out once; ``p_0`` follows for each place, and is not negative.
@@ -143,9 +147,12 @@ def _misfits(change: Array, basis: list[Array], known: Array, whole: Array, volt
     about = volt - np.mean(volt)  # sums of squares cancel less about the mean
     known = (known - np.mean(volt)) * whole
     correlate = _Correlation(volt.size, change.size)
+    yield
     by_rest = correlate(about, rest) - rest @ known
+    yield
     square = correlate(about**2, whole) - 2.0 * correlate(about, known) + known @ known
     for column in left.T:
+        yield
         square = square - (correlate(about, column) - column @ known) ** 2
     total = float(rest @ rest)
     explained = np.where(square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0)

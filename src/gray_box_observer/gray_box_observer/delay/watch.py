@@ -172,7 +172,7 @@ class DelayWatch:
         if np.all(restart):
             return None
         interval_s = float(np.median(steps[~restart]))
-        coarse = profile(self._white_box, signals, restart, interval_s, reach_s)
+        coarse = yield from profile(self._white_box, signals, restart, interval_s, reach_s)
         yield
         if coarse is None:
             return None

@@ -5,8 +5,9 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -31,14 +32,15 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Prediction:
     """What is expected of the next torque sample, with what has to be remembered if it comes.
 
     Attributes:
         torque_nm: shape (motor,): the predictor's forecast; NaN where it cannot tell: at the first sample of a history,
             for the thesis's variants also before the first training and while the network warms up.
-        white_box_torque_nm: shape (motor,): the white box's rollout from voltages alone.
+        rollout: works out :attr:`white_box_torque_nm`, when it is asked for: only scores need it, which can wait until
+            the forecast has gone out.
         memory: the network's memory after this step; None where it made none.
         way: where voltage and speed lead; None at the first sample of a history.
         physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
@@ -46,11 +48,16 @@ class Prediction:
     """
 
     torque_nm: Array
-    white_box_torque_nm: Array
+    rollout: Callable[[], Array]
     memory: Memory | None
     way: Course | None
     physics_nm: Array | None = None
     residual_memory: Memory | None = None
+
+    @cached_property
+    def white_box_torque_nm(self) -> Array:
+        """Shape (motor,): the white box's rollout from voltages alone; NaN where none goes on."""
+        return self.rollout()
 
 
 class Predictor:
@@ -115,20 +122,25 @@ class Predictor:
         question = self._question(interval_s, voltage_v, theta)
         if question is None:
             blank = np.full(self._motors, np.nan)
-            return Prediction(blank, blank, None, None)
+            return Prediction(blank, lambda: blank, None, None)
+        rollout = partial(self._rollout, question, self._rollout_nm)
+        torque_nm, memory = self._forecaster.forecast(question)
+        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        if correction_nm is None:
+            return Prediction(torque_nm, rollout, memory, question.way)
+        return Prediction(torque_nm + correction_nm, rollout, memory, question.way, torque_nm, learnt)
+
+    def _rollout(self, question: Question, from_nm: Array) -> Array:
+        """Torque of the white box alone at the end of an interval, shape (motor,); NaN where none goes on."""
         axis, ops = self._axis, self._axis.ops
-        start = ops.where(question.usable, self._white_box.state(axis.take(self._rollout_nm)), 0.0)
-        length_s = ops.where(question.usable, axis.take(interval_s), 0.0)
+        start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
+        length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
         if axis.single:
             end = flow(ops, self._white_box, question.way, start, length_s)
         else:
             end = flow_each(self._white_box, question.way, start, length_s)
-        rollout_nm = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
-        torque_nm, memory = self._forecaster.forecast(question)
-        correction_nm, learnt = self.residual.correct(question, torque_nm)
-        if correction_nm is None:
-            return Prediction(torque_nm, rollout_nm, memory, question.way)
-        return Prediction(torque_nm + correction_nm, rollout_nm, memory, question.way, torque_nm, learnt)
+        rollout_nm: Array = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
+        return rollout_nm
 
     def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
         """Forecast the torque after a planned voltage has been held for a while; changes nothing.
@@ -165,21 +177,18 @@ class Predictor:
         return torque_nm + self.residual.along(question, path_nm, None if since is None else since.residual_memory)
 
     def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
-        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+        """Go on from a sample and learn it: :meth:`follow` and :meth:`study`."""
+        self.follow(sample, prediction)
+        self.study(sample, prediction, theta, covariance)
+
+    def follow(self, sample: Sample, prediction: Prediction) -> None:
+        """Go on from a sample to where the next one is predicted from.
 
         Args:
             sample: what came.
             prediction: what had been expected of it.
-            theta: shape (motor, parameter): context nodes before the sample is learnt.
-            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
         """
         anew = sample.interval_s <= 0.0
-        rivals = {
-            'predictor': prediction.torque_nm,
-            'persistence': np.where(anew, np.nan, self._previous_torque),
-            'white_box': prediction.white_box_torque_nm,
-        }
-        self.scores.add(sample.torque_nm, rivals)
         physics_nm = _physics_of(prediction)
         self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
         self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
@@ -187,16 +196,40 @@ class Predictor:
         rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
         self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
-        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         # a torque message without its speed must not put NaN into the network's memory or into a training window
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
+
+    def study(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
+        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+
+        Comes after :meth:`follow` and before the next sample is followed; where :attr:`trains_next`, also before it is
+        predicted, for a trained network may take over.
+
+        Args:
+            sample: what came.
+            prediction: what had been expected of it.
+            theta: shape (motor, parameter): context nodes before the sample is learnt.
+            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
+        """
+        rivals = {
+            'predictor': prediction.torque_nm,
+            'persistence': np.where(sample.interval_s <= 0.0, np.nan, self._previous_torque),
+            'white_box': prediction.white_box_torque_nm,
+        }
+        self.scores.add(sample.torque_nm, rivals)
+        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         if self._frozen:
             return
         self.replay.append(sample.beginning() if self._resumes else sample, self._previous_speed)
         self._resumes = False
-        self._schedule.follow(self.replay, physics_nm)
+        self._schedule.follow(self.replay, _physics_of(prediction))
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
+
+    @property
+    def trains_next(self) -> bool:
+        """Whether a training job may start or finish with the next sample that is studied."""
+        return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume training; predictions go on with the network that runs."""
@@ -285,15 +318,15 @@ class Predictor:
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
         """Say where an interval leads; None where no motor goes on from a known start."""
         axis, ops = self._axis, self._axis.ops
-        usable = (interval_s > 0.0) & np.isfinite(self._rollout_nm)
+        usable = (axis.take(interval_s) > 0.0) & ops.isfinite(axis.take(self._rollout_nm))
+        speed = 0.0
         if self._speed_measured:
-            usable = usable & np.isfinite(self._previous_speed)
-        if not usable.any():
+            speed = axis.take(self._previous_speed)
+            usable = usable & ops.isfinite(speed)
+        if not ops.any(usable):
             return None
-        held_v = np.where(usable, voltage_v, 0.0)
-        speed_rad_s = np.where(usable, self._previous_speed, 0.0) if self._speed_measured else np.zeros(self._motors)
-        columns, voltage, speed = axis.columns(theta), axis.take(held_v), axis.take(speed_rad_s)
-        way = self._way
+        voltage, speed = (ops.where(usable, signal, 0.0) for signal in (axis.take(voltage_v), speed))
+        columns, way = axis.columns(theta), self._way
         if not (
             way is not None
             and axis.same(way.voltage_v, voltage)
@@ -301,7 +334,7 @@ class Predictor:
             and axis.same(way.theta, columns)
         ):
             way = course(ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a)
-        return Question(interval_s, held_v, speed_rad_s, theta, way, axis.take(usable))
+        return Question(interval_s, axis.give(voltage), axis.give(speed), theta, way, usable)
 
     def _train(self, theta: Array, covariance: Array) -> None:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,7 +19,7 @@ from gray_box_observer.checkpoint_folder import CheckpointFolder, default_folder
 from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.configuration import NODE_NAME, Configuration
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
-from gray_box_observer.group import Group
+from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
@@ -59,13 +60,14 @@ class ObserverNode(LifecycleNode):
         self._intake: Intake | None = None
         self._outputs: Outputs | None = None
         self._meter = TrafficMeter()
+        self._unsettled: list[GroupResult] = []
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._checkpoint_timer: Timer | None = None
         self._checkpoint: Chore | None = None
         motors = list(self._configuration.motors)
-        diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
-        self._diagnose = Chore(DIAGNOSTICS_PERIOD_S, lambda: diagnoser.tell(self._state, self._observer, self._intake))
+        self._diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
+        self._diagnose = Chore(DIAGNOSTICS_PERIOD_S, self._tell)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose.do, clock=self._steady)
         if self._configuration['estimates_period_s'] > 0.0:
             self.create_timer(self._configuration['estimates_period_s'], self._tell_estimates, clock=self._steady)
@@ -191,17 +193,27 @@ class ObserverNode(LifecycleNode):
         self._diagnose.catch_up()
         if self._checkpoint is not None:
             self._checkpoint.catch_up()
-        with self._meter.busy():
-            try:
-                taken = self._intake.take(name, message, arrival_ns)
-            except ConfigurationError as error:
-                self._stop(error)
-                return
-            self._meter.take(taken.groups)
-            self._outputs.results(taken.groups)
-            if name == 'voltage' and taken.names:
-                for group in self._observer.groups(taken.names):
-                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+        since_s = time.perf_counter()
+        try:
+            taken = self._intake.take(name, message, arrival_ns)
+        except ConfigurationError as error:
+            self._stop(error)
+            return
+        self._outputs.results(taken.groups)
+        if name == 'voltage' and taken.names:
+            for group in self._observer.groups(taken.names):
+                self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+        self._meter.take(taken.groups)
+        self._unsettled += taken.groups
+        if all(result.estimate is None for result in taken.groups):
+            self._settle()  # else the next prediction comes first: an update has taken its time
+        self._meter.worked(since_s)
+
+    def _settle(self) -> None:
+        """Do what samples have left to be done when all has gone out that somebody waits for."""
+        done, self._unsettled = self._unsettled, []
+        if self._outputs is not None:
+            self._outputs.alarms(done)
 
     def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
         """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
@@ -212,6 +224,11 @@ class ObserverNode(LifecycleNode):
         held = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
         if held is not None:
             outputs.forecast(group.names, *held)
+
+    def _tell(self) -> None:
+        """Publish diagnostics, and alarms that no further message has led to."""
+        self._settle()
+        self._diagnoser.tell(self._state, self._observer, self._intake)
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._observer is None:
@@ -300,6 +317,7 @@ class ObserverNode(LifecycleNode):
             self._outputs.all_estimates(list(self._configuration.motors), self._observer.every_group)
 
     def _drop_observer(self) -> None:
+        self._unsettled = []
         if self._observer is not None:
             self._observer.close()
         self._observer = self._intake = None

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 from gray_box_observer.intake import Intake
@@ -71,14 +69,9 @@ class TrafficMeter:
         self._of_group: dict[tuple[str, ...], Rhythm] = {}
         self._newest_of_group: dict[tuple[str, ...], int] = {}
 
-    @contextmanager
-    def busy(self) -> Iterator[None]:
-        """Count the time that one message takes."""
-        begin_s = time.perf_counter()
-        try:
-            yield
-        finally:
-            self._busy_s += time.perf_counter() - begin_s
+    def worked(self, since_s: float) -> None:
+        """Count the time that one message has taken, since a reading of ``time.perf_counter``."""
+        self._busy_s += time.perf_counter() - since_s
 
     def take(self, results: list[GroupResult]) -> None:
         """Note what one message has led to."""

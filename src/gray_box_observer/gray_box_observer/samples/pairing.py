@@ -108,7 +108,7 @@ class Pairing:
         self.used = 0
         self.restarts = 0
         self.held = 0
-        self.history = RawHistory()
+        self.history = RawHistory(motors)
         self._voltage_rhythm, self._torque_rhythm = Rhythm(), Rhythm()
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,

@@ -11,12 +11,12 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
 from gray_box_observer.white_box.base import Array
 
@@ -60,17 +60,99 @@ class RawSignals:
         return integral
 
 
+class _Memory(Protocol):
+    """Bounded rows of a stamp in ns and values, the oldest forgotten; stamps rise."""
+
+    def __len__(self) -> int: ...
+
+    def append(self, stamp_ns: int, *values: Any) -> None:
+        """Remember a row."""
+
+    def rows(self) -> Iterable[tuple[Any, ...]]:
+        """Every row in order."""
+
+    def clear(self) -> None:
+        """Forget every row."""
+
+
+class _Numbers:
+    """Rows of plain numbers, in arrays: they are read out in one piece, while samples wait."""
+
+    def __init__(self, width: int, most: int) -> None:
+        self._most = most
+        self._stamps = np.zeros(2 * most, dtype=np.int64)
+        self._values = np.zeros((width, 2 * most))
+        self._end = 0
+
+    def __len__(self) -> int:
+        return min(self._end, self._most)
+
+    def append(self, stamp_ns: int, *values: float) -> None:
+        """See :class:`_Memory`."""
+        if self._end == self._stamps.size:
+            self._stamps[: self._most] = self._stamps[self._most :]
+            self._values[:, : self._most] = self._values[:, self._most :]
+            self._end = self._most
+        self._stamps[self._end] = stamp_ns
+        for column, value in zip(self._values, values, strict=True):
+            column[self._end] = value
+        self._end += 1
+
+    def rows(self) -> Iterable[tuple[Any, ...]]:
+        """See :class:`_Memory`."""
+        kept = slice(self._end - len(self), self._end)
+        return zip(self._stamps[kept].tolist(), *self._values[:, kept].tolist(), strict=True)
+
+    def clear(self) -> None:
+        """See :class:`_Memory`."""
+        self._end = 0
+
+    def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
+        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most so many."""
+        first = self._end - len(self)
+        end = first + int(np.searchsorted(self._stamps[first : self._end], stamp_ns, side='right'))
+        rows = slice(max(first, end - most), end)
+        return self._stamps[rows].copy(), self._values[:, rows].copy()
+
+
+class _Arrays:
+    """Rows of arrays, of a group, as they came."""
+
+    def __init__(self, most: int) -> None:
+        self._rows: deque[tuple[Any, ...]] = deque(maxlen=most)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def append(self, stamp_ns: int, *values: Any) -> None:
+        """See :class:`_Memory`."""
+        self._rows.append((stamp_ns, *values))
+
+    def rows(self) -> Iterable[tuple[Any, ...]]:
+        """See :class:`_Memory`."""
+        return self._rows
+
+    def clear(self) -> None:
+        """See :class:`_Memory`."""
+        self._rows.clear()
+
+
 class RawHistory:
     """Bounded memory of the raw measurements that pairing has taken, in the order of stamps; of a group, arrays.
+
+    Args:
+        motors: how many they are of.
 
     Attributes:
         restarts: how often the clock was set back: what came before does not belong to what is remembered.
     """
 
-    def __init__(self) -> None:
-        self._voltages: deque[tuple[int, Any]] = deque(maxlen=VOLTAGES + SLACK)
-        self._torques: deque[tuple[int, Any, Any]] = deque(maxlen=TORQUES + SLACK)
-        self._speeds: deque[tuple[int, float]] = deque(maxlen=TORQUES + SLACK)
+    def __init__(self, motors: int = 1) -> None:
+        voltages, torques = VOLTAGES + SLACK, TORQUES + SLACK
+        single = motors == 1
+        self._voltages: _Memory = _Numbers(1, voltages) if single else _Arrays(voltages)
+        self._torques: _Memory = _Numbers(2, torques) if single else _Arrays(torques)
+        self._speeds = _Numbers(1, torques)
         self.restarts = 0
 
     def __len__(self) -> int:
@@ -78,15 +160,15 @@ class RawHistory:
 
     def voltage(self, stamp_ns: int, voltage_v: Any) -> None:
         """Remember one voltage in V."""
-        self._voltages.append((stamp_ns, voltage_v))
+        self._voltages.append(stamp_ns, voltage_v)
 
     def torque(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any = math.nan) -> None:
         """Remember one torque in N m, with the speed in rad/s that came with it."""
-        self._torques.append((stamp_ns, torque_nm, speed_rad_s))
+        self._torques.append(stamp_ns, torque_nm, speed_rad_s)
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> None:
         """Remember one speed in rad/s, where speed is a signal of its own."""
-        self._speeds.append((stamp_ns, speed_rad_s))
+        self._speeds.append(stamp_ns, speed_rad_s)
 
     def clear(self) -> None:
         """Forget everything."""
@@ -102,9 +184,9 @@ class RawHistory:
     def events(self, delay_ns: int) -> Iterator[Event]:
         """Yield everything remembered in the order of stamps, voltage first and its stamps taken as that much later."""
         rows: list[tuple[int, int, Event]] = []
-        rows += [(at + delay_ns, 0, ('voltage', at, (volt,))) for at, volt in self._voltages]
-        rows += [(at, 1, ('speed', at, (speed,))) for at, speed in self._speeds]
-        rows += [(at, 2, ('torque', at, (torque, speed))) for at, torque, speed in self._torques]
+        rows += [(at + delay_ns, 0, ('voltage', at, (volt,))) for at, volt in self._voltages.rows()]
+        rows += [(at, 1, ('speed', at, (speed,))) for at, speed in self._speeds.rows()]
+        rows += [(at, 2, ('torque', at, (torque, speed))) for at, torque, speed in self._torques.rows()]
         rows.sort(key=lambda row: row[:2])
         return (event for _, _, event in rows)
 
@@ -112,12 +194,12 @@ class RawHistory:
         """Return what is remembered of one motor of a group; what cannot be used of it is left out."""
         made = RawHistory()
         made.restarts = self.restarts
-        made._voltages.extend((at, float(volt[motor])) for at, volt in self._voltages if volt[motor] == volt[motor])
-        made._torques.extend(
-            (at, float(torque[motor]), float(speed[motor]) if isinstance(speed, np.ndarray) else math.nan)
-            for at, torque, speed in self._torques
-            if torque[motor] == torque[motor]
-        )
+        for at, volt in self._voltages.rows():
+            if volt[motor] == volt[motor]:
+                made.voltage(at, float(volt[motor]))
+        for at, torque, speed in self._torques.rows():
+            if torque[motor] == torque[motor]:
+                made.torque(at, float(torque[motor]), float(speed[motor]) if np.ndim(speed) else math.nan)
         return made
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
@@ -130,21 +212,15 @@ class RawHistory:
         Returns:
             The signals, None where there are less than two torques or no voltage.
         """
-        torques = _columns(self._torques, 3, until_ns, TORQUES)
-        voltages = _columns(self._voltages, 2, until_ns - delay_ns, VOLTAGES)
-        if len(torques[0]) < 2 or not len(voltages[0]):
+        if not isinstance(self._torques, _Numbers) or not isinstance(self._voltages, _Numbers):
+            raise GrayBoxError('a group has the signals of its motors, expected .of(motor).signals')
+        stamps, (torque, speed) = self._torques.until(until_ns, TORQUES)
+        since, (voltage,) = self._voltages.until(until_ns - delay_ns, VOLTAGES)
+        if stamps.size < 2 or not since.size:
             return None
-        time_s, torque, speed = (torques[0] - until_ns) / NANOSECONDS_PER_SECOND, torques[1], torques[2]
-        if self._speeds:
-            own = _columns(self._speeds, 2, until_ns, TORQUES)
-            own_s = (own[0] - until_ns) / NANOSECONDS_PER_SECOND
-            speed = np.interp(time_s, own_s, own[1]) if len(own_s) else np.full_like(torque, np.nan)
-        return RawSignals(time_s, torque, speed, (voltages[0] - until_ns) / NANOSECONDS_PER_SECOND, voltages[1])
-
-
-def _columns(rows: Iterable[Any], width: int, until_ns: int, most: int) -> tuple[NDArray[Any], ...]:
-    """Stamps and values of the newest rows up to a stamp, in order."""
-    kept = [row for row in islice(reversed(rows), most + SLACK) if row[0] <= until_ns][:most]  # type: ignore[call-overload]
-    kept.reverse()
-    stamps = np.array([row[0] for row in kept], dtype=np.int64)
-    return (stamps, *(np.array([row[j] for row in kept], dtype=float) for j in range(1, width)))
+        time_s = (stamps - until_ns) / NANOSECONDS_PER_SECOND
+        if len(self._speeds):
+            own, (own_speed,) = self._speeds.until(until_ns, TORQUES)
+            own_s = (own - until_ns) / NANOSECONDS_PER_SECOND
+            speed = np.interp(time_s, own_s, own_speed) if own.size else np.full_like(torque, np.nan)
+        return RawSignals(time_s, torque, speed, (since - until_ns) / NANOSECONDS_PER_SECOND, voltage)

@@ -7,6 +7,7 @@ an exogenous signal ``w``. Everything the learners need follows from the basis f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -37,6 +38,15 @@ class Parameter:
     upper: float
     description: str
     heats: bool = False
+
+
+@lru_cache(maxsize=64)
+def bounds(parameters: tuple[Parameter, ...]) -> tuple[Array, Array]:
+    """Smallest and largest plausible values of parameters, each of shape (parameter,); not to be written to."""
+    lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
+    for limits in (lower, upper):
+        limits.flags.writeable = False
+    return lower, upper
 
 
 class WhiteBox(Protocol):
