@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.predictor import Prediction, Predictor, TrainingRules
+from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual import ASKED, BINS, INPUTS, Correction
 from gray_box_observer.samples import Sample
@@ -20,11 +21,12 @@ HELD_V = np.array([9.0, -4.0])
 
 
 def correction(share: float = 1.0) -> Correction:
-    """A correction of up to 0.3 A that hangs on its memory and on the current."""
+    """A correction of up to 0.3 A that hangs on its memory, on the traces and on the current."""
     weights = Weights.initial(INPUTS, 8, 3)
     weights = replace(weights, output=4.0 * weights.output, output_bias=np.zeros(1))
     support = np.full((BINS, BINS), 1e4)
-    return Correction(weights, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
+    linear = LinearPart(0.01 * np.random.default_rng(4).standard_normal(FEATURES), np.full(FEATURES, 20.0))
+    return Correction(weights, linear, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
 
 
 def box_of(motors: int) -> MotorWhiteBox:
