@@ -19,7 +19,7 @@ SPEAKING = 2.0
 """Fewest parts that must have something to say, counted as many of equal error would say it."""
 
 
-def borne_out(had: Array, gains: Array) -> bool:
+def borne_out(had: Array, gains: Array, significant: float = SIGNIFICANT) -> bool:
     """Whether parts tell of a gain that is worth it and more than chance.
 
     The gain is a ratio, all that was gained to all that there was, with the standard error of one (Cochran 1977, 2.11):
@@ -28,10 +28,11 @@ def borne_out(had: Array, gains: Array) -> bool:
     Args:
         had: shape (part,): mean absolute errors without the correction.
         gains: shape (part,): by how much less they are with it.
+        significant: least gain, in its standard errors.
     """
     total, n = float(had.sum()), had.size
     if total <= 0.0 or total**2 < SPEAKING * float(np.sum(had**2)):
         return False
     ratio = float(gains.sum()) / total
     error = float(np.sqrt(n / (n - 1.0) * np.sum((gains - ratio * had) ** 2))) / total
-    return ratio > max(SIGNIFICANT * error, GAIN)
+    return ratio > max(significant * error, GAIN)

@@ -14,11 +14,18 @@ from gray_box_observer.predictor.evidence import PARTS, borne_out
 from gray_box_observer.predictor.traces import LADDER, SIGNALS
 from gray_box_observer.white_box.base import Array
 
-FEATURES = 4 + SIGNALS * LADDER.size
-"""Voltage, predicted current, the current where it is going, speed; then the traces of voltage and of speed."""
+NOW = 4
+"""Voltage, predicted current, the current where it is going, speed. No constant: what is known of rest and of one level
+of the voltage shall hold between them."""
 
-LEVELS = (0, 3, 6, LADDER.size)
+FEATURES = NOW + SIGNALS * LADDER.size
+"""Those of now; then the traces of voltage and of speed."""
+
+LEVELS = (0, 3, LADDER.size)
 """How many rungs of the ladder may be climbed: as many as samples bear out that did not teach."""
+
+CHOSEN = 1.0
+"""Least gain by which a level is chosen, in its standard errors (Breiman et al. 1984); other samples judge it again."""
 
 RIDGE = 1e-6
 """Pull of the weights towards zero, as a fraction of the mean square of each feature."""
@@ -79,8 +86,8 @@ class LinearPart:
                 others = part != k
                 said[:, ~others] = cls.fitted(seen[:, others], wanted[:, others], rungs).say(seen[:, ~others])
             left = np.abs(wanted - said)
-            sums = (np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left))
-            if left.mean() < least and borne_out(*sums):
+            sums = [np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left)]
+            if left.mean() < least and borne_out(sums[0], sums[1], CHOSEN):
                 found, least = cls.fitted(seen, wanted, rungs), float(left.mean())
         return found
 
@@ -93,7 +100,7 @@ class LinearPart:
             wanted: shape (...).
             rungs: how many of the ladder's have a part.
         """
-        used = np.concatenate([np.full(4, True), np.tile(np.arange(LADDER.size) < rungs, SIGNALS)])
+        used = np.concatenate([np.full(NOW, True), np.tile(np.arange(LADDER.size) < rungs, SIGNALS)])
         chosen = seen[..., used].reshape(wanted.size, -1)
         size = np.sqrt(np.mean(chosen**2, axis=0)) + 1e-12
         scaled = chosen / size

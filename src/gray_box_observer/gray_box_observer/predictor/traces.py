@@ -13,7 +13,7 @@ import numpy as np
 from gray_box_observer.predictor.network import Mask
 from gray_box_observer.white_box.base import Array
 
-LADDER: Array = 2.0 ** np.arange(1.0, 10.0, dtype=np.float64)
+LADDER: Array = 2.0 ** np.arange(1.0, 8.0, dtype=np.float64)
 """Times of the integrators, in sample intervals: the rungs are near enough for what lies between them."""
 
 SIGNALS = 2
