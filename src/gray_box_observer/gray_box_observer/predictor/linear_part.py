@@ -21,11 +21,12 @@ of the voltage shall hold between them."""
 FEATURES = NOW + SIGNALS * LADDER.size
 """Those of now; then the traces of voltage and of speed."""
 
-LEVELS = (0, 3, LADDER.size)
+LEVELS = (0, 3, 5, LADDER.size)
 """How many rungs of the ladder may be climbed: as many as samples bear out that did not teach."""
 
 CHOSEN = 1.0
-"""Least gain by which a level is chosen, in its standard errors (Breiman et al. 1984); other samples judge it again."""
+"""Least gain of a level over what was chosen before, in its standard errors (Breiman et al. 1984): of two that do alike
+the one that remembers less. Other samples judge the correction again."""
 
 RIDGE = 1e-6
 """Pull of the weights towards zero, as a fraction of the mean square of each feature."""
@@ -78,17 +79,16 @@ class LinearPart:
             wanted: shape (motor, time): what is missing.
         """
         part = np.arange(wanted.shape[1]) * PARTS // wanted.shape[1]
-        had = np.abs(wanted)
-        found, least = cls.silent(), float(had.mean())
+        found, least = cls.silent(), np.abs(wanted)
         for rungs in LEVELS:
             said = np.empty_like(wanted)
             for k in range(PARTS):
                 others = part != k
                 said[:, ~others] = cls.fitted(seen[:, others], wanted[:, others], rungs).say(seen[:, ~others])
             left = np.abs(wanted - said)
-            sums = [np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left)]
-            if left.mean() < least and borne_out(sums[0], sums[1], CHOSEN):
-                found, least = cls.fitted(seen, wanted, rungs), float(left.mean())
+            had, gains = (np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (least, least - left))
+            if borne_out(had, gains, CHOSEN):
+                found, least = cls.fitted(seen, wanted, rungs), left
         return found
 
     @classmethod
