@@ -39,14 +39,16 @@ def features(voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: A
     """Return what is weighted, of the shape of the signals with an axis of FEATURES behind; in SI units.
 
     Args:
-        voltage_v: held voltage; all signals broadcast against each other.
-        current_a: predicted current at the end.
+        voltage_v: held voltage.
+        current_a: predicted current at the end; the other signals broadcast to its shape.
         steady_a: current at which the voltage balances.
         speed_rad_s: held speed; zero where none is measured.
         traces: of the shape of the signals, with axes of SIGNALS and rungs behind.
     """
-    now = np.stack(np.broadcast_arrays(voltage_v, current_a, steady_a, speed_rad_s), axis=-1)
-    seen: Array = np.concatenate([now, traces.reshape(*now.shape[:-1], -1)], axis=-1)
+    seen = np.empty((*current_a.shape, FEATURES))
+    for k, signal in enumerate((voltage_v, current_a, steady_a, speed_rad_s)):
+        seen[..., k] = signal
+    seen[..., NOW:] = traces.reshape(*current_a.shape, -1)
     return seen
 
 
@@ -112,6 +114,7 @@ class LinearPart:
 
     def say(self, seen: Array) -> Array:
         """Return the weighted sum of features, fading beyond what was taught; their last axis goes."""
-        beyond = np.max(np.abs(seen) / np.maximum(self.reach, 1e-12), axis=-1)
-        said: Array = seen @ self.weight * np.clip((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0, 1.0)
+        beyond = (np.abs(seen) / np.maximum(self.reach, 1e-12)).max(axis=-1)
+        trusted = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
+        said: Array = seen @ self.weight * trusted
         return said

@@ -64,10 +64,12 @@ class Correction:
     interval_s: float
 
     def inputs(self, voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array) -> Array:
-        """Columns of the network's input, of the shape of the signals with an axis of INPUTS behind; bounded."""
+        """Columns of the network's input, of the shape of the current with an axis of INPUTS behind; bounded."""
         volt, ampere, speed = self.size
-        columns = [voltage_v / volt, current_a / ampere, steady_a / ampere, speed_rad_s / speed]
-        inputs: Array = np.clip(np.stack(np.broadcast_arrays(*columns), axis=-1), -3.0, 3.0)
+        columns = np.empty((*current_a.shape, INPUTS))
+        for k, column in enumerate((voltage_v / volt, current_a / ampere, steady_a / ampere, speed_rad_s / speed)):
+            columns[..., k] = column
+        inputs: Array = np.minimum(np.maximum(columns, -3.0), 3.0)  # np.clip takes four times as long for one motor
         return inputs
 
     def current(self, readout: Array, seen: Array) -> Array:
@@ -80,7 +82,7 @@ class Correction:
         voltage_v, current_a = seen[..., 0], seen[..., 1]
         samples = self.support[cells(current_a / self.size[1]), cells(voltage_v / self.size[0])]
         said = self.linear.say(seen) + np.tanh(readout) * samples / (samples + FEW)
-        correction: Array = self.share * self.limit_a * np.clip(said, -1.0, 1.0)
+        correction: Array = self.share * self.limit_a * np.minimum(np.maximum(said, -1.0), 1.0)
         return correction
 
     @property
@@ -118,7 +120,7 @@ class Correction:
 
 def cells(signal: Array) -> Any:
     """Cells of the map that signals in units of their size fall into."""
-    return np.clip((signal + REACH) * (BINS / (2.0 * REACH)), 0, BINS - 1).astype(int)
+    return np.minimum(np.maximum((signal + REACH) * (BINS / (2.0 * REACH)), 0), BINS - 1).astype(int)
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,8 @@ def followed(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Arr
         speed_rad_s: shape (motor,).
         intervals: shape (motor,): its length, in sample intervals.
     """
-    held = np.stack([voltage_v, speed_rad_s], axis=-1)[..., None]
+    held = np.empty((*voltage_v.shape, SIGNALS, 1))
+    held[..., 0, 0], held[..., 1, 0] = voltage_v, speed_rad_s
     reached: Array = held + (traces - held) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
     return reached
 
