@@ -21,7 +21,6 @@ from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.dask_engine import DaskEngine
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.trends import gather
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.report.trend import MONTH_S
 from gray_box_observer.report.trend_page import drift_words
 
@@ -59,7 +58,7 @@ def main() -> int:
     parser.add_argument('--bags', type=int, help='so many bags instead of 200')
     options = parser.parse_args()
     count = options.bags or (20 if options.quick else 200)
-    work = BagWork(Configuration.from_flat({}))
+    work = BagWork({})
     with tempfile.TemporaryDirectory(prefix='archive-') as folder:
         bags = make_archive(Path(folder), count)
         serial_s, serial = timed(SerialEngine(), work, bags)

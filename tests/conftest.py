@@ -62,11 +62,11 @@ class Peer:
         self._running.append(process)
         return process
 
-    def wait(self, condition: Callable[[], object], what: str) -> None:
+    def wait(self, condition: Callable[[], object], what: str, timeout_s: float = TIMEOUT_S) -> None:
         """Spin until the condition holds; fail after a time-out."""
-        until_s = time.monotonic() + TIMEOUT_S
+        until_s = time.monotonic() + timeout_s
         while not condition():
-            assert time.monotonic() < until_s, f'waited {TIMEOUT_S} s for {what}'
+            assert time.monotonic() < until_s, f'waited {timeout_s} s for {what}'
             self.executor.spin_once(timeout_sec=0.02)
 
     def listen(self, kind: type, topic: str, qos: QoSProfile | int = 1000) -> list[Any]:

@@ -5,6 +5,7 @@ import io
 import os
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,27 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     on, again = one.estimates()['motor'], other.estimates()['motor']
     assert on.value.tobytes() + on.covariance.tobytes() == again.value.tobytes() + again.covariance.tobytes()
     assert not np.array_equal(on.value, before.value)
+
+
+@pytest.mark.parametrize('cut', [305, 450, 615, 640, 1000, 1290])
+def test_whoever_goes_on_from_a_checkpoint_is_no_less_certain_wherever_it_was_cut(
+    tmp_path: Path, record: Callable[..., Recording], cut: int
+) -> None:
+    for seed in (1, 2):
+        recording = record('R[5,15]D[0.1,1]', 16.0, seed=seed, torque_noise_std=1e-4)
+        recording = replace(recording, torque_nm=recording.torque_nm.copy())
+        recording.torque_nm[0, cut + 20] += 3e-4  # the state it goes on from was measured three deviations off
+        one, other, never_ended = observer(), observer(), observer()
+        feed(one, recording, 0, cut)
+        save(one, tmp_path / 'c.safetensors')
+        load(other, tmp_path / 'c.safetensors')
+        before = other.estimates()['motor'].std
+        told = [r.estimate for r in feed(other, recording, cut + 20, 1600) if r.estimate is not None]
+        assert max(float(np.max(estimate.std / before)) for estimate in told) < 1.05
+        feed(never_ended, recording, 0, 1600)
+        expected = never_ended.estimates()['motor']
+        assert np.all(told[-1].std < 1.1 * expected.std)  # 20 samples are missing
+        assert np.all(np.abs(told[-1].value - expected.value) < 2.0 * expected.std)
 
 
 def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: Path) -> None:

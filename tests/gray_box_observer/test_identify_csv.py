@@ -170,3 +170,32 @@ def test_a_carried_parameter_that_makes_no_sense_is_one_line(identify: Run, log:
         assert code == 2
         assert said.count('\n') == 1
         assert said.startswith('identify: error: ')
+
+
+def test_an_archive_takes_from_every_bag_the_constant_that_it_was_made_with(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / 'archive'
+    for name, constant in (('a', 0.01), ('b', 0.02)):
+        words = columns('motor=left', torque_constant=constant)
+        assert identify(folder / name, '--from-csv', log, *words)[0] == 0
+    code, out, said = identify('--each', folder, '--json', '-')
+    assert (code, said) == (0, '')
+    for bag in json.loads(out)['bags']:
+        alone = json.loads(identify(bag['bag'], '--json', '-')[1])
+        assert alone == {'motors': bag['motors'], 'digest': bag['digest']}
+        found = bag['motors']['left']['parameters']['inductance']['value']
+        assert found == pytest.approx(0.5, rel=0.01)  # read with another constant it would be their ratio off
+
+
+def test_a_bag_that_contradicts_the_parameter_file_has_a_row_that_says_so(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    for name, constant in (('a', 0.01), ('b', 0.02)):
+        assert identify(tmp_path / name, '--from-csv', log, *columns(torque_constant=constant))[0] == 0
+    params = parameter_file(tmp_path / 'p.yaml', 'motor: {torque_constant: 0.02}')
+    code, out, _ = identify('--each', tmp_path / 'a', tmp_path / 'b', '--params', params, '--json', '-')
+    errors = [bag['error'] for bag in json.loads(out)['bags']]
+    assert code == 3
+    assert errors[0] == 'motor.torque_constant is 0.01 by the bag, but 0.02 by the parameter file: leave one out'
+    assert errors[1] is None

@@ -122,7 +122,7 @@ def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_
     assert one.forecast_held('motor', 0.1) is None
     feed(one, recording, 100)
     assert one.forecast_held('motor', 0.1) is not None
-    for stamp in (1_300_000_000, 1_600_000_000):  # the first of them is learnt by patience, without its voltage
+    for stamp in (1_100_000_000, 1_400_000_000):  # the first of them is learnt by patience, without its voltage
         one.torque('motor', stamp, 0.01)
     assert one.pairing['motor'].held == 1
     assert one.forecast_held('motor', 0.1) is None

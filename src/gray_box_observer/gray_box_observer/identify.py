@@ -85,9 +85,9 @@ def _run(options: argparse.Namespace) -> int:
             raise GrayBoxError('--from-csv makes one bag; --each, --table and --engine are for bags that are there')
         from gray_box_observer.archive import command
 
-        configuration = Configuration.from_yaml(options.params) if options.params else Configuration.from_flat({})
-        _warn_of_unknown(configuration)
-        return command.run(options, configuration)
+        given = read_parameter_file(options.params) if options.params else {}
+        _warn_of_unknown(Configuration.from_flat(given))  # what is wrong with the file is no bag's fault
+        return command.run(options, given)
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
             refuse_unwritable(target, makes_folders=target is options.report)

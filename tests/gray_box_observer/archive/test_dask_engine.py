@@ -13,7 +13,7 @@ from distributed import LocalCluster
 from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.dask_engine import DaskEngine
 from gray_box_observer.archive.serial_engine import SerialEngine
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import read_parameter_file
 from gray_box_observer.errors import GrayBoxError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -72,7 +72,7 @@ def test_an_existing_cluster_is_used_and_left_running(
 
 @pytest.mark.timeout(300)
 def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, params: Path) -> None:
-    before, work = children(), BagWork(Configuration.from_yaml(params))
+    before, work = children(), BagWork(read_parameter_file(params))
     bags = sorted(archive.glob('2026-*/bag')) * 2
     results: dict[int, BagResult] = {}
     for index, result in DaskEngine(workers=2).run(work, bags):
@@ -120,7 +120,7 @@ def test_workers_that_run_another_program_are_refused(
     monkeypatch.setattr(np, '__version__', '0.1')
     engine = DaskEngine(scheduler)
     with pytest.raises(GrayBoxError, match=r'with numpy .*, this is .* with 0\.1: install the same there'):
-        next(engine.run(BagWork(Configuration.from_yaml(params)), [archive / 'bare.mcap']))
+        next(engine.run(BagWork(read_parameter_file(params)), [archive / 'bare.mcap']))
 
 
 def test_a_scheduler_that_does_not_answer_is_one_clear_line(

@@ -13,7 +13,7 @@ from pyarrow import parquet
 from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.table import COLUMNS
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.configuration import read_parameter_file
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -114,7 +114,7 @@ def test_a_defect_in_one_bag_is_told_in_its_row_and_the_rest_goes_on(
 
     monkeypatch.setattr('gray_box_observer.offline.run', work)
     bags = [archive / 'bare.mcap', archive / '2026-05' / 'bag']
-    results = [r for _, r in SerialEngine().run(BagWork(Configuration.from_yaml(params)), bags)]
+    results = [r for _, r in SerialEngine().run(BagWork(read_parameter_file(params)), bags)]
     assert [result.bag for result in results] == [str(bag) for bag in bags]
     for result in results:
         assert result.error is not None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveRules, RecursiveUpdate
+from gray_box_observer.context_nodes import Estimate, RecursiveRules, RecursiveUpdate, Verdict
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -73,6 +74,72 @@ def test_a_warming_winding_is_still_followed_through_a_long_hold(
     after = teach(nodes, warm)[-1]
     assert abs(after.value[0, R] - 1.2) < 0.01
     assert abs(after.value[0, K_HS] - before.value[0, K_HS]) < before.std[0, K_HS]
+
+
+def at_rest(volt: float, seconds: float, seed: int, resistance: float = 1.0, after_ns: int = 0) -> list[Sample]:
+    """The thesis's motor, settled at a voltage since long ago, in 1 % noise."""
+    return held_on(Sample.of_one_motor(after_ns, 0.01, volt, 0.0), seconds, 6e-5 * volt, seed, resistance)
+
+
+def from_elsewhere() -> RecursiveUpdate:
+    """Start where nothing is right."""
+    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+    return RecursiveUpdate(box, np.array([[1.5, 3.0, 1.0]]))
+
+
+@pytest.mark.parametrize('volt', [2.0, 10.0, 30.0])
+@pytest.mark.parametrize('seed', range(5))
+def test_a_motor_at_rest_since_the_first_sample_is_never_called_identified(volt: float, seed: int) -> None:
+    nodes = from_elsewhere()
+    estimates = teach(nodes, at_rest(volt, 40.0, seed))
+    assert len(estimates) > 100
+    for estimate in estimates:
+        assert Verdict.IDENTIFIED not in estimate.verdicts[0]
+        assert [estimate.verdicts[0][j] for j in (L, K_HS)] == [Verdict.UNEXCITED] * 2
+        assert np.all(np.abs(np.log(estimate.value[0] / TRUTH)) < 4.0 * np.log1p(estimate.std[0] / estimate.value[0]))
+    assert nodes.alarms == 0
+
+
+@pytest.mark.parametrize('rest_s', [2.0, 60.0])
+def test_what_was_at_rest_is_identified_as_soon_as_it_moves(
+    record: Callable[..., Recording], samples_of: Callable[..., Samples], rest_s: float
+) -> None:
+    moving = list(samples_of(record('R[5,15]D[1,20]', 60.0, 2, torque_noise_relative=0.01)))
+    never_at_rest, rested = from_elsewhere(), from_elsewhere()
+    teach(rested, at_rest(float(moving[0].voltage_v[0]) + 3.0, rest_s, 3))
+    offset_ns = round((rest_s + 1.0) * 1e9)
+    late = [replace(sample, stamp_ns=sample.stamp_ns + offset_ns) for sample in moving]
+    late[0] = late[0].beginning(np.ones(1, dtype=bool))  # a pause between the two
+    for nodes, samples in ((never_at_rest, moving), (rested, late)):
+        teach(nodes, samples[:800])
+        assert nodes.estimate().identified(0)
+        estimate = teach(nodes, samples[800:])[-1]
+        assert np.all(np.abs(estimate.value[0] - TRUTH) < 4.0 * estimate.std[0])
+        assert nodes.alarms == 0
+    assert np.all(rested.estimate().std[0] < 1.2 * never_at_rest.estimate().std[0])
+
+
+def test_another_resistance_at_rest_is_another_level_from_which_it_starts_anew() -> None:
+    nodes = from_elsewhere()
+    teach(nodes, at_rest(10.0, 60.0, 1))
+    estimate = teach(nodes, at_rest(10.0, 60.0, 2, resistance=1.3, after_ns=60_000_000_000))[-1]
+    assert nodes.alarms == 1
+    assert Verdict.IDENTIFIED not in estimate.verdicts[0]
+    _, resistance, hysteresis = estimate.value[0]
+    current_a = at_rest(10.0, 1.0, 3, resistance=1.3)[0].torque_nm[0] / 0.01
+    assert resistance + 0.01 * hysteresis * current_a == pytest.approx(10.0 / current_a, rel=0.03), (
+        'what the level tells'
+    )
+
+
+def test_with_a_data_sheet_resistance_is_followed_at_rest(thesis_box: MotorWhiteBox) -> None:
+    told = np.array([[0.05, 0.0, 0.05]])
+    nodes = RecursiveUpdate(thesis_box, np.array([[0.51, 1.2, 10.2]]), initial_relative_std=told)
+    cold = teach(nodes, at_rest(10.0, 100.0, 1))[-1]
+    warm = teach(nodes, at_rest(10.0, 100.0, 2, resistance=1.2, after_ns=100_000_000_000))[-1]
+    for estimate, truth in ((cold, 1.0), (warm, 1.2)):
+        assert abs(estimate.value[0, R] - truth) < 3.0 * estimate.std[0, R] < 0.6
+    assert warm.value[0, R] - cold.value[0, R] == pytest.approx(0.2, abs=0.03)
 
 
 @pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]'])

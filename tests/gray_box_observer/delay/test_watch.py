@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
+from gray_box_observer import checkpoint
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.delay import DelayEstimate, DelayVerdict
 from gray_box_observer.observer import Observer, Result
@@ -145,6 +147,23 @@ def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_wa
         assert one.delays()['motor'].applied_s != 0.0
         assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
         assert len(results) == pairing.used
+
+
+def test_a_delay_that_grows_sharper_after_a_restart_costs_no_certainty_learnt_before_it(
+    record: Callable[..., Recording], observer: Any, feed: Any, tmp_path: Path
+) -> None:
+    """A sharper delay makes everything learnt anew from the history, which a restart has left behind."""
+    recording = record('R[5,15]D[0.1,1]', 15.0, seed=3, torque_noise_std=5e-4)
+    one, other = (observer(**{'motor.delay': 'estimate'}) for _ in range(2))
+    feed(one, recording, 0.04, until=500)
+    checkpoint.save(one, tmp_path / 'c')
+    checkpoint.load(other, tmp_path / 'c')
+    before = one.estimates()['motor']
+    assert one.delays()['motor'].applied_s == pytest.approx(0.04, abs=0.003)
+    results = feed(other, recording, 0.04, first=500, until=1500)
+    told = [r.estimate for r in results if r.estimate is not None]
+    assert max(float(np.max(estimate.std / before.std)) for estimate in told) < 1.1
+    assert np.all(told[-1].std < before.std)
 
 
 def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(

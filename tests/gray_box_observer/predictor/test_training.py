@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from dc_motor_sim.simulation import Recording
@@ -81,6 +82,18 @@ def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteB
         assert process.collect() is None
     finally:
         process.close()
+
+
+@pytest.mark.timeout(90)
+def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhiteBox) -> None:
+    before = set(psutil.Process().children())
+    process = ProcessTraining(configuration(thesis_box, SMALL))
+    (child,) = set(psutil.Process().children()) - before
+    process.close()
+    deadline = time.monotonic() + 60.0
+    while psutil.pid_exists(child.pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 @pytest.mark.timeout(90)

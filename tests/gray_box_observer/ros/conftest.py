@@ -29,6 +29,8 @@ CHUNK = 20
 its readers at once, else every three seconds."""
 SENDER_QOS = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
 ACKNOWLEDGE_TIMEOUT_S = 20.0
+ORPHAN_END_S = 120.0
+"""What an observer had started has ended so long after it."""
 
 
 class Rig:
@@ -129,6 +131,17 @@ class Rig:
     def lifecycle_state(self) -> int:
         """The state of the life cycle."""
         return self.call(GetState, 'get_state').current_state.id
+
+    def wait_until_gone(self, child: psutil.Process) -> None:
+        """Wait until a process that the observer had started has ended; it does so at low priority."""
+
+        def gone() -> bool:
+            try:
+                return bool(child.status() == psutil.STATUS_ZOMBIE)  # nobody may be there to fetch its exit code
+            except psutil.NoSuchProcess:
+                return True
+
+        self.peer.wait(gone, 'the end of the training process', timeout_s=ORPHAN_END_S)
 
     def children(self) -> list[psutil.Process]:
         """The processes that the observer has started."""

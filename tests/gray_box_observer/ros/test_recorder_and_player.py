@@ -201,6 +201,17 @@ def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_
         assert {content.data for _, content in bag.decoded()} == {7.0}
 
 
+def test_topics_that_appear_while_simulated_time_stands_still_are_recorded(peer, tmp_path):
+    recorder = peer.start(RECORDER, '--all', output=tmp_path / 'bag', use_sim_time='true')
+    for name in ('/early', '/late'):  # whoever hears the first has looked round before the second was there
+        publisher = peer.publisher(Float64, name, SIGNAL_QOS, readers=1)
+        publisher.publish(Float64(data=7.0))
+        assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
+    assert peer.end(recorder)[0] == 0
+    with BagReader(tmp_path / 'bag') as bag:
+        assert {(raw.topic, raw.log_time_ns) for raw in bag.messages()} == {('/early', 0), ('/late', 0)}
+
+
 def test_a_recording_ends_by_itself_after_its_duration(peer, tmp_path):
     started_s = time.monotonic()
     code, _, _ = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)

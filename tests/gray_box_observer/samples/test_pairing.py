@@ -98,6 +98,58 @@ def test_a_gap_never_becomes_a_derivative() -> None:
     assert pairing.rejected == {}
 
 
+@pytest.mark.parametrize('back_ms', [0, 60, 400])
+@pytest.mark.parametrize('hole_ms', [300, 450, 2000])
+def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(hole_ms: int, back_ms: int) -> None:
+    """Both come every 10 ms, but for a hole that ends at 3 s; voltage is back so much later than torque."""
+    voltages, torques = steady(400)
+    expected = {s.stamp_ns: content([s]) for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))}
+    kept = [e for e in torques if not 3000 - hole_ms <= e[1] < 3000]
+    kept += [e for e in voltages if not 3000 - hole_ms <= e[1] < 3000 + back_ms]
+    pairing = Pairing()
+    samples = feed(pairing, sorted(kept, key=lambda e: e[1])) + pairing.flush()
+    begins = [s for s in samples if s.interval_s[0] == 0.0]
+    assert [s.stamp_ns for s in begins] == [0, (3000 + back_ms) * MS]
+    assert all(content([s]) == expected[s.stamp_ns] for s in samples if s not in begins and s.stamp_ns in expected)
+    assert pairing.rejected == ({Rejection.NO_VOLTAGE: back_ms // 10} if back_ms else {})
+    assert pairing.received_torque == pairing.used + pairing.rejected.total()
+
+
+def test_a_voltage_that_comes_when_it_changes_is_in_force_until_it_does() -> None:
+    volts: list[Event] = [('v', at, 1.0 + at % 3) for at in (*range(0, 100), 1500)]
+    pairing = Pairing()
+    events = sorted([*volts, *(('t', at, 0.1) for at in range(0, 2000, 10))], key=lambda event: event[1])
+    samples = feed(pairing, events) + pairing.flush()
+    assert len(samples) == 200
+    assert pairing.rejected == {}
+    assert [float(s.interval_s[0]) for s in samples[1:]] == [0.01] * 199
+
+
+@pytest.mark.parametrize('delivered_late', [False, True])
+def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_late: bool) -> None:
+    """Torque goes on through an outage of the voltage, or comes first when both are delivered after it."""
+    voltages, torques = steady(1500)
+    out = [e for e in voltages if 12_000 <= e[1] < 13_000]
+    comes = {e: 13_000.0 if e in out else float(e[1]) for e in voltages + torques}
+    events = sorted([e for e in comes if delivered_late or e not in out], key=lambda e: (comes[e], e[1]))
+    pairing = Pairing()
+    samples = feed(pairing, events) + pairing.flush()
+    expected = {s.stamp_ns: content([s]) for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))}
+    learnt = [s for s in samples[1:] if s.interval_s[0] > 0.0 and s.stamp_ns <= 14_980 * MS]
+    wrong = [s.stamp_ns // MS for s in learnt if content([s]) != expected[s.stamp_ns]]
+    assert all(12_000 < at <= 12_200 for at in wrong), 'what is not yet overdue is taken to hold on'
+    assert len([s for s in samples if s.interval_s[0] == 0.0]) == 2
+    assert pairing.rejected[Rejection.NO_VOLTAGE] > 50
+    assert pairing.received_torque == pairing.used + pairing.refused['torque'].total()
+
+
+def test_a_lost_message_is_no_silence() -> None:
+    voltages, torques = steady(200)
+    kept = [e for k, e in enumerate(voltages) if k % 3] + [e for k, e in enumerate(torques) if not 80 < k < 95]
+    samples = feed(pairing := Pairing(), sorted(kept, key=lambda event: event[1])) + pairing.flush()
+    assert max(float(s.interval_s[0]) for s in samples) == 0.15
+
+
 def test_a_silence_of_just_the_gap_is_still_an_interval() -> None:
     samples = feed(Pairing(PairingRules(gap_s=0.5)), [('v', 0, 5.0), ('t', 0, 0.0), ('v', 500, 5.0), ('t', 500, 1.0)])
     assert samples[1].interval_s[0] == 0.5

@@ -10,9 +10,10 @@ from typing import Any
 
 from gray_box_observer import offline
 from gray_box_observer.assembly import TrainingFactory
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.bag.carried import carried_by
 from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.identify_options import configure
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +52,22 @@ class BagResult:
 class BagWork:
     """Identifies bags, each with an observer of its own; keeps nothing from one to the next.
 
+    What a bag carries of parameters, such as the torque constant it was made with, is the observer's, as where a bag is
+    identified alone.
+
     Attributes:
-        configuration: of the observer.
+        given: parameters by their dotted names, as the parameter file gives them.
         training: makes the predictor's trainer; None: no predictor.
     """
 
-    configuration: Configuration
+    given: Mapping[str, Any]
     training: TrainingFactory | None = None
 
     def __call__(self, bag: Path) -> BagResult:
         """Identify one bag; never raises what a bag can cause, nor what a defect of ours makes of a bag."""
         try:
-            outcome = offline.run([bag], self.configuration, self.training)
+            configuration = configure(self.given, carried_by([bag]), 'the bag')
+            outcome = offline.run([bag], configuration, self.training)
             found = describe(outcome)
         except GrayBoxError as error:
             return BagResult(str(bag), error=' '.join(str(error).split()))

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.dask_engine import DaskEngine, require_dask
@@ -18,7 +18,6 @@ from gray_box_observer.archive.options import DEFAULT_RETRIES, EXIT_INTERRUPTED,
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.table import require_pyarrow, write_table
 from gray_box_observer.archive.trends import digest_of, gather
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
@@ -28,8 +27,12 @@ from gray_box_observer.report.trend_page import drift_words, write_trend_report
 _INTERRUPTED = 'interrupted before it was read'
 
 
-def run(options: argparse.Namespace, configuration: Configuration) -> int:
+def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
     """Identify every bag by itself and write what was asked for; the result is the exit code.
+
+    Args:
+        options: of the command line.
+        given: parameters by their dotted names, as the parameter file gives them.
 
     Raises:
         GrayBoxError: input that cannot be used at all: no bag, no engine, a result that could not be written.
@@ -46,7 +49,7 @@ def run(options: argparse.Namespace, configuration: Configuration) -> int:
     is_interrupted = False
     with _progress(len(bags)) as count:
         try:
-            for index, result in engine.run(BagWork(configuration, training), bags):
+            for index, result in engine.run(BagWork(given, training), bags):
                 found[index] = result
                 count(result)
         except KeyboardInterrupt:

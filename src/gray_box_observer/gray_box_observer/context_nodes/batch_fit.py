@@ -22,6 +22,7 @@ from gray_box_observer.context_nodes.trajectory import (
     follow,
     linearise,
     recurrence,
+    restart_variance,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -112,6 +113,7 @@ class _Search:
         self._about = self._measured_near
         self._first = self._about[:, 0]
         self._gain = np.zeros(measured.shape[0])
+        self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = Frame(self._size, self._p), prior.covariance  # until the first step
         self._begin()
@@ -169,7 +171,7 @@ class _Search:
     def _evaluate(self, *, robust: bool) -> None:
         """Predict the stretch from where we stand, and weigh its samples."""
         self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
-        gain = np.tile(self._gain[:, None], (1, self._stretch.state.shape[1]))
+        gain = self._gains()
         self._predict(self._maps, gain)
         near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
         if robust and not np.all(near):
@@ -177,9 +179,16 @@ class _Search:
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)
+                gain = self._gains()
             self._predict(self._maps, gain * near)
             near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
-        self._weights = (self._valid & near if robust else self._valid).astype(float)
+        self._weights = (self._valid & near if robust else self._valid) / (1.0 + self._loose)
+
+    def _gains(self) -> Array:
+        """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
+        steady, restart = self._gain[:, None], self._stretch.restart
+        self._loose = restart_variance(self._maps.decay, restart) if np.any(restart) else np.zeros_like(self._about)
+        return np.maximum(steady, self._loose / (1.0 + self._loose))
 
     def _predict(self, maps: Linearised, gain: Array) -> None:
         self._path = follow(maps, self._stretch, self._first, gain)
@@ -235,11 +244,11 @@ class _Search:
     def choose_gain(self) -> NDArray[np.bool_]:
         """Take the gain that explains the stretch best, if the evidence is clear; tell where it is not zero."""
         count = np.sum(self._weights, axis=1)
-        trust = self._weights.astype(bool)
+        trust, taken = self._weights > 0.0, self._loose / (1.0 + self._loose)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
-            path = follow(self._maps, self._stretch, self._first, gain * trust)
+            path = follow(self._maps, self._stretch, self._first, np.maximum(gain, taken) * trust)
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
@@ -255,6 +264,7 @@ class _Search:
         """Return where the search has ended."""
         transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
+        covariance[:, 0, 0] += self._loose[:, -1] / (1.0 + self._loose[:, -1]) / self._size**2
         belief = Belief(
             self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
         )

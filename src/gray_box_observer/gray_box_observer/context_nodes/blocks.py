@@ -20,8 +20,8 @@ from gray_box_observer.context_nodes.trajectory import (
     Trajectory,
     find_kicks,
     follow,
-    left_of_restarts,
     linearise,
+    restart_variance,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -39,6 +39,8 @@ class Block:
         spread: standard deviation of the residual, in units of the noise.
         valid: where the interval is no restart.
         kept: where the sample is no outlier either.
+        weights: what each sample counts: less than one after a restart, nothing where it is not kept.
+        left: shape (motor,): variance that restarts leave in the state at the end, in units of the noise's.
         kicked: shape (motor,): whether the state was let go.
         samples: shape (motor,): how many are valid.
         used: shape (motor,): how many are kept.
@@ -53,6 +55,8 @@ class Block:
     spread: Array
     valid: NDArray[np.bool_]
     kept: NDArray[np.bool_]
+    weights: Array
+    left: Array
     kicked: NDArray[np.bool_]
     samples: NDArray[np.int_]
     used: NDArray[np.int_]
@@ -63,6 +67,11 @@ class Block:
         """Return the block of the chosen motors."""
         signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
         return Block(self.stretch.of(index), self.path.of(index), *signals)
+
+    def silenced(self, which: NDArray[np.bool_]) -> Block:
+        """Return the block as telling nothing of some of the motors, shape (motor,); they only move on."""
+        information = np.where(which[:, None, None], 0.0, self.information)
+        return replace(self, information=information, right=np.where(which[:, None], 0.0, self.right))
 
 
 def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
@@ -75,39 +84,49 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     """
     reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
     about = np.concatenate([belief.state[:, None], np.clip(stretch.state[:, 1:], -reach, reach)], axis=1)
-    trust = np.tile(belief.gain[:, None], (1, stretch.state.shape[1]))
-    path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+    near = np.ones(stretch.state.shape, dtype=bool)
+    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
     if np.any(np.abs(residual) > limit):
         kicks = find_kicks(path, residual, ~stretch.restart, belief.noise)
         kicked = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
-        trust = trust * (np.abs(residual) <= limit)
-        path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+        near = np.abs(residual) <= limit
+        path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
         off = np.abs(residual) > OUTLIER * belief.noise[:, None] * spread
         if np.any(off):  # the motor never stood where an outlier says: linearise about where it was expected
             about = np.where(off, path.state, about)
-            path, residual, jacobian, spread = _from(white_box, belief, stretch, about, trust)
+            path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
         limit = OUTLIER * belief.noise[:, None] * spread
     valid = ~stretch.restart
     kept: NDArray[np.bool_] = valid & (np.abs(residual) <= limit)[:, 1:]
     residual, jacobian = residual[:, 1:], jacobian[:, 1:]
     counts = valid.sum(axis=1), kept.sum(axis=1)
-    normal = weighted(jacobian, kept.astype(float), residual)
-    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, kicked, *counts, *normal)
+    weights = kept / (1.0 + loose[:, 1:])
+    normal = weighted(jacobian, weights, residual)
+    left = loose[:, -1] / (1.0 + loose[:, -1])
+    return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, weights, left, kicked, *counts, *normal)
 
 
 def _from(
-    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, trust: Array
-) -> tuple[Trajectory, Array, Array, Array]:
-    """Trajectory, residuals, their derivatives by the unknowns, and their spread in units of the noise."""
-    path = follow(linearise(white_box, belief.p, stretch, about), stretch, belief.state, trust)
+    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
+) -> tuple[Trajectory, Array, Array, Array, Array]:
+    """Trajectory, residuals, their derivatives by the unknowns, their spread, and the variance that restarts leave.
+
+    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near.
+    """
+    maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
+    loose = np.zeros_like(about)
+    if np.any(stretch.restart):
+        loose = restart_variance(maps.decay, stretch.restart)
+        gain = np.maximum(gain, loose / (1.0 + loose))
+    path = follow(maps, stretch, belief.state, gain * near)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before
-    variance = np.sum((jacobian @ belief.covariance) * jacobian, axis=2)
-    return path, residual, jacobian, np.sqrt(1.0 + np.maximum(variance, 0.0))
+    variance = loose + np.maximum(np.sum((jacobian @ belief.covariance) * jacobian, axis=2), 0.0)
+    return path, residual, jacobian, np.sqrt(1.0 + variance), loose
 
 
 def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> Belief:
@@ -127,8 +146,7 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array) -> B
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
     transfer = belief.frame.transfer(block.path)
     moved = transfer @ posterior @ np.swapaxes(transfer, 1, 2)
-    if np.any(block.stretch.restart):
-        moved[:, 0, 0] += left_of_restarts(block.path, block.stretch) / belief.current_a**2
+    moved[:, 0, 0] += block.left / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
     moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
     after = replace(belief, p=p, state=state)
@@ -187,7 +205,8 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     gram = np.eye(n + 1) + block.information @ belief.covariance
     sign, logarithm = np.linalg.slogdet(gram)
     explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
-    squares = (np.sum(block.kept * block.residual**2, axis=1) - explained) / belief.noise**2
+    squares = (np.sum(block.weights * block.residual**2, axis=1) - explained) / belief.noise**2
+    logarithm = logarithm - np.sum(np.log(np.where(block.kept, block.weights, 1.0)), axis=1)
     told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
     count = np.where(told, block.used, 0)
     return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count

@@ -61,6 +61,39 @@ class Estimate:
         return all(verdict is Verdict.IDENTIFIED for verdict in self.verdicts[motor])
 
 
+LOG_NORMAL = 0.3
+"""Relative standard deviation up to which the spread of a logarithm is as good as that of the value."""
+
+WIDEST = 4.0
+"""Standard deviation of a logarithm beyond which nothing is known either way; it also keeps the exponential finite."""
+
+
+def spread_of_values(value: Array, covariance: Array) -> Array:
+    """Turn the spread of logarithms into that of the values, where it is so wide that the two differ.
+
+    Along every principal axis of the relative covariance a log-normal of spread s reaches up to ``exp(s) - 1`` of the
+    value with one standard deviation; from LOG_NORMAL on s grows as fast as that. What is known sharply, and sharply
+    known combinations of vaguely known values, stay as they are. Without this R would be called known where K_HS
+    happens to be guessed small: the share of the voltage that falls on it, and so the spread of R, would be as small.
+
+    Args:
+        value: shape (motor, parameter).
+        covariance: shape (motor, parameter, parameter): linearised, in the units of the values.
+    """
+    wide = np.any(np.diagonal(covariance, axis1=1, axis2=2) > (LOG_NORMAL * value) ** 2, axis=1)
+    wide &= np.isfinite(covariance).all(axis=(1, 2))
+    if not np.any(wide):
+        return covariance
+    unit = value[wide, :, None] * value[wide, None, :]
+    variance, axes = np.linalg.eigh(covariance[wide] / unit)
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    beyond = np.clip(spread, LOG_NORMAL, WIDEST)
+    spread += np.expm1(beyond) - np.expm1(LOG_NORMAL) - (beyond - LOG_NORMAL)
+    widened = covariance.copy()
+    widened[wide] = (axes * spread[:, None, :] ** 2) @ np.swapaxes(axes, 1, 2) * unit
+    return widened
+
+
 @dataclass(frozen=True, slots=True)
 class VerdictRules:
     """When a parameter counts as identified.

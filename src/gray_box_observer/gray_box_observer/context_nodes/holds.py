@@ -4,6 +4,10 @@ In a long hold the torque tells one combination of the parameters, the static on
 independent samples it would make the observer sure of parameters that nothing excites. A winding warms meanwhile, so
 the level is allowed to tell what a warming winding changes, given the others; what is believed of these stays what it
 was when the hold began to be a mere level.
+
+Of a motor at rest since its first sample nearly everything is vague, and the recursion, which linearises block by block
+about slightly different values, would tell apart by noise what the level does not. A fit has one linearisation for all
+its samples and is not deceived, so until the voltage first moves fits alone teach (``begun``).
 """
 
 from __future__ import annotations
@@ -23,6 +27,9 @@ HOLD_TOLERANCE = 0.01
 SETTLED = 5.0
 """Time constants after which a transition tells nothing more."""
 
+VAGUE = 0.1
+"""Relative standard deviation from which on linearisations block by block are not to be trusted with a mere level."""
+
 
 @dataclass(frozen=True, slots=True)
 class HoldState:
@@ -33,6 +40,7 @@ class HoldState:
         largest: largest voltage seen.
         held_s: for how long.
         settled: whether the transition to it is over.
+        begun: whether the voltage has ever moved, or nothing was vague before it did.
         p: shape (motor, coordinate): the coordinates when it had settled.
         covariance: shape (motor, coordinate, coordinate): and the covariance of their logarithms.
     """
@@ -41,14 +49,15 @@ class HoldState:
     largest: Array
     held_s: Array
     settled: NDArray[np.bool_]
+    begun: NDArray[np.bool_]
     p: Array
     covariance: Array
 
     @classmethod
     def none(cls, motors: int, coordinates: int) -> HoldState:
         """Return the state before the first sample."""
-        nothing, n = np.zeros(motors), coordinates
-        held = np.full(motors, np.inf), nothing, nothing.copy(), np.zeros(motors, dtype=bool)
+        nothing, no, n = np.zeros(motors), np.zeros(motors, dtype=bool), coordinates
+        held = np.full(motors, np.inf), nothing, nothing.copy(), no, no.copy()
         return cls(*held, np.ones((motors, n)), np.zeros((motors, n, n)))
 
 
@@ -75,26 +84,51 @@ class Holds:
             stretch: the block.
             decay: shape (motor, k): what every interval leaves of a deviation.
         """
-        moving = ~stretch.restart
-        low, high = _range(stretch.voltage_v, moving)
-        largest = np.fmax(held.largest, np.fmax(-low, high))
-        away = np.fmax(high - held.level, held.level - low)
-        same = away <= HOLD_TOLERANCE * largest
-        if self._speed_measured:  # then a load excites too
-            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
-            same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
+        same, largest = self._same(held.level, held.largest, stretch)
         held_s = np.where(same, held.held_s + np.sum(stretch.interval_s, axis=1), 0.0)
         level = np.where(same, held.level, stretch.voltage_v[:, -1])
+        now = replace(held, level=level, largest=largest, held_s=held_s, begun=held.begun | ~same)
         if not np.any(same):
-            return replace(held, level=level, largest=largest, held_s=held_s, settled=same), belief
+            return replace(now, settled=same), belief
+        moving = ~stretch.restart
         with np.errstate(divide='ignore'):
             rate = np.min(np.where(moving, -np.log(decay), np.inf) / np.where(moving, stretch.interval_s, 1.0), axis=1)
         settled = same & (held_s * rate > SETTLED)
         fresh = settled & ~held.settled
         p = np.where(fresh[:, None], belief.p, held.p)
         covariance = np.where(fresh[:, None, None], belief.posterior, held.covariance)
-        now = HoldState(level, largest, held_s, settled, p, covariance)
+        now = replace(now, settled=settled, p=p, covariance=covariance)
         return now, self.cut(now, belief)
+
+    def fitted(self, held: HoldState, belief: Belief, stretch: Stretch) -> HoldState:
+        """Look at everything that a fit was made of; return where we stand.
+
+        Args:
+            held: where we stood.
+            belief: what the fit has found.
+            stretch: everything remembered.
+        """
+        first = np.where(np.isinf(held.level), stretch.voltage_v[:, 0], held.level)
+        same, largest = self._same(first, held.largest, stretch)
+        variance = np.diagonal(belief.posterior, axis1=1, axis2=2)[:, ~self._free[1:]]
+        begun = held.begun | ~same | np.all(variance <= VAGUE**2, axis=1)
+        level, largest = np.where(begun, held.level, first), np.where(begun, held.largest, largest)
+        return replace(held, level=level, largest=largest, begun=begun)
+
+    def same(self, held: HoldState, stretch: Stretch) -> NDArray[np.bool_]:
+        """Tell whether the voltage is still where it was, shape (motor,)."""
+        return self._same(held.level, held.largest, stretch)[0]
+
+    def _same(self, level: Array, largest: Array, stretch: Stretch) -> tuple[NDArray[np.bool_], Array]:
+        """Whether a stretch lies at a level, and the largest voltage so far, each of shape (motor,)."""
+        moving = ~stretch.restart
+        low, high = _range(stretch.voltage_v, moving)
+        largest = np.fmax(largest, np.fmax(-low, high))
+        same: NDArray[np.bool_] = np.fmax(high - level, level - low) <= HOLD_TOLERANCE * largest
+        if self._speed_measured:  # then a load excites too
+            slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
+            same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
+        return same, largest
 
     def cut(self, held: HoldState, belief: Belief) -> Belief:
         """Give what does not heat back what was believed of it when the hold had settled, in long holds only.
@@ -102,7 +136,7 @@ class Holds:
         The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c + A (k - m_k)`` and
         ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is the kept marginal.
         """
-        long: NDArray[np.bool_] = held.settled & (held.held_s > self._long_s)
+        long: NDArray[np.bool_] = held.begun & held.settled & (held.held_s > self._long_s)
         if not np.any(long) or np.all(self._free):
             return belief
         f = int(np.sum(self._free))

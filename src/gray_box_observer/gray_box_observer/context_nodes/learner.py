@@ -82,7 +82,8 @@ class Learner:
         self._take(group, fit.belief, np.ones_like(fresh))
         known.anchor = copied(self._open(fit.belief, known.prior, stretch))
         known.anchored = known.at - stretch.restart.shape[1]
-        if np.any(drifting := fit.ramp > RAMP_EVIDENCE):
+        known.hold = self._holds.fitted(known.hold, known.belief, stretch)
+        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun):
             self._drifts(group, drifting)
         known.belief = self._holds.cut(known.hold, known.belief)
 
@@ -97,10 +98,17 @@ class Learner:
     def update(self, group: Group, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
         known = group.learnt
-        block = blocks.predict(group.white_box, known.belief, self._newest(group, samples + 1))
+        fresh, expected = ~known.hold.begun, known.belief
+        if np.any(fresh):  # what is vague must not make everything seem possible
+            expected = replace(expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance))
+        block = blocks.predict(group.white_box, expected, self._newest(group, samples + 1))
+        if np.any(fresh):
+            block = block.silenced(fresh)
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
+        if np.any(fresh):
+            self._look_at_rest(group, fresh, block)
         calm = known.asked == 0
         if np.all(calm):
             self._learn(group, block)
@@ -109,6 +117,29 @@ class Learner:
             part = self._part(group, index)
             self._learn(part, block.of(index))
             put(known, index, part.learnt)
+        if np.any(begun := fresh & known.hold.begun):
+            self._begin_again(group, begun, 2)
+
+    def _look_at_rest(self, group: Group, fresh: NDArray[np.bool_], block: Block) -> None:
+        """Ask of motors that have only been at rest whether they rest elsewhere now, at the same voltage."""
+        known = group.learnt
+        sudden = fresh & (known.suspicion >= SUSPICIOUS_BLOCKS)
+        if np.any(elsewhere := sudden & self._holds.same(known.hold, block.stretch)):
+            known.alarms = known.alarms + elsewhere
+            self._begin_again(group, elsewhere, 1)
+        known.asked = np.where(fresh, 0, known.asked)
+
+    def _begin_again(self, group: Group, which: NDArray[np.bool_], times: int) -> None:
+        """Let some motors start anew from their newest samples, with a fit of so many times a first fit's.
+
+        A motor that has only been at rest is too far from what it will prove to be for the recursion to get there.
+        """
+        known, index = group.learnt, np.flatnonzero(which)
+        few = self._rules.first_fit
+        self._replay.forget(few, np.arange(self._replay.motors)[group.which][index], known.at[index])
+        known.started = known.started & ~which
+        known.next_fit = np.where(which, times * few, known.next_fit)
+        known.suspicion, known.left_out = np.where(which, 0.0, known.suspicion), np.where(which, 0.0, known.left_out)
 
     def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
         """How many of the newest samples to examine where the motor seems to have changed; 0 elsewhere."""
@@ -118,7 +149,7 @@ class Learner:
         scores, alarm, memory = self._drift.take((known.score, known.information), *blocks.surprise(belief, block))
         known.score, known.information = scores
         known.belief = replace(belief, sensitivity=reached / size)
-        lost = block.used < 0.5 * block.samples
+        lost = (block.used < 0.5 * block.samples) | (block.kicked & ~known.hold.begun)
         known.suspicion, known.since = self._suspicion(known, block, lost)
         sudden = known.suspicion >= SUSPICIOUS_BLOCKS
         known.left_out = LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
@@ -252,7 +283,7 @@ class Learner:
         known.belief = known.belief.overwritten(found, which & found.finite)
         remembered = self._replay.remembered(group.which, known.at)
         known.noise_count = np.where(which, remembered, known.noise_count)
-        known.next_fit = np.where(which, 2 * remembered, known.next_fit)
+        known.next_fit = np.where(which, 2 * (known.at - self._replay.begin(group.which)), known.next_fit)
         known.score = np.where(which[:, None, None], 0.0, known.score)
         known.information = np.where(which[:, None, None, None], 0.0, known.information)
 
@@ -271,7 +302,8 @@ class Learner:
         before = known.belief.noise
         variance = before**2 + share * (seen - before**2)
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)
-        known.belief = replace(known.belief, noise=np.where(np.isfinite(noise), noise, before))
+        followed = known.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
+        known.belief = replace(known.belief, noise=np.where(followed, noise, before))
 
     def _newest(self, group: Group, samples: int) -> Stretch:
         return Stretch.newest(group.white_box, self._replay, samples, group.which, group.learnt.at)

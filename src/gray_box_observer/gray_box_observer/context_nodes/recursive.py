@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules, spread_of_values
 from gray_box_observer.context_nodes.holds import HoldState
 from gray_box_observer.context_nodes.learner import WALK_AGAIN, Group, Learner
 from gray_box_observer.context_nodes.learnt import Learnt, copied, put
@@ -72,11 +72,9 @@ class RecursiveUpdate:
         self._upper = np.array([p.upper for p in parameters])
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
-        prior = Prior.vague(to_coordinates(theta), self._rules.prior_relative_std)
-        if initial_relative_std is not None and np.any(told := initial_relative_std > 0.0):
-            std = np.where(told, initial_relative_std, self._rules.prior_relative_std)
-            told_any = np.any(told, axis=1)[:, None, None]
-            prior = Prior(prior.p, np.where(told_any, Prior.of_parameters(prior.p, std).covariance, prior.covariance))
+        vague = np.full(theta.shape, self._rules.prior_relative_std)
+        told = vague if initial_relative_std is None else initial_relative_std
+        prior = Prior.of_parameters(to_coordinates(theta), np.where(told > 0.0, told, vague))
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._learner = Learner(white_box, self._rules, self.replay)
@@ -135,7 +133,7 @@ class RecursiveUpdate:
         by_relative = parameter_jacobian(p) * p[:, None, :]
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
         covariance = by_relative @ posterior @ np.swapaxes(by_relative, 1, 2)
-        covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+        covariance = spread_of_values(theta, 0.5 * (covariance + np.swapaxes(covariance, 1, 2)))
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
@@ -228,7 +226,7 @@ class RecursiveUpdate:
         known = self._learnt
         at, started = known.at[which], known.started[which]
         still = known.walk_rate[which] == 0.0  # a fit takes the parameters for constant
-        fits = still & (known.next_fit[which] <= self._rules.replay_capacity)
+        fits = still & ((known.next_fit[which] <= self._rules.replay_capacity) | ~known.hold.begun[which])
         fit_at = np.where(fits, np.maximum(self.replay.begin(which) + known.next_fit[which], at + 1), NEVER)
         update_at = np.where(started, at + self._rules.block, NEVER)
         asked = known.asked[which] != 0

@@ -29,6 +29,15 @@ FAR = 1e3
 ABSURD = 1e100
 """No sensitivity is larger; products of a few of them must still be numbers."""
 
+SETTLING = 100
+"""Samples after a restart for which it is remembered how badly its state was known."""
+
+UNKNOWN = 1e12
+"""Variance of a state of which nothing is known, in units of the noise's."""
+
+NEGLIGIBLE = 1e-3
+"""Variance of a state, in units of the noise's, that needs no remembering."""
+
 LONG = 48
 """Recurrences longer than this are split into parts that run side by side."""
 
@@ -220,13 +229,34 @@ def _shifted(values: Array, by: int) -> Array:
     return np.pad(values, ((0, 0), (by, 0)))[:, :k]
 
 
-def left_of_restarts(path: Trajectory, stretch: Stretch) -> Array:
-    """Variance, for unit noise, that the measured state at the last restart leaves at the end, shape (motor,)."""
-    k = stretch.restart.shape[1]
-    last = k - 1 - np.argmax(stretch.restart[:, ::-1], axis=1)
-    after = np.arange(k) > last[:, None]
-    left = np.prod(np.where(after, path.factor, 1.0), axis=1) ** 2
-    return np.where(np.any(stretch.restart, axis=1), left, 0.0)
+def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
+    """Variance of the predicted state that restarts leave, in units of the noise's, shape (motor, k + 1).
+
+    A restart begins at one measured sample, whose noise decays with the motion while the samples that follow tell the
+    state better and better: a Kalman filter of the state alone, ``P' = decay^2 P / (1 + P)``, from UNKNOWN at the
+    sample that it restarts from. With its gain ``P / (1 + P)`` innovations are white and of variance ``1 + P``, so that
+    what comes after a gap teaches what it can and no more.
+
+    Args:
+        decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
+        restart: shape (motor, k).
+    """
+    motors, k = restart.shape
+    variance = np.zeros((motors, k + 1))
+    motor, at = np.nonzero(restart)
+    variance[motor, at + 1] = UNKNOWN
+    left = np.ones(motor.size)  # after the sample that it restarts from
+    for ahead in range(1, SETTLING):
+        onward = at + ahead < k
+        onward[onward] = ~restart[motor[onward], at[onward] + ahead]
+        onward &= left > NEGLIGIBLE
+        if not np.any(onward):
+            break
+        motor, at, left = motor[onward], at[onward], left[onward]
+        predicted = decay[motor, at + ahead] ** 2 * left
+        variance[motor, at + ahead + 1] = predicted
+        left = predicted / (1.0 + predicted)
+    return variance
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:

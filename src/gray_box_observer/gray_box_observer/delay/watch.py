@@ -113,11 +113,14 @@ class DelayWatch:
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
         self.estimate = DelayEstimate(applied_s, asked)
+        self._gone = 0
+        self._count = 0
         self._restart(0)
 
     def _restart(self, restarts: int) -> None:
         """Begin a new signal history; what was found stays."""
         self._restarts = restarts
+        self._gone += self._count  # samples that were learnt and are in no history any more
         self._count = 0
         self._next = FIRST
         self._work: Generator[None, None, _Found | None] | None = None
@@ -241,14 +244,17 @@ class DelayWatch:
         return self._apply(found)
 
     def _agree(self, found: _Found) -> float | None:
-        """Note that the data agree with the delay in force; sharpen an estimated one while nothing is forgotten."""
+        """Note that the data agree with the delay in force; sharpen an estimated one.
+
+        Then all is learnt anew from the history: only while that forgets nothing and holds what restarts left out.
+        """
         if not self.estimate.asked:
             self.estimate = replace(
                 self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.CONFIRMED
             )
             return None
         sharper = found.std_s < 0.5 * self._applied_std_s and abs(found.delay_s - self.estimate.applied_s) > found.std_s
-        if sharper and self.estimate.applied_s != 0.0 and self._count <= TORQUES:
+        if sharper and self.estimate.applied_s != 0.0 and self._gone <= self._count <= TORQUES:
             return self._apply(found)
         self.estimate = replace(self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.ESTIMATED)
         return None
@@ -257,6 +263,7 @@ class DelayWatch:
         applied_s = seconds(nanoseconds(found.delay_s))
         self.estimate = DelayEstimate(applied_s, True, found.delay_s, found.std_s, DelayVerdict.ESTIMATED)
         self._applied_std_s = found.std_s
+        self._gone = 0
         return applied_s
 
     def state(self) -> dict[str, Any]:
@@ -268,6 +275,7 @@ class DelayWatch:
             'std_s': None if math.isnan(known.std_s) else known.std_s,
             'verdict': known.verdict.name,
             'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
+            'learnt': self._gone + self._count,
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
@@ -278,4 +286,5 @@ class DelayWatch:
         verdict = DelayVerdict[plain['verdict']]
         applied_std_s = plain.get('applied_std_s')
         self._applied_std_s = math.inf if applied_std_s is None else float(applied_std_s)
+        self._gone = int(plain.get('learnt', 0))
         self.estimate = DelayEstimate(float(plain['applied_s']), self.estimate.asked, value_s, std_s, verdict)

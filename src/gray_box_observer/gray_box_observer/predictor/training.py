@@ -126,10 +126,12 @@ class ProcessTraining:
         return time.monotonic() < self._rest_until_s
 
     def close(self) -> None:
-        """End the child; it has nothing to save."""
+        """End the child, which has nothing to save; returns at once.
+
+        It ends at its low priority, which takes long on a busy machine: the thread that reads its results waits for it.
+        """
         self._jobs.put(None)
         self._process.kill()
-        self._process.wait(timeout=5.0)
 
     def _write(self) -> None:
         assert self._process.stdin is not None

@@ -22,7 +22,7 @@ RECORDER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('output', '', 'Folder to make; empty: rosbag2_ with date and time.'),
     ParameterSpec('all', False, 'Record every topic, except /parameter_events and /rosout.'),
     ParameterSpec('include_ros_internals', False, 'With all: these two as well.'),
-    ParameterSpec('duration_s', 0.0, 'End after this time; 0: when interrupted.', 0.0, 1e9),
+    ParameterSpec('duration_s', 0.0, 'End after this time by the clock on the wall; 0: when interrupted.', 0.0, 1e9),
     ParameterSpec(
         'compression', 'none', 'Of the chunks inside a file, which stays readable in place.', choices=COMPRESSIONS
     ),

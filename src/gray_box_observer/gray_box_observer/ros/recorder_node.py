@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import NoTypeSupportImportedException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -89,11 +90,13 @@ class BagRecorder(Node):
         } | {self.resolve_topic_name('motor/voltage_command')}
         self._observer_prefix = self.resolve_topic_name(OBSERVER_NAME) + '/'
         self._discover()
-        self.create_timer(_POLL_S, self._guarded(self._discover))
-        self.create_timer(_FLUSH_CHECK_S, self._guarded(self._writer.flush_if_due))
-        self.create_timer(_TTY_PERIOD_S if sys.stderr.isatty() else _LOG_PERIOD_S, self._report)
+        # topics come, and disks are served, also where /clock stands still or has not begun
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_POLL_S, self._guarded(self._discover), clock=steady)
+        self.create_timer(_FLUSH_CHECK_S, self._guarded(self._writer.flush_if_due), clock=steady)
+        self.create_timer(_TTY_PERIOD_S if sys.stderr.isatty() else _LOG_PERIOD_S, self._report, clock=steady)
         if values['duration_s'] > 0:
-            self.create_timer(values['duration_s'], self._stop)
+            self.create_timer(values['duration_s'], self._stop, clock=steady)
         self.get_logger().info(f'recording to {self._writer.folder}')
 
     def close(self) -> None:
@@ -218,6 +221,12 @@ class BagRecorder(Node):
             print(f'\r{self._summary()}\x1b[K', end='', file=sys.stderr, flush=True)
         else:
             self.get_logger().info(self._summary())
+        if self._uses_sim_time and self.get_clock().now().nanoseconds == 0:
+            self.get_logger().warning(
+                'use_sim_time is true, but nothing comes on /clock: messages are recorded at time 0; '
+                'publish it, or set it false',
+                once=True,
+            )
 
 
 def _options(values: Mapping[str, Any]) -> BagOptions:

@@ -5,6 +5,10 @@ sample is therefore complete as soon as the voltage is known up to its stamp, th
 it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
 the wall clock, so that live topics and a replayed bag make the same samples.
 
+A voltage that is old while torque comes was not changed. But where both signals were silent far longer than is their
+habit, or the voltage, which always came regularly, is overdue, nobody knows what it did: the history begins anew with
+the next voltage, and torque before that is refused.
+
 Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
 all that follows sees signals that belong together.
 
@@ -26,7 +30,8 @@ from numpy.typing import NDArray
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
 from gray_box_observer.samples.raw_history import RawHistory
 from gray_box_observer.samples.rejection import Rejection
-from gray_box_observer.samples.sample import Sample, nanoseconds
+from gray_box_observer.samples.rhythm import Rhythm
+from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
 MAX_WAITING_VOLTAGES = 10_000
 
@@ -104,6 +109,7 @@ class Pairing:
         self.restarts = 0
         self.held = 0
         self.history = RawHistory()
+        self._voltage_rhythm, self._torque_rhythm = Rhythm(), Rhythm()
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
@@ -130,6 +136,7 @@ class Pairing:
         self._torques: deque[tuple[int, Any, Any]] = deque()
         self._speeds: deque[tuple[int, float]] = deque()
         self._held_v: Any = self._joining.blank  # the voltage in force
+        self._held_ns: int | None = None  # and since when
         self._joining.restart()
         self._newest_speed_ns: int | None = None
         self._newest_voltage_ns: int | None = None
@@ -220,10 +227,12 @@ class Pairing:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
+        if self._newest_voltage_ns is not None:
+            self._voltage_rhythm.take(seconds(stamp_ns - self._newest_voltage_ns))
         self._newest_voltage_ns = stamp_ns
         self._voltages.append((stamp_ns, voltage_v))
         if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
-            self._held_v = self._voltages.popleft()[1]
+            self._held_ns, self._held_v = self._voltages.popleft()
         return done + self._complete(self._known_ns())
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
@@ -255,6 +264,8 @@ class Pairing:
         if done is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
+        if self._newest_torque_ns is not None:
+            self._torque_rhythm.take(seconds(stamp_ns - self._newest_torque_ns))
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         done += self._complete(self._known_ns())
@@ -288,7 +299,7 @@ class Pairing:
         start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
         if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
             return None
-        if stamp_ns - start_ns > self._gap_ns:
+        if stamp_ns - start_ns > self._gap_ns or self._unknown_until_ns(start_ns, stamp_ns) is not None:
             return None
         return self._joining.ahead(stamp_ns - start_ns, self._mean_voltage(start_ns, stamp_ns), self._gap_ns)
 
@@ -340,9 +351,13 @@ class Pairing:
                 return None
         start_ns = self._previous_ns
         goes_on = start_ns is not None and stamp_ns - start_ns <= self._gap_ns
+        known_ns = None if start_ns is None else self._unknown_until_ns(start_ns, stamp_ns)
+        goes_on = goes_on and known_ns is None
         mean_v = self._mean_voltage(start_ns, stamp_ns) if goes_on and start_ns is not None else self._joining.blank
         while self._voltages and self._voltages[0][0] < stamp_ns:
-            self._held_v = self._voltages.popleft()[1]
+            self._held_ns, self._held_v = self._voltages.popleft()
+        if known_ns is not None and known_ns > stamp_ns:
+            self._held_v = self._joining.blank
         at_once_v = self._voltages[0][1] if self._voltages and self._voltages[0][0] == stamp_ns else self._joining.blank
         passed_ns = stamp_ns - start_ns if goes_on and start_ns is not None else None
         sample = self._joining.join(
@@ -351,6 +366,24 @@ class Pairing:
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns
         return sample
+
+    def _unknown_until_ns(self, start_ns: int, end_ns: int) -> int | None:
+        """Return when voltage is known again where it was not between two torques; None: it always was.
+
+        Later than the second of them where no voltage has come by then.
+        """
+        if not (self._voltage_rhythm.regular or self._torque_rhythm.silent(seconds(end_ns - start_ns))):
+            return None
+        silent, since_ns, until_ns = self._voltage_rhythm.silent, self._held_ns, None
+        if since_ns is None:
+            return None
+        for voltage_ns, _ in self._voltages:
+            if silent(seconds(voltage_ns - since_ns)):
+                until_ns = voltage_ns
+            since_ns = voltage_ns
+            if since_ns >= end_ns:
+                return until_ns
+        return end_ns + 1 if silent(seconds(end_ns - since_ns)) else until_ns
 
     def _speed_at(self, stamp_ns: int) -> float:
         """Speed at a stamp: linear between its samples, held after the last for a gap at most; else NaN."""

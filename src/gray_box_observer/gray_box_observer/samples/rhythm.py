@@ -8,6 +8,12 @@ LATE = 1.75
 STEP = 0.02
 """By which fraction the usual interval follows; up and down alike, so that it ends at the median."""
 
+SILENCE = 20.0
+"""Intervals longer than this many usual ones are no lost samples any more: the signal was silent."""
+
+REGULAR = 1000
+"""Intervals without a silence after which the next one is against the habit of the signal."""
+
 LEARNT = 20
 """Intervals before anything is called missing."""
 
@@ -28,6 +34,16 @@ class Rhythm:
         self.missing = 0
         self.pauses = -1  # the first sample begins the first history
         self._seen = 0
+        self._unbroken = 0
+
+    def silent(self, interval_s: float) -> bool:
+        """Tell whether an interval in s is one in which the signal, by its own habit, was silent."""
+        return interval_s > SILENCE * self.usual_s and self._seen > LEARNT
+
+    @property
+    def regular(self) -> bool:
+        """Whether the signal has long not been silent, so that it is not one that speaks only when it changes."""
+        return self._unbroken >= REGULAR
 
     def take(self, interval_s: float) -> None:
         """Take one sample's interval since the one before, in s; 0 where a signal history begins."""
@@ -38,6 +54,7 @@ class Rhythm:
         if self._seen <= LEARNT:  # quick at first: the mean
             self.usual_s += (interval_s - self.usual_s) / self._seen
             return
+        self._unbroken = 0 if self.silent(interval_s) else self._unbroken + 1
         if interval_s > LATE * self.usual_s:
             self.missing += round(interval_s / self.usual_s) - 1
         self.usual_s *= 1.0 + STEP if interval_s > self.usual_s else 1.0 - STEP
