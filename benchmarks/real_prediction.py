@@ -38,8 +38,8 @@ from tqdm import tqdm
 
 from gray_box_observer.errors import GrayBoxError
 
-PREDICTORS = ('white box', 'no residual', 'residual', 'LSTM 8', 'LSTM 20', 'persistence')
-RIVALS = ('white box', 'LSTM 8', 'LSTM 20')
+PREDICTORS = ('white box', 'no residual', 'residual', 'LSTM 10', 'LSTM 20', 'persistence')
+RIVALS = ('white box', 'LSTM 10', 'LSTM 20')
 SERVO_SCORED_S, SERVO_ROWS = 140 * 49.75e-6, 140
 STEP_SCORED_S, RAMP_SPLIT_S, RATE_HZ = 1.9, 10.0, 1000.0
 ROUNDS = 18
@@ -143,6 +143,13 @@ def rows(found: dict[str, list[Outcome]]) -> Iterator[Sequence[str]]:
             yield [group if name == 'median' else '', name, *cells, used]
 
 
+def numbers_learnt(found: dict[str, list[Outcome]]) -> str:
+    """Say how many numbers each predictor has learnt from the logs."""
+    counts = [outcome.learnt for outcomes in found.values() for outcome in outcomes]
+    told = ((name, sorted({count[name] for count in counts if count[name]})) for name in counts[0])
+    return 'Numbers learnt: ' + ', '.join(f'{name} {" or ".join(map(str, sizes)) or 0}' for name, sizes in told)
+
+
 def main() -> int:
     """Print a table and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -163,6 +170,7 @@ def main() -> int:
         return 2
     print("Free run on what nobody has seen: mean absolute error in % of the torque's standard deviation there\n")
     print(table(['log', '', *PREDICTORS, 'residual used'], list(rows(found))), '\n')
+    print(f'{numbers_learnt(found)}\n')
     told = figures(found, not options.quick)
     print(figure_table(told))
     print(last_line('real_prediction', seeds, told))

@@ -59,6 +59,11 @@ class BlackBox:
         torque: FloatArray = self._torque_mean + self._torque_size * said
         return torque
 
+    @property
+    def learnt(self) -> int:
+        """How many weights were learnt."""
+        return sum(weight.numel() for weight in self._network.trainable())
+
     def _tensor(self, inputs: FloatArray) -> torch.Tensor:
         return torch.as_tensor((inputs - self._mean) / self._size, dtype=torch.float32)
 

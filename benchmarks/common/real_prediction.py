@@ -26,8 +26,12 @@ from gray_box_observer.predictor import Predictor, TrainingRules
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.residual import Correction
-from gray_box_observer.predictor.residual_trainer import HIDDEN, STEPS, judging
+from gray_box_observer.predictor.residual_trainer import STEPS, judging
 from gray_box_observer.samples import Sample
+
+SIZES = (10, 20)
+"""Hidden units of the plain LSTMs: the first learns at least as many numbers as the residual, the second as many as the
+residual and the network that knows the physics together."""
 
 APART_NS = 20_000_000_000
 """Between the first stamps of logs that are read one after another: far more than a gap."""
@@ -77,11 +81,13 @@ class Outcome:
         errors: mean absolute error by predictor.
         share: how much of the residual is used; None where nothing was learnt.
         theta: parameters identified, by name.
+        learnt: how many numbers each has learnt, by predictor.
     """
 
     errors: dict[str, float]
     share: float | None
     theta: dict[str, float]
+    learnt: dict[str, int]
 
 
 def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Outcome]:
@@ -102,17 +108,17 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     network = trained(observer, histories, seed, rounds)
     alone = {name: array for name, array in network.items() if not name.startswith('residual_')}
     learnt = Correction.of(network)
-    steps, sizes = round(patience * rounds * STEPS), (HIDDEN, TrainingRules().hidden + HIDDEN)
-    black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in sizes}
+    steps = round(patience * rounds * STEPS)
+    black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
+    counts = {'residual': 0 if learnt is None else learnt.learnt} | {name: one.learnt for name, one in black.items()}
     outcomes = []
     for log in task.asked:
         test = max(histories_of([log], {**task.parameters, 'motor.delay': delay_s}), key=len)
         plain, rollout = free_run(observer, test, theta, alone)
         said = {'white box': rollout, 'no residual': plain, 'residual': free_run(observer, test, theta, network)[0]}
         said |= {name: one.predict(_inputs(series(test))) for name, one in black.items()}
-        outcomes.append(
-            Outcome(_scores(test, said, task.scored_from_s), None if learnt is None else learnt.share, found)
-        )
+        share = None if learnt is None else learnt.share
+        outcomes.append(Outcome(_scores(test, said, task.scored_from_s), share, found, counts))
     return outcomes
 
 

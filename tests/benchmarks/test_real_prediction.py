@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from common.black_box import BlackBox
-from common.real_prediction import Log, Task, histories_of, identified, solve
+from common.real_prediction import SIZES, Log, Task, histories_of, identified, solve
+
+from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_trainer import HIDDEN
+from gray_box_observer.predictor.start import first_network
 
 PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'real_prediction.py'
 COLUMNS = ('time=t', 'voltage=u', 'current=i', 'torque_constant=0.05')
@@ -43,7 +50,7 @@ def test_a_motor_that_the_white_box_knows_is_predicted_where_nobody_has_looked(l
     (outcome,) = solve(task, seed=1, rounds=1, patience=0.4)
     assert outcome.theta['resistance'] == pytest.approx(4.0, rel=0.02)
     assert outcome.errors['white box'] < 2.0
-    assert outcome.errors['residual'] < 2.0 < outcome.errors['LSTM 8']
+    assert outcome.errors['residual'] < 2.0 < outcome.errors['LSTM 10']
     assert not outcome.share
 
 
@@ -72,6 +79,19 @@ def test_the_black_box_learns_a_filter_and_stops_by_blocks_that_did_not_teach() 
     network = BlackBox(inputs, torque, judging, hidden=4, steps=100, seed=1)
     missed = np.abs(network.predict(inputs[0]) - torque[0]).mean()
     assert missed < 0.2 * torque[0].std()
+
+
+@pytest.mark.parametrize('inputs', [1, 2])
+def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inputs: int) -> None:
+    data, judging = [np.zeros((600, inputs))], [np.arange(600) // 50 % 4 == 3]
+    counts = [BlackBox(data, [np.zeros(600)], judging, hidden=hidden, steps=0, seed=1).learnt for hidden in SIZES]
+    network, linear = Weights.initial(INPUTS, HIDDEN, 0), LinearPart.silent()
+    residual = Correction(network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01).learnt
+    physics = sum(array.size for array in first_network(TrainingRules(), 0).arrays().values())
+    assert residual == 4 * HIDDEN * (INPUTS + HIDDEN + 1) + HIDDEN + 1 + FEATURES
+    assert counts == [4 * hidden * (inputs + hidden + 1) + hidden + 1 for hidden in SIZES]
+    assert counts[0] >= residual
+    assert counts[1] >= residual + physics
 
 
 @pytest.mark.parametrize('folder', ['missing', '.'])
@@ -104,4 +124,4 @@ def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> N
     assert (told['benchmark'], told['seeds']) == ('real_prediction', 1)
     figures = {figure['name']: figure['value'] for figure in told['figures']}
     assert figures['SG90 servo: residual / white box, median'] == pytest.approx(1.0, abs=0.1)
-    assert figures['SG90 servo: residual / LSTM 8, median'] < 1.0
+    assert figures['SG90 servo: residual / LSTM 10, median'] < 1.0

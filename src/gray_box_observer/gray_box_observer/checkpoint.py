@@ -30,7 +30,7 @@ from gray_box_observer.white_box.base import Array
 
 FORMAT = 'gray_box_observer checkpoint'
 
-VERSION = 4
+VERSION = 5
 
 PARTIAL = '.partial'
 """What the name of a file ends with that is not whole yet."""

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from gray_box_observer.predictor import Prediction, Predictor, TrainingRules
+from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual import ASKED, BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_schedule import newest
+from gray_box_observer.predictor.traces import LONGEST
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -20,11 +23,12 @@ HELD_V = np.array([9.0, -4.0])
 
 
 def correction(share: float = 1.0) -> Correction:
-    """A correction of up to 0.3 A that hangs on its memory and on the current."""
+    """A correction of up to 0.3 A that hangs on its memory, on the traces and on the current."""
     weights = Weights.initial(INPUTS, 8, 3)
     weights = replace(weights, output=4.0 * weights.output, output_bias=np.zeros(1))
     support = np.full((BINS, BINS), 1e4)
-    return Correction(weights, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
+    linear = LinearPart(0.01 * np.random.default_rng(4).standard_normal(FEATURES), np.full(FEATURES, 20.0))
+    return Correction(weights, linear, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
 
 
 def box_of(motors: int) -> MotorWhiteBox:
@@ -106,3 +110,14 @@ def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
     one = Predictor(box_of(1), 1, TRUTH[0], TrainingRules(), idle, speed_measured=False)
     one.restore(correction().arrays())
     assert np.isnan(one.forecast(0.1, HELD_V[:1], TRUTH[:1])[0])
+
+
+def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(idle: Any) -> None:
+    learnt = correction()
+    mute = replace(learnt, weights=replace(learnt.weights, output=np.zeros(8)))  # the linear part alone
+    always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
+    late.residual.adopt(mute.arrays(), newest(late.replay, LONGEST))
+    forgetful.residual.adopt(mute.arrays())
+    said = [go_on(one, HELD_V[:1], 1).torque_nm[0] for one in (always, late, forgetful)]
+    assert said[1] == pytest.approx(said[0], abs=1e-9)
+    assert abs(said[2] - said[0]) > 2e-5

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor import TrainingRules, traces
 from gray_box_observer.predictor.drawing import Sequences
+from gray_box_observer.predictor.evidence import borne_out
 from gray_box_observer.predictor.histories import History
+from gray_box_observer.predictor.linear_part import FEATURES, LinearPart, features
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual import BINS, INPUTS, WARM, Correction
 from gray_box_observer.predictor.residual_pupil import LENGTH, windows
-from gray_box_observer.predictor.residual_trainer import ResidualTrainer, borne_out, worth_learning
+from gray_box_observer.predictor.residual_trainer import ResidualTrainer, worth_learning
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -135,18 +137,24 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
     loud = Weights.initial(INPUTS, 4, 0)
     support = np.zeros((BINS, BINS))
     support[BINS // 2 :, BINS // 2 :] = 1000.0
-    learnt = Correction(replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0]), 0.3, 1.0, support, 0.01)
+    network, size = replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0])
+    learnt = Correction(network, LinearPart.silent(), size, 0.3, 1.0, support, 0.01)
     readout, current, voltage = np.array([1e6, -1e6, 1e6]), np.array([1.0, 1.0, -1.0]), np.array([5.0, 5.0, -5.0])
-    said = learnt.current(readout, current, voltage)
-    np.testing.assert_allclose(said, [0.3, -0.3, 0.0], rtol=0.01)
+    seen = features(voltage, current, np.zeros(3), np.zeros(3), traces.blank(3))
+    np.testing.assert_allclose(learnt.current(readout, seen), [0.3, -0.3, 0.0], rtol=0.01)
+    steep = LinearPart(np.full(FEATURES, 1e6), np.full(FEATURES, 10.0))
+    np.testing.assert_allclose(replace(learnt, linear=steep).current(np.zeros(3), seen), [0.3, 0.3, -0.3])
     wild = learnt.inputs(np.array([1e300]), np.array([-1e300]), np.array([0.0]), np.array([np.inf]))
     assert np.all(np.abs(wild) <= 3.0)
 
 
 def test_arrays_give_the_same_correction_back() -> None:
-    learnt = Correction(Weights.initial(INPUTS, 4, 0), np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)), 0.02)
+    linear = LinearPart(np.arange(FEATURES), np.ones(FEATURES))
+    learnt = Correction(Weights.initial(INPUTS, 4, 0), linear, np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)), 0.02)
     again = Correction.of({**learnt.arrays(), 'input': np.zeros(1)})
     assert again is not None
     assert (again.limit_a, again.share, again.interval_s) == (0.3, 0.7, 0.02)
     np.testing.assert_array_equal(again.weights.recurrent, learnt.weights.recurrent)
+    np.testing.assert_array_equal(again.linear.weight, linear.weight)
+    np.testing.assert_array_equal(again.linear.reach, linear.reach)
     assert Correction.of({}) is None

@@ -20,11 +20,12 @@ from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
-from gray_box_observer.predictor.residual import ResidualForecaster
+from gray_box_observer.predictor.residual import Recollection, ResidualForecaster
 from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
+from gray_box_observer.predictor.traces import LONGEST
 from gray_box_observer.predictor.training import Training
 from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -44,7 +45,7 @@ class Prediction:
         memory: the network's memory after this step; None where it made none.
         way: where voltage and speed lead; None at the first sample of a history.
         physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
-        residual_memory: memory of what has learnt it.
+        residual_memory: what the correction remembers after this step.
     """
 
     torque_nm: Array
@@ -52,7 +53,7 @@ class Prediction:
     memory: Memory | None
     way: Course | None
     physics_nm: Array | None = None
-    residual_memory: Memory | None = None
+    residual_memory: Recollection | None = None
 
     @cached_property
     def white_box_torque_nm(self) -> Array:
@@ -394,7 +395,7 @@ class Predictor:
             self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
         self.loss = result.get('loss', self.loss)
         if not self._schedule.anew:  # else it was learnt of parameters that are no more
-            self.residual.adopt(result)
+            self.residual.adopt(result, newest(self.replay, LONGEST))
         if 'input' in result:
             self._forecaster.adopt(result)
 

@@ -1,21 +1,25 @@
 """Learning the residual from recorded samples, and finding out how much of it is real.
 
-The samples fall into blocks in time; every fourth block teaches nothing and judges. The correction is used as far as it
-makes these blocks better, and not at all unless it makes them better by more than chance would.
+The linear part is learnt at once, in closed form; the network, round by round, what it leaves. The samples
+fall into blocks in time; every fourth block teaches nothing and judges. The correction is used as far as it makes these
+blocks better, and not at all unless it makes them better by more than chance would.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.predictor import random_state
+from gray_box_observer.predictor import random_state, traces
+from gray_box_observer.predictor.evidence import PARTS, borne_out
 from gray_box_observer.predictor.histories import History
 from gray_box_observer.predictor.lessons import free_run, steady_currents
+from gray_box_observer.predictor.linear_part import LinearPart, features
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.residual import BINS, INPUTS, WARM, Correction, cells
 from gray_box_observer.white_box.base import Array
@@ -26,10 +30,11 @@ if TYPE_CHECKING:  # torch is imported when there is something to learn, not bef
 HIDDEN = 8
 LIMIT = 1.0
 """Largest correction, as a fraction of the size of the measured current: of the predicted one it could not be, for what
-the physics lacks most (a rotor that runs up, where no speed is measured) is what it predicts least of."""
+the physics lacks most (a rotor that runs up, where no speed is measured) is what it predicts least of. Where the
+physics misses by more than all there is, of the size of what it misses."""
 
 OWN_LIMIT = 5.0
-"""And as a multiple of the residual's own spread: the network's answers are of order one."""
+"""And as a multiple of the residual's own root mean square: the network's answers are of order one."""
 
 OUTGROWN = 1.5
 """Growth of any size after which the network is taught anew in units of the new ones."""
@@ -53,18 +58,6 @@ BLOCK = 64
 EVERY = 4
 """One block in so many judges."""
 
-PARTS = 6
-"""Parts that the judging samples fall into, for what chance could do."""
-
-GAIN = 0.02
-"""Least fraction by which the mean absolute error of the judging blocks must fall."""
-
-SIGNIFICANT = 2.5
-"""Least gain, in its standard errors over the judging blocks."""
-
-SPEAKING = 2.0
-"""Fewest judging blocks that must have something to say, counted as many of equal error would say it."""
-
 STEPS = 150
 """Training steps of a round."""
 
@@ -73,12 +66,14 @@ STEPS = 150
 class _Run:
     """Signal histories one after another, with what the physics says of them; arrays of shape (motor, time).
 
-    ``number``, ``anew`` and ``heard`` have shape (time,): which sample it is, counted since the beginning, where a
-    history begins, and whether what is said of it counts: it does not while the memory fills that streams full.
+    ``number``, ``anew``, ``cut`` and ``heard`` have shape (time,): which sample it is, counted since the beginning,
+    where a history begins, where it goes on from samples that are lost, and whether what is said of it counts: it does
+    not while the memory fills that streams full.
     """
 
     number: NDArray[np.int64]
     anew: NDArray[np.bool_]
+    cut: NDArray[np.bool_]
     heard: NDArray[np.bool_]
     interval_s: Array
     voltage_v: Array
@@ -123,7 +118,11 @@ class ResidualTrainer:
         run = _against_physics(weights, told)
         if self._pupil is None and not worth_learning(run.residual_a[:, run.heard], run.predicted_a[:, run.heard]):
             return {}
-        judged = [_judge(candidate, run) for candidate in (self._taught(run, steps), *self._best)]
+        taught = self._taught(run, steps)
+        weights = taught.weights
+        silent = replace(weights, output=np.zeros_like(weights.output), output_bias=np.zeros_like(weights.output_bias))
+        linear_alone = replace(taught, weights=silent)
+        judged = [_judge(candidate, run) for candidate in (linear_alone, taught, *self._best)]
         self._best = [min(judged, key=lambda pair: pair[1])[0]]
         return self._best[0].arrays()
 
@@ -153,27 +152,28 @@ class ResidualTrainer:
         """Teach on all blocks but the judging ones."""
         from gray_box_observer.predictor.residual_pupil import ResidualPupil
 
-        voltage, speed = run.voltage_v, run.speed_rad_s
         now = _sizes(run)
         if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
             self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed)
         size, limit_a = self._sizes
         pace_s = float(np.median(run.interval_s))
-        blank = Correction(self._pupil.weights, size, limit_a, 1.0, np.zeros((BINS, BINS)), pace_s)
-        inputs = blank.inputs(voltage, run.predicted_a, run.steady_a, speed)
-        teaching = ~judging(run.number) & run.heard
-        self._pupil.learn(self._random, inputs, run.residual_a / limit_a, teaching, run.anew, steps)
         support = np.zeros((BINS, BINS))
-        at = cells(run.predicted_a / size[1])[:, teaching], cells(voltage / size[0])[:, teaching]
+        blank = Correction(self._pupil.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s)
+        teaching = ~judging(run.number) & run.heard
+        at = cells(run.predicted_a / size[1])[:, teaching], cells(run.voltage_v / size[0])[:, teaching]
         np.add.at(support, at, 1.0)
-        return replace(blank, weights=self._pupil.weights, support=support)
+        seen, wanted = _features(run, pace_s), run.residual_a / limit_a
+        linear = LinearPart.learnt(seen[:, teaching], wanted[:, teaching])
+        inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
+        self._pupil.learn(self._random, inputs, wanted - linear.say(seen), teaching, run.anew, steps)
+        return replace(blank, weights=self._pupil.weights, linear=linear)
 
 
 def _sizes(run: _Run) -> tuple[Array, float]:
     """Sizes of voltage, current and speed, and the largest correction in A."""
-    signals = run.voltage_v, run.predicted_a, run.speed_rad_s, run.current_a
-    volt, ampere, speed, measured = (max(float(np.quantile(np.abs(signal), 0.95)), 1e-9) for signal in signals)
-    limit_a = min(LIMIT * measured, OWN_LIMIT * float(run.residual_a.std()))
+    signals = run.voltage_v, run.predicted_a, run.speed_rad_s, run.current_a, run.residual_a
+    volt, ampere, speed, measured, missed = (max(float(np.quantile(np.abs(signal), 0.95)), 1e-9) for signal in signals)
+    limit_a = min(LIMIT * max(measured, missed), OWN_LIMIT * float(np.sqrt(np.mean(run.residual_a**2))))
     return np.array([volt, ampere, speed]), max(limit_a, 1e-9)
 
 
@@ -193,24 +193,6 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     had, gains = (np.array([p.mean() for p in np.array_split(a, parts, axis=1)]) for a in (before, before - after))
     real = borne_out(had, gains)
     return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
-
-
-def borne_out(had: Array, gains: Array) -> bool:
-    """Whether blocks tell of a gain that is worth it and more than chance.
-
-    The gain is a ratio, all that was gained to all that there was, with the standard error of one (Cochran 1977, 2.11):
-    that a motor at rest leaves nothing to gain does not make what is gained while it runs a matter of chance.
-
-    Args:
-        had: shape (block,): mean absolute errors without the correction.
-        gains: shape (block,): by how much less they are with it.
-    """
-    total, n = float(had.sum()), had.size
-    if total <= 0.0 or total**2 < SPEAKING * float(np.sum(had**2)):
-        return False
-    ratio = float(gains.sum()) / total
-    error = float(np.sqrt(n / (n - 1.0) * np.sum((gains - ratio * had) ** 2))) / total
-    return ratio > max(SIGNIFICANT * error, GAIN)
 
 
 def worth_learning(residual: Array, predicted: Array) -> bool:
@@ -243,19 +225,30 @@ def _against_physics(weights: Weights, measured: Sequence[History]) -> _Run:
         sequences, current_a, number = history.sequences, history.current_a, history.number
         predicted, _ = free_run(weights, sequences)
         anew = number == number[0]
+        cut = anew & history.cut
         heard = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
         speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
         signals = sequences.interval_s, sequences.voltage_v, speed, current_a, predicted, steady, current_a - predicted
-        parts.append((number, anew, heard, *signals))
+        parts.append((number, anew, cut, heard, *signals))
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
+
+
+def _features(run: _Run, pace_s: float) -> Array:
+    """What the linear part sees along the histories, shape (motor, time, FEATURES)."""
+    first, parts = np.flatnonzero(run.anew), []
+    for begin, end in pairwise([*first.tolist(), run.anew.size]):
+        voltage_v, speed, interval_s = (x[:, begin:end] for x in (run.voltage_v, run.speed_rad_s, run.interval_s))
+        start = traces.presumed(voltage_v, speed) if run.cut[begin] else traces.blank(voltage_v.shape[0])
+        parts.append(traces.along(voltage_v, speed, interval_s / pace_s, start))
+    passed = np.concatenate(parts, axis=1)
+    return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, passed)
 
 
 def _said(correction: Correction, run: _Run) -> Array:
     """What a correction says along the histories, by the code that streams, shape (motor, time)."""
     inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
-    memory, said = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(run.voltage_v)
+    memory, readout = Memory.blank(inputs.shape[0], correction.weights.hidden), np.empty_like(run.voltage_v)
     for k in range(inputs.shape[1]):
         memory = memory.cleared(np.full(inputs.shape[0], run.anew[k]))
-        readout, memory = step(correction.weights, memory, inputs[:, k])
-        said[:, k] = correction.current(readout, run.predicted_a[:, k], run.voltage_v[:, k])
-    return said
+        readout[:, k], memory = step(correction.weights, memory, inputs[:, k])
+    return correction.current(readout, _features(run, correction.interval_s))
