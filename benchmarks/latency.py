@@ -5,18 +5,18 @@ serves relay and observer by turns in one run, so that the machine's noise hits 
 executor, topics, message types and rhythm. Latency is the time of receipt in the listener's middleware minus the time
 at which the source sent the sample.
 
-What the relay counts: it reads the same two topics as messages, hands the voltage's message on as the prediction without
-building one, and every ``--block`` torques publishes the five messages of an estimate. So it is what rclpy, executor and
-middleware cost a node that computes nothing, and everything the observer does more is in the ratio. Neither the
-observer's alarm and diagnostics nor its lifecycle publishers have a counterpart in it. An estimate counts from the newest
-sample that it has learnt, which is the one that completes its block.
+What the relay counts: it reads the same two topics as messages, hands the voltage's message on as the prediction
+without building one, and every ``--block`` torques publishes the five messages of an estimate. So it is what rclpy,
+executor and middleware cost a node that computes nothing, and everything the observer does more is in the ratio.
+Neither the observer's alarm and diagnostics nor its lifecycle publishers have a counterpart in it. An estimate counts
+from the newest sample that it has learnt, which is the one that completes its block.
 
-Profile of a sample at 1 kHz in this benchmark, on two shared cores, in units of publishing one message (0.05 ms there): the
-voltage's callback 2.8, of that the forecast 1.3, writing and publishing it 0.9, reading and pairing 0.3; the torque's
-callback 0.6, and then, when all is out, 2.5 for alarm, scores and memory. Of one sample in 32: a block, of which 7 are
-worked ahead after the sample before, 11 come with the sample that completes it, and 3.6 are the five messages. Of one in
-1024: a search for a delay, in some ten pieces of at most 10. The block takes twice as long as in a loop of its own: its
-code and data have left the caches since the last one.
+Profile of a sample at 1 kHz in this benchmark, on two shared cores, in units of publishing one message (0.05 ms
+there): the voltage's callback 2.8, of that the forecast 1.3, writing and publishing it 0.9, reading and pairing 0.3;
+the torque's callback 0.6, and then, when all is out, 2.5 for alarm, scores and memory. Of one sample in 32: a block,
+of which 7 are worked ahead after the sample before, 11 come with the sample that completes it, and 3.6 are the five
+messages. Of one in 1024: a search for a delay, in some ten pieces of at most 10. The block takes twice as long as in
+a loop of its own: its code and data have left the caches since the last one.
 """
 
 from __future__ import annotations
