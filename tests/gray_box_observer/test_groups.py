@@ -85,13 +85,14 @@ def test_motors_in_one_message_are_what_each_would_be_alone(said: dict[str, tupl
             np.testing.assert_allclose(*values, rtol=1e-12, atol=1e-15, err_msg=f'{name} {field}')
         estimates = [np.array([r.estimate.value[0] for r in x if r.estimate is not None]) for x in (ours, alone)]
         assert len(estimates[1]) - len(estimates[0]) in (0, 1)
-        np.testing.assert_allclose(estimates[0], estimates[1][: len(estimates[0])], rtol=1e-6, err_msg=name)
+        np.testing.assert_allclose(estimates[0], estimates[1][: len(estimates[0])], rtol=1e-12, err_msg=name)
         torques = [
             np.array([np.nan if r.prediction is None else r.prediction.torque_nm[0] for r in x]) for x in (ours, alone)
         ]
         np.testing.assert_allclose(*torques, rtol=1e-3, atol=1e-9, err_msg=name)
-        waits = np.abs(torques[0] - torques[1]) > 1e-6 * np.abs(torques[1]) + 1e-9
-        assert np.sum(waits) <= 64, f'{name}: only fits and blocks that wait for their turn may be late'
+        # of a fit that waited for its turn the predicted state remembers, for a few of its time constants, the old theta
+        waits = np.abs(torques[0] - torques[1]) > 1e-5 * np.abs(torques[1]) + 1e-9
+        assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
         kept, own = whole.pairing[name], single.pairing[name]
         assert (kept.used, kept.received_torque, kept.received_voltage) == (
             own.used, own.received_torque, own.received_voltage,
