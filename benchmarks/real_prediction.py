@@ -156,9 +156,11 @@ def main() -> int:
     parser.add_argument('--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233')
     parser.add_argument('--quick', action='store_true', help='one seed, one robot, little training')
     parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 2, with --quick 1)')
+    parser.add_argument('--only', default='', metavar='WORD', help='groups with this word in their name')
     options = parser.parse_args()
     data, seeds = options.data or DEFAULT_DATA, options.seeds or (1 if options.quick else 2)
-    todo = [(group, task, seed) for group, task in tasks(data, options.quick) for seed in range(1, seeds + 1)]
+    chosen = [(group, task) for group, task in tasks(data, options.quick) if options.only in group]
+    todo = [(group, task, seed) for group, task in chosen for seed in range(1, seeds + 1)]
     if not todo:
         return without_measurements('real_prediction', data, asked=options.data is not None)
     found: dict[str, list[Outcome]] = {}
