@@ -5,7 +5,7 @@ sample is therefore complete as soon as the voltage is known up to its stamp, th
 it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
 the wall clock, so that live topics and a replayed bag make the same samples.
 
-A voltage that is old while torque comes was not changed. But where both signals were silent far longer than is their
+A voltage that is old while torque comes was not changed (:mod:`held_voltage`). But where both signals were silent far longer than is their
 habit, or the voltage, which always came regularly, is overdue, nobody knows what it did: the history begins anew with
 the next voltage, and torque before that is refused.
 
@@ -27,13 +27,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
+from gray_box_observer.samples.own_speed import OwnSpeed
 from gray_box_observer.samples.raw_history import RawHistory
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
-
-MAX_WAITING_VOLTAGES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,8 @@ class Pairing:
         self.restarts = 0
         self.held = 0
         self.history = RawHistory(motors)
-        self._voltage_rhythm, self._torque_rhythm = Rhythm(), Rhythm()
+        self._voltages, self._speeds = HeldVoltage(self._joining.blank), OwnSpeed()
+        self._torque_rhythm = Rhythm()
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
@@ -132,14 +133,10 @@ class Pairing:
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
-        self._voltages: deque[tuple[int, Any]] = deque()
+        self._voltages.restart()
         self._torques: deque[tuple[int, Any, Any]] = deque()
-        self._speeds: deque[tuple[int, float]] = deque()
-        self._held_v: Any = self._joining.blank  # the voltage in force
-        self._held_ns: int | None = None  # and since when
+        self._speeds.restart()
         self._joining.restart()
-        self._newest_speed_ns: int | None = None
-        self._newest_voltage_ns: int | None = None
         self._newest_torque_ns: int | None = None
         self._previous_ns: int | None = None
 
@@ -217,36 +214,27 @@ class Pairing:
             missing: which motors of the group the message does not speak of; None: none.
         """
         self.received_voltage += 1
-        newest_v = self._voltages[-1][1] if self._voltages else self._held_v
-        voltage_v = self._joining.voltage(voltage_v, newest_v, missing)
+        voltage_v = self._joining.voltage(voltage_v, self._voltages.newest_v, missing)
         if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order('voltage', stamp_ns, self._newest_voltage_ns)
+        done = self._order('voltage', stamp_ns, self._voltages.newest_ns)
         if done is None:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        if self._newest_voltage_ns is not None:
-            self._voltage_rhythm.take(seconds(stamp_ns - self._newest_voltage_ns))
-        self._newest_voltage_ns = stamp_ns
-        self._voltages.append((stamp_ns, voltage_v))
-        if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
-            self._held_ns, self._held_v = self._voltages.popleft()
+        self._voltages.take(stamp_ns, voltage_v)
         return done + self._complete(self._known_ns())
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
         if not self._joining.usable('speed', speed_rad_s):
             return []
-        done = self._order('speed', stamp_ns, self._newest_speed_ns)
+        done = self._order('speed', stamp_ns, self._speeds.newest_ns)
         if done is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
-        self._newest_speed_ns = stamp_ns
-        self._speeds.append((stamp_ns, speed_rad_s))
-        if len(self._speeds) > MAX_WAITING_VOLTAGES:
-            self._speeds.popleft()
+        self._speeds.take(stamp_ns, speed_rad_s)
         return done + self._complete(self._known_ns())
 
     def torque(
@@ -275,16 +263,14 @@ class Pairing:
 
     def _known_ns(self) -> int:
         """Up to where every signal that belongs to torque is known."""
-        known = [self._newest_voltage_ns] + ([self._newest_speed_ns] if self._own_speed else [])
+        known = [self._voltages.newest_ns] + ([self._speeds.newest_ns] if self._own_speed else [])
         return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
         """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is not known."""
-        unknown = not self._voltages and self._held_v is self._joining.blank
-        if self._newest_voltage_ns is None or unknown:
-            return None
-        return self._newest_voltage_ns, self._voltages[-1][1] if self._voltages else self._held_v
+        newest_ns = self._voltages.newest_ns
+        return None if newest_ns is None or not self._voltages.known else (newest_ns, self._voltages.newest_v)
 
     @property
     def newest_sample_ns(self) -> int | None:
@@ -297,13 +283,15 @@ class Pairing:
         None where torque before that stamp still waits, where the voltage is not known up to it (with a negative delay
         it comes too late), or where no signal history leads there.
         """
-        start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
+        start_ns, known_ns = self._previous_ns, self._voltages.newest_ns
         if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
             return None
-        blind = self._held_v is self._joining.blank and not (self._voltages and self._voltages[0][0] <= start_ns)
-        if blind or stamp_ns - start_ns > self._gap_ns or self._unknown_until_ns(start_ns, stamp_ns) is not None:
+        voltages = self._voltages
+        if not voltages.known_at(start_ns) or stamp_ns - start_ns > self._gap_ns:
             return None
-        return self._joining.ahead(stamp_ns - start_ns, self._mean_voltage(start_ns, stamp_ns), self._gap_ns)
+        if voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm) is not None:
+            return None
+        return self._joining.ahead(stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns)
 
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
@@ -346,69 +334,18 @@ class Pairing:
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
         """Join a torque sample with the voltage that was held since the one before it, and with the speed then."""
         if self._own_speed:
-            speed_rad_s = self._speed_at(stamp_ns)
+            speed_rad_s = self._speeds.at(stamp_ns, self._gap_ns)
         if self.needs_speed:
             torque_nm = self._joining.with_speed(torque_nm, speed_rad_s)
             if torque_nm is None:
                 return None
-        start_ns = self._previous_ns
-        goes_on = start_ns is not None and stamp_ns - start_ns <= self._gap_ns
-        known_ns = None if start_ns is None else self._unknown_until_ns(start_ns, stamp_ns)
-        goes_on = goes_on and known_ns is None
-        mean_v = self._mean_voltage(start_ns, stamp_ns) if goes_on and start_ns is not None else self._joining.blank
-        while self._voltages and self._voltages[0][0] < stamp_ns:
-            self._held_ns, self._held_v = self._voltages.popleft()
-        if known_ns is not None and known_ns > stamp_ns:
-            self._held_v = self._joining.blank
-        at_once_v = self._voltages[0][1] if self._voltages and self._voltages[0][0] == stamp_ns else self._joining.blank
-        passed_ns = stamp_ns - start_ns if goes_on and start_ns is not None else None
-        sample = self._joining.join(
-            stamp_ns, passed_ns, mean_v, (self._held_v, at_once_v), torque_nm, speed_rad_s, self._gap_ns
-        )
+        start_ns, known_ns, passed_ns, mean_v = self._previous_ns, None, None, self._joining.blank
+        if start_ns is not None:
+            known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
+            if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
+                passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
+        first_v = self._voltages.step_to(stamp_ns, lost=known_ns is not None and known_ns > stamp_ns)
+        sample = self._joining.join(stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns)
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns
         return sample
-
-    def _unknown_until_ns(self, start_ns: int, end_ns: int) -> int | None:
-        """Return when voltage is known again where it was not between two torques; None: it always was.
-
-        Later than the second of them where no voltage has come by then.
-        """
-        if not (self._voltage_rhythm.regular or self._torque_rhythm.silent(seconds(end_ns - start_ns))):
-            return None
-        silent, since_ns, until_ns = self._voltage_rhythm.silent, self._held_ns, None
-        if since_ns is None:
-            return None
-        for voltage_ns, _ in self._voltages:
-            if silent(seconds(voltage_ns - since_ns)):
-                until_ns = voltage_ns
-            since_ns = voltage_ns
-            if since_ns >= end_ns:
-                return until_ns
-        return end_ns + 1 if silent(seconds(end_ns - since_ns)) else until_ns
-
-    def _speed_at(self, stamp_ns: int) -> float:
-        """Speed at a stamp: linear between its samples, held after the last for a gap at most; else NaN."""
-        while len(self._speeds) > 1 and self._speeds[1][0] <= stamp_ns:
-            self._speeds.popleft()
-        if not self._speeds or self._speeds[0][0] > stamp_ns:
-            return math.nan
-        before_ns, before = self._speeds[0]
-        if len(self._speeds) == 1 or self._speeds[1][0] - before_ns > self._gap_ns:
-            return before if stamp_ns - before_ns <= self._gap_ns else math.nan
-        after_ns, after = self._speeds[1]
-        return before + (after - before) * (stamp_ns - before_ns) / (after_ns - before_ns)
-
-    def _mean_voltage(self, start_ns: int, end_ns: int) -> Any:
-        """Mean of the held voltage over an interval of the signal history, which never begins before a voltage."""
-        held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
-        for since_ns, voltage_v in self._voltages:
-            if since_ns >= end_ns:
-                break
-            if since_ns > cursor_ns:
-                integral_vns += held_v * (since_ns - cursor_ns)
-                cursor_ns = since_ns
-            held_v = voltage_v
-        if cursor_ns == start_ns:
-            return held_v  # unchanged over the interval: exact, no division
-        return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)
