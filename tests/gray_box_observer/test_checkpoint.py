@@ -63,7 +63,7 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     assert before.stamp_ns == after.stamp_ns
     samples = [r.sample for r in feed(observer(), recording, 0, 2000)][1010:]
     for sample in samples:
-        changed = [o.motors['motor'].context_nodes.learn(sample) for o in (one, other)]
+        changed = [o.group_of('motor').observer.context_nodes.learn(sample) for o in (one, other)]
         assert changed[0] == changed[1]
     on, again = one.estimates()['motor'], other.estimates()['motor']
     assert on.value.tobytes() + on.covariance.tobytes() == again.value.tobytes() + again.covariance.tobytes()
@@ -285,7 +285,7 @@ def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recordi
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'] == one.delays()['motor']
-    assert other.pairing['motor'].delay_ns == round(applied_s * 1e9)
+    assert other.counts('motor').delay_ns == round(applied_s * 1e9)
     on = feed_early(other, recording, 1500, 2000, 53_000_000)
     assert other.delays()['motor'].applied_s == pytest.approx(applied_s, abs=1e-3)
     np.testing.assert_allclose(
@@ -300,7 +300,7 @@ def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, reco
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'].applied_s == 0.02
-    assert other.pairing['motor'].delay_ns == 20_000_000
+    assert other.counts('motor').delay_ns == 20_000_000
 
 
 def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
@@ -344,7 +344,7 @@ def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recordin
     load(other, tmp_path / 'c')
     for name, array in one.motors['motor'].state()[1].items():
         assert array.tobytes() == other.motors['motor'].state()[1][name].tobytes(), name
-    one.pairing['motor'].restart()  # loading begins the signal history anew
+    one.group_of('motor').pairing.restart()  # loading begins the signal history anew
     first, second = (feed(o, recording, at, at + 500) for o in (one, other))
     for r, s in zip(first, second, strict=True):
         assert r.prediction is not None
@@ -366,7 +366,7 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Calla
     feed(one, lagging, 0, 2210)
     save(one, tmp_path / 'c')
     load(other, tmp_path / 'c')
-    one.pairing['motor'].restart()
+    one.group_of('motor').pairing.restart()
     for o in (one, other):
         feed(o, lagging, 2210, 3000)
     on, again = (o.motors['motor'].state()[1] for o in (one, other))

@@ -90,20 +90,20 @@ def test_motors_in_one_message_are_what_each_would_be_alone(said: dict[str, tupl
             np.array([np.nan if r.prediction is None else r.prediction.torque_nm[0] for r in x]) for x in (ours, alone)
         ]
         np.testing.assert_allclose(*torques, rtol=1e-3, atol=1e-9, err_msg=name)
-        # of a fit that waited for its turn the predicted state remembers, for a few of its time constants, the old theta
+        # of a fit that waited for its turn the predicted state remembers, for a few time constants, the old theta
         waits = np.abs(torques[0] - torques[1]) > 1e-5 * np.abs(torques[1]) + 1e-9
         assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
-        kept, own = whole.pairing[name], single.pairing[name]
+        kept, own = whole.counts(name), single.counts(name)
         assert (kept.used, kept.received_torque, kept.received_voltage) == (
             own.used, own.received_torque, own.received_voltage,
         )  # fmt: skip
         assert dict(kept.rejected) == dict(own.rejected)
-        assert whole.motors[name].context_nodes.counters() == single.motors[name].context_nodes.counters()
+        assert whole.motors[name].counters == single.motors[name].counters
         assert whole.motors[name].identified == single.motors[name].identified
         assert whole.alarm(name) == single.alarm(name)
-    assert whole.pairing[BROKEN_SENSOR].rejected[Rejection.NON_FINITE] == 300
-    assert whole.pairing[WILD].rejected[Rejection.ABSURD] == 60
-    assert whole.motors[CHANGED].context_nodes.counters()['motor changes'] == 1
+    assert whole.counts(BROKEN_SENSOR).rejected[Rejection.NON_FINITE] == 300
+    assert whole.counts(WILD).rejected[Rejection.ABSURD] == 60
+    assert whole.motors[CHANGED].counters['motor changes'] == 1
 
 
 def test_few_motors_stay_by_themselves(said: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
@@ -117,7 +117,7 @@ def test_motors_of_different_kinds_are_not_computed_together(said: dict[str, tup
     one = observer(group_from=2, **other)
     feed(one, said, NAMES, last=50)
     assert [group.names for group in one.groups(NAMES)] == [NAMES[:4], (LATE,), NAMES[5:]]
-    assert one.motors[CALM].context_nodes.estimate().value.shape == (1, 2)
+    assert one.motors[CALM].estimate.value.shape == (1, 2)
 
 
 def test_motors_whose_torque_comes_in_several_messages_are_parted(
@@ -131,9 +131,9 @@ def test_motors_whose_torque_comes_in_several_messages_are_parted(
             stamp_ns = k * PERIOD_NS + (half is halves[1]) * 1_000_000
             one.take('torque', half, stamp_ns, np.array([said[name][1][k] for name in half]))
     assert [group.names for group in one.groups(used)] == list(halves)
-    assert {one.pairing[name].used for name in halves[0]} == {100}
-    assert {one.pairing[name].used for name in halves[1]} == {99}  # the last one waits for its voltage
-    assert sum(one.pairing[name].rejected.total() for name in (CALM, STIFF, PLAIN)) == 0
+    assert {one.counts(name).used for name in halves[0]} == {100}
+    assert {one.counts(name).used for name in halves[1]} == {99}  # the last one waits for its voltage
+    assert sum(one.counts(name).rejected.total() for name in (CALM, STIFF, PLAIN)) == 0
 
 
 def test_motors_with_speed_are_parted_from_those_without(said: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:

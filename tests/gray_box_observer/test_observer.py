@@ -151,7 +151,7 @@ def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_
     assert one.forecast_held('motor', 0.1) is not None
     for stamp in (1_100_000_000, 1_400_000_000):  # the first of them is learnt by patience, without its voltage
         one.torque('motor', stamp, 0.01)
-    assert one.pairing['motor'].held == 1
+    assert one.counts('motor').held == 1
     assert one.forecast_held('motor', 0.1) is None
     without = observer()
     feed(without, recording, 100)
@@ -211,7 +211,7 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
 ) -> None:
     recording, one = record(duration_s=12.0), observer(InlineTraining, variant='main')
     feed(one, recording, 400)
-    predictor = one.motors['motor'].predictor
+    predictor = one.group_of('motor').observer.predictor
     assert predictor is not None
     one.freeze(True)
     jobs, network = predictor.jobs_done, predictor.state()
@@ -227,8 +227,8 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     assert predictor.jobs_done > jobs
     frozen = observer(InlineTraining, freeze=True)
     feed(frozen, recording, 400)
-    assert frozen.motors['motor'].predictor is not None
-    assert frozen.motors['motor'].predictor.jobs_done == 0
+    assert frozen.group_of('motor').observer.predictor is not None
+    assert frozen.group_of('motor').observer.predictor.jobs_done == 0
 
 
 def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
@@ -296,7 +296,7 @@ def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_o
         observer.voltage('motor', stamp, float(voltage[k]))
         observer.torque('motor', stamp, float(torque[k]))
     estimate = observer.estimates()['motor']
-    counters = observer.motors['motor'].context_nodes.counters()
+    counters = observer.motors['motor'].counters
     assert np.all(np.abs(estimate.value[0] - [0.5, 1.0, 10.0]) < 4.0 * estimate.std[0])
     assert np.all(estimate.std[0] < 0.005 * estimate.value[0])
     assert counters['motor changes'] == 0

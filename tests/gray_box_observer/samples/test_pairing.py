@@ -404,3 +404,26 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
     known, rest = pairing.redelay(0.01, 190 * MS)
     assert [s.stamp_ns // MS for s in known + rest] == list(range(10, 200, 10))
     assert pairing.restarts == 1
+
+
+def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
+    """Whatever a message lacks, and whatever becomes of it: no motor is charged with what did not speak of it."""
+    random, motors = np.random.default_rng(7), 4
+    pairing, told = Pairing(PairingRules(hold_s=0.05), motors), {signal: np.zeros(motors, int) for signal in 'vt'}
+    stamp_ns = 0
+    for _ in range(3000):
+        stamp_ns += round(MS * random.choice([0, 1, 10, 10, 10, 700]))
+        late_ns = round(MS * random.choice([0, 0, 0, 0, 0, 3, 10, 1500]))
+        signal, missing = str(random.choice(['v', 't'])), random.random(motors) < 0.2
+        values = random.choice([0.1, 0.2, math.nan, 1e12], motors, p=[0.45, 0.45, 0.05, 0.05])
+        told[signal] += ~missing
+        take = pairing.voltage if signal == 'v' else pairing.torque
+        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), missing=missing)
+        for motor in range(motors):
+            counts = pairing.of(motor)
+            assert counts.received_torque == told['t'][motor]
+            assert counts.received_torque == counts.used + counts.refused['torque'].total() + counts.waiting
+            assert counts.received_voltage == told['v'][motor]
+            assert counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
+    assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(pairing.of(0).rejected)
+    assert pairing.of(0).used > 500

@@ -38,8 +38,17 @@ class Joining(Protocol):
     def usable(self, signal: str, value: float) -> bool:
         """Whether a plain number can be used; counted where not."""
 
-    def voltage(self, voltage_v: Any, newest_v: Any, missing: Missing) -> Any:
-        """Return the voltage as far as it can be used, that before in place of what cannot; None where nothing can."""
+    def voltage(self, voltage_v: Any, missing: Missing) -> Any:
+        """Return the voltage as far as it can be used, NaN in place of what cannot; None where nothing can."""
+
+    def filled(self, voltage_v: Any, newest_v: Any) -> Any:
+        """Return a voltage with that before it in place of what cannot be used."""
+
+    def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
+        """Count a message as refused, for those motors of which it says something that could be used."""
+
+    def one(self, values: Any, motor: int) -> float:
+        """Return the value of one motor."""
 
     def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
         """Return the torque as far as it can be used, NaN in place of what cannot; None where nothing can."""
@@ -101,9 +110,21 @@ class OneMotor:
             return False
         return True
 
-    def voltage(self, voltage_v: float, newest_v: float, missing: Missing) -> float | None:
+    def voltage(self, voltage_v: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
         return voltage_v if self.usable('voltage', voltage_v) else None
+
+    def filled(self, voltage_v: float, newest_v: float) -> float:
+        """See :class:`Joining`."""
+        return voltage_v
+
+    def refuse(self, signal: str, reason: Rejection, values: float) -> None:
+        """See :class:`Joining`."""
+        self._refused[signal][reason] += 1
+
+    def one(self, values: float, motor: int) -> float:
+        """See :class:`Joining`."""
+        return values
 
     def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
@@ -136,7 +157,7 @@ class OneMotor:
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        return self._refused
+        return {signal: counter.copy() for signal, counter in self._refused.items()}
 
     def missed(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
@@ -151,13 +172,11 @@ class ManyMotors:
     """A group of motors, in arrays of shape (motor,).
 
     Args:
-        refused: counts messages that are refused as a whole.
         motors: how many.
     """
 
-    def __init__(self, refused: Refused, motors: int) -> None:
+    def __init__(self, motors: int) -> None:
         self.blank: Array = np.full(motors, np.nan)
-        self._messages = refused
         signals = ('voltage', 'torque')
         self._own = {signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection} for signal in signals}
         self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
@@ -174,13 +193,26 @@ class ManyMotors:
         """Signals with a topic of their own come to single motors only."""
         raise NotImplementedError
 
-    def voltage(self, voltage_v: Array, newest_v: Array, missing: Missing) -> Array | None:
+    def voltage(self, voltage_v: Array, missing: Missing) -> Array | None:
         """See :class:`Joining`."""
         good = np.abs(voltage_v) <= ABSURD_MAGNITUDE  # NaN is not
         if missing is None and np.all(good):
             return voltage_v
         self._count_bad(voltage_v, good, 'voltage', missing)
-        return np.where(good, voltage_v, newest_v) if np.any(good) else None
+        return np.where(good, voltage_v, np.nan) if np.any(good) else None
+
+    def filled(self, voltage_v: Array, newest_v: Array) -> Array:
+        """See :class:`Joining`."""
+        unknown = np.isnan(voltage_v)
+        return np.where(unknown, newest_v, voltage_v) if unknown.any() else voltage_v
+
+    def refuse(self, signal: str, reason: Rejection, values: Array) -> None:
+        """See :class:`Joining`."""
+        self._own[signal][reason] += ~np.isnan(values)
+
+    def one(self, values: Array, motor: int) -> float:
+        """See :class:`Joining`."""
+        return float(values[motor])
 
     def torque(self, torque_nm: Array, speed_rad_s: Any, missing: Missing) -> Array | None:
         """See :class:`Joining`."""
@@ -253,9 +285,9 @@ class ManyMotors:
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        told = {signal: counter.copy() for signal, counter in self._messages.items()}
+        told: Refused = {'speed': Counter()}
         for signal, counts in self._own.items():
-            told[signal].update({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
+            told[signal] = Counter({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
         return told
 
     def missed(self, motor: int) -> dict[str, int]:

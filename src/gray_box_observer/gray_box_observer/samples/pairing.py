@@ -5,9 +5,9 @@ sample is therefore complete as soon as the voltage is known up to its stamp, th
 it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
 the wall clock, so that live topics and a replayed bag make the same samples.
 
-A voltage that is old while torque comes was not changed (:mod:`held_voltage`). But where both signals were silent far longer than is their
-habit, or the voltage, which always came regularly, is overdue, nobody knows what it did: the history begins anew with
-the next voltage, and torque before that is refused.
+A voltage that is old while torque comes was not changed. But where both signals were silent far longer than is their
+habit, or the voltage, which always came regularly, is overdue, nobody knows what it did (:mod:`held_voltage`): the
+history begins anew with the next voltage, and torque before that is refused.
 
 Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
 all that follows sees signals that belong together.
@@ -87,7 +87,7 @@ class Pairing:
     Attributes:
         history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
-        refused: what could not be used, by signal and reason; of a group, messages that were refused as a whole.
+        refused: what could not be used of a single motor, by signal and reason; of one of a group see :meth:`of`.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
@@ -101,7 +101,7 @@ class Pairing:
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
         self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
-        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(self.refused, motors)
+        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(motors)
         self.received_torque = 0
         self.received_voltage = 0
         self.taken_voltage = 0
@@ -118,6 +118,10 @@ class Pairing:
         }
         self._set_delay(delay_s)
         self._restart()
+
+    def taker(self, signal: str) -> Callable[..., list[Sample]]:
+        """Return what takes a signal by its name: :meth:`voltage`, :meth:`torque` or :meth:`speed`."""
+        return self._take[signal]
 
     def reconfigure(self, rules: PairingRules) -> None:
         """Be as patient as other rules say, from the next message on."""
@@ -214,23 +218,23 @@ class Pairing:
             missing: which motors of the group the message does not speak of; None: none.
         """
         self.received_voltage += 1
-        voltage_v = self._joining.voltage(voltage_v, self._voltages.newest_v, missing)
+        voltage_v = self._joining.voltage(voltage_v, missing)
         if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order('voltage', stamp_ns, self._voltages.newest_ns)
+        done = self._order('voltage', stamp_ns, self._voltages.newest_ns, voltage_v)
         if done is None:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        self._voltages.take(stamp_ns, voltage_v)
+        self._voltages.take(stamp_ns, self._joining.filled(voltage_v, self._voltages.newest_v))
         return done + self._complete(self._known_ns())
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
         if not self._joining.usable('speed', speed_rad_s):
             return []
-        done = self._order('speed', stamp_ns, self._speeds.newest_ns)
+        done = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
         if done is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
@@ -248,7 +252,7 @@ class Pairing:
         torque_nm = self._joining.torque(torque_nm, speed_rad_s, missing)
         if torque_nm is None:
             return []
-        done = self._order('torque', stamp_ns, self._newest_torque_ns)
+        done = self._order('torque', stamp_ns, self._newest_torque_ns, torque_nm)
         if done is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
@@ -303,7 +307,7 @@ class Pairing:
             received_voltage=received_voltage,
             taken_voltage=received_voltage - refused['voltage'].total(),
             used=self.used - used,
-            waiting=self.waiting,
+            waiting=sum(not math.isnan(self._joining.one(torque_nm, motor)) for _, torque_nm, _ in self._torques),
             restarts=self.restarts,
             held=self.held,
             delay_ns=self._delay_ns,
@@ -313,13 +317,14 @@ class Pairing:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
         return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
 
-    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
+    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
             return self.restart()
-        self.refused[signal][Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
+        reason = Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER
+        self._joining.refuse(signal, reason, values)
         return None
 
     def _complete(self, known_until_ns: int) -> list[Sample]:
