@@ -194,3 +194,24 @@ def test_freezing_and_new_settings_reach_a_group(said: dict[str, tuple[np.ndarra
     settings = {'motors': list(NAMES), 'verdict.identified_relative_std': 1e-9, 'verdict.excited_relative_std': 1e-8}
     one.reconfigure(Configuration.from_flat(settings))
     assert not one.motors[CALM].identified
+
+
+def test_parting_a_group_forgets_no_message() -> None:
+    one, names = observer(group_from=2), (CALM, CHANGED, GONE, STIFF)
+    ones = np.ones(4)
+    for k in range(3):
+        one.take('voltage', names, k * PERIOD_NS, ones)
+    one.take('voltage', names, 2 * PERIOD_NS, ones)  # a duplicate
+    one.take('voltage', names, 3 * PERIOD_NS, np.array([1.0, math.nan, 1e12, 1.0]))
+    one.take('torque', names, 4 * PERIOD_NS, np.array([math.nan, 0.1, 0.1, 0.1]))
+    before = {name: one.counts(name) for name in names}
+    assert before[CHANGED].refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.NON_FINITE: 1}
+    one.take('voltage', (CALM, CHANGED, GONE), 4 * PERIOD_NS, ones[:3])
+    assert [group.names for group in one.groups(names)] == [names[:3], (STIFF,)]
+    for name, counts in before.items():
+        after, more = one.counts(name), 0 if name == STIFF else 1
+        assert after.received_voltage == counts.received_voltage + more == 5 + more
+        assert after.received_torque == counts.received_torque == 1
+        assert after.refused == counts.refused
+        assert after.taken_voltage == counts.taken_voltage + more
+        assert after.waiting + after.used == counts.waiting

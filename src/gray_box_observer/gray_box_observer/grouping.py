@@ -155,15 +155,16 @@ class Grouping:
         group, _ = self._places[name]
         return len(group.names) == 1 and group.untouched
 
-    def _settle(self, names: Sequence[str]) -> Group:
-        """Make a group, of which nothing has come yet."""
-        own_speed = bool(self._configuration['speed.topic'])
-        delay_s = self._configuration.motors[names[0]].delay_s
-        rules = pairing_rules(self._configuration)
-        group = Group(tuple(names), Pairing(rules, len(names), own_speed=own_speed, delay_s=delay_s))
+    def _settle(self, names: Sequence[str], pairing: Pairing | None = None) -> None:
+        """Make a group; without pairing one of which nothing has come yet."""
+        if pairing is None:
+            own_speed = bool(self._configuration['speed.topic'])
+            delay_s = self._configuration.motors[names[0]].delay_s
+            rules = pairing_rules(self._configuration)
+            pairing = Pairing(rules, len(names), own_speed=own_speed, delay_s=delay_s)
+        group = Group(tuple(names), pairing)
         self._places.update({name: (group, place) for place, name in enumerate(names)})
         self._parts.clear()
-        return group
 
     def _found(self, names: tuple[str, ...]) -> list[Part]:
         """Find where in a message every group stands."""
@@ -198,16 +199,10 @@ class Grouping:
 
     def _split(self, group: Group, some: set[str]) -> None:
         """Make two groups of one; what has come for them so far is gone through again."""
-        events = list(group.pairing.history.events(group.pairing.delay_ns))
         for names in ([n for n in group.names if n in some], [n for n in group.names if n not in some]):
             together = len(names) >= self._configuration['group_from']
             for own in [names] if together else [[name] for name in names]:
-                made, index = self._settle(own), [group.names.index(name) for name in own]
-                for signal, stamp_ns, values in events:
-                    picked: list[Any] = [np.asarray(v)[index] if np.ndim(v) else v for v in values]
-                    if len(own) == 1:
-                        picked = [float(np.atleast_1d(v)[0]) for v in picked]
-                    made.pairing.taker(signal)(stamp_ns, *picked)
+                self._settle(own, group.pairing.part([group.names.index(name) for name in own]))
 
 
 def _once(groups: Any) -> list[Group]:

@@ -31,7 +31,7 @@ from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.motor_view import MotorView
 from gray_box_observer.predictor import Skill
 from gray_box_observer.samples import Sample
-from gray_box_observer.samples.pairing import PairingCounts
+from gray_box_observer.samples.counts import PairingCounts
 from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.white_box.base import Array
 

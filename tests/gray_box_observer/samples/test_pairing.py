@@ -427,3 +427,25 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
             assert counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
     assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(pairing.of(0).rejected)
     assert pairing.of(0).used > 500
+
+
+def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> None:
+    pairing = Pairing()
+    events = [(kind, at, 1.0) for at in range(-100, 100, 10) for kind in 'tv']
+    samples = feed(pairing, events) + pairing.flush()
+    assert [s.stamp_ns // MS for s in samples] == list(range(-100, 100, 10))
+    assert pairing.rejected == {}
+
+
+def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
+    """A voltage that was regular for 900 samples was so no longer for having been gone through twice."""
+    voltages, torques = steady(900)
+    later: list[Event] = [('t', at, 0.1) for at in range(9000, 12_000, 10)]
+    fresh, changed = Pairing(delay_s=0.02), Pairing()
+    events = [e for pair in zip(voltages, torques, strict=True) for e in pair]
+    expected = feed(fresh, events + later) + fresh.flush()
+    before = feed(changed, events)
+    known, rest = changed.redelay(0.02, before[-1].stamp_ns)
+    assert content(known + rest + feed(changed, later) + changed.flush()) == content(expected)
+    assert changed.rejected == {}
+    assert fresh.rejected == {Rejection.NO_VOLTAGE: 2}

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.samples.counts import PairingCounts, Refused
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, NANOSECONDS_PER_SECOND, Sample, seconds
 from gray_box_observer.white_box.base import Array
 
 Missing = NDArray[np.bool_] | None
-
-Refused = dict[str, Counter[Rejection]]
-"""What could not be used, by signal and reason."""
 
 NEVER_NS = 1 << 62
 """Owed by a motor whose signal history has not begun."""
@@ -83,6 +82,9 @@ class Joining(Protocol):
 
     def lost(self, motor: int) -> int:
         """How many of the group's samples a motor was absent from."""
+
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """Count on from what had become of every motor's messages."""
 
 
 class OneMotor:
@@ -166,6 +168,12 @@ class OneMotor:
     def lost(self, motor: int) -> int:
         """See :class:`Joining`."""
         return 0
+
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """See :class:`Joining`."""
+        for signal, counter in self._refused.items():
+            counter.clear()
+            counter.update(counts[0].refused[signal])
 
 
 class ManyMotors:
@@ -297,3 +305,13 @@ class ManyMotors:
     def lost(self, motor: int) -> int:
         """See :class:`Joining`."""
         return int(self._lost[motor])
+
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """See :class:`Joining`."""
+        for signal, by_reason in self._own.items():
+            for reason in by_reason:
+                by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
+        received = np.array([(of.received_voltage, of.received_torque) for of in counts])
+        self._missed = dict(zip(('voltage', 'torque'), (received.max(axis=0) - received).T, strict=True))
+        used = np.array([of.used for of in counts])
+        self._lost = used.max() - used

@@ -20,13 +20,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.samples.counts import PairingCounts, Refused
 from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
 from gray_box_observer.samples.own_speed import OwnSpeed
@@ -50,26 +51,6 @@ class PairingRules:
     gap_s: float = 0.5
     hold_s: float = 0.25
     jump_back_s: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class PairingCounts:
-    """What became of one motor's messages; see :class:`Pairing`."""
-
-    refused: dict[str, Counter[Rejection]]
-    received_torque: int
-    received_voltage: int
-    taken_voltage: int
-    used: int
-    waiting: int
-    restarts: int
-    held: int
-    delay_ns: int
-
-    @property
-    def rejected(self) -> Counter[Rejection]:
-        """What could not be used, by reason, whatever signal it was of."""
-        return sum(self.refused.values(), Counter())
 
 
 class Pairing:
@@ -100,7 +81,7 @@ class Pairing:
         self.needs_speed = own_speed
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
-        self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
+        self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
         self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(motors)
         self.received_torque = 0
         self.received_voltage = 0
@@ -109,8 +90,8 @@ class Pairing:
         self.restarts = 0
         self.held = 0
         self.history = RawHistory(motors)
-        self._voltages, self._speeds = HeldVoltage(self._joining.blank), OwnSpeed()
-        self._torque_rhythm = Rhythm()
+        self._speeds = OwnSpeed()
+        self._learn_habits()
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
@@ -134,6 +115,10 @@ class Pairing:
         self._delay_ns = nanoseconds(delay_s)
         # a voltage that is stamped late comes late, and torque has to wait for it that much longer
         self._hold_ns = round(self._rules.hold_s * 1e9) + max(0, -self._delay_ns)
+
+    def _learn_habits(self) -> None:
+        """Know nothing of how regularly the signals come."""
+        self._voltages, self._torque_rhythm = HeldVoltage(self._joining.blank), Rhythm()
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
@@ -188,22 +173,40 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts = self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held
-        refused, waited = {name: counter.copy() for name, counter in self.refused.items()}, self.waiting
+        counts, waited = self.of(0), self.waiting
         self._set_delay(delay_s)
+        self._learn_habits()
         self._restart()
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
             samples += self._take[signal](stamp_ns, *values)
-        self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held = counts
-        for name, counter in self.refused.items():
-            counter.clear()
-            counter.update(refused[name])
+        self._count_as([counts])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
         return certain, samples[len(certain) :]
+
+    def part(self, motors: Sequence[int]) -> Pairing:
+        """Return the pairing of some motors of a group that has made no sample yet.
+
+        What came is gone through again without the others; what was counted of these motors stays counted.
+        """
+        made = Pairing(self._rules, len(motors), own_speed=self._own_speed, delay_s=seconds(self._delay_ns))
+        index = motors[0] if len(motors) == 1 else list(motors)
+        for signal, stamp_ns, values in self.history.events(self._delay_ns):
+            picked: list[Any] = [np.asarray(value)[index] if np.ndim(value) else value for value in values]
+            made._take[signal](stamp_ns, *picked)
+        made._count_as([self.of(motor) for motor in motors])
+        return made
+
+    def _count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """Count on from what had become of every motor's messages."""
+        self.received_torque = max(of.received_torque for of in counts)
+        self.received_voltage = max(of.received_voltage for of in counts)
+        self.taken_voltage = max(of.taken_voltage for of in counts)
+        self.used, self.restarts, self.held = max(of.used for of in counts), counts[0].restarts, counts[0].held
+        self._joining.count_as(counts)
 
     def repeats(self, sample: Sample) -> bool:
         """Whether a sample was given out before, paired under another delay."""
@@ -265,10 +268,12 @@ class Pairing:
         self.held += len(held)
         return done + held
 
-    def _known_ns(self) -> int:
-        """Up to where every signal that belongs to torque is known."""
-        known = [self._voltages.newest_ns] + ([self._speeds.newest_ns] if self._own_speed else [])
-        return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
+    def _known_ns(self) -> int | None:
+        """Up to where every signal that belongs to torque is known; None: nowhere."""
+        known_ns, speed_ns = self._voltages.newest_ns, self._speeds.newest_ns
+        if known_ns is None or not self._own_speed:
+            return known_ns
+        return None if speed_ns is None else min(known_ns, speed_ns)
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
@@ -315,7 +320,7 @@ class Pairing:
 
     def flush(self) -> list[Sample]:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
-        return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
+        return self._complete(self._newest_torque_ns)
 
     def _order(self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
@@ -327,9 +332,9 @@ class Pairing:
         self._joining.refuse(signal, reason, values)
         return None
 
-    def _complete(self, known_until_ns: int) -> list[Sample]:
-        samples = []
-        while self._torques and self._torques[0][0] <= known_until_ns:
+    def _complete(self, known_until_ns: int | None) -> list[Sample]:
+        samples: list[Sample] = []
+        while known_until_ns is not None and self._torques and self._torques[0][0] <= known_until_ns:
             sample = self._pair(*self._torques.popleft())
             if sample is not None:
                 samples.append(sample)
