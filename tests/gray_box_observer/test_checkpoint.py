@@ -303,15 +303,6 @@ def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, reco
     assert other.counts('motor').delay_ns == 20_000_000
 
 
-def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
-    plain, arrays = decode(saved.read_bytes())
-    del plain['motors']['motor']['delay']
-    saved.write_bytes(encode(plain, arrays))
-    one = observer(**{'motor.delay': 'estimate'})
-    load(one, saved)
-    assert one.delays()['motor'].applied_s == 0.0
-
-
 @pytest.mark.parametrize('dtype', ['f8', 'f4', 'i8', 'i4', 'u8', 'u1', '?'])
 @pytest.mark.parametrize('shape', [(), (0,), (3,), (2, 3)])
 def test_arrays_of_any_numeric_type_and_shape_come_back_as_they_were(dtype: str, shape: tuple[int, ...]) -> None:
@@ -383,3 +374,16 @@ def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recordi
     save(one, tmp_path / 'c')
     with pytest.raises(GrayBoxError, match='holds a network of 6 hidden units and 5 inputs, expected 4 and 5'):
         load(observer(InlineTraining, **{**HARD, 'training.hidden': 4}), tmp_path / 'c')
+
+
+@pytest.mark.parametrize('predictor', [True, False])
+def test_a_motor_that_was_identified_is_so_where_learning_is_frozen_from_the_start(
+    record: Callable[..., Recording], tmp_path: Path, predictor: bool
+) -> None:
+    one = observer(InlineTraining, predictor=predictor)
+    feed(one, record(duration_s=20.0), 0, 2000)
+    assert one.known('motor')[1]
+    save(one, tmp_path / 'c')
+    other = observer(InlineTraining, predictor=predictor, freeze=True)
+    load(other, tmp_path / 'c')
+    assert other.known('motor')[1]

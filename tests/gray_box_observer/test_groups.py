@@ -173,7 +173,7 @@ def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
     for group_from in (2, 1000):
         again = observer(group_from=group_from)
         checkpoint.load(again, tmp_path / 'all')
-        assert len(again.groups(NAMES)) == (1 if group_from == 2 else MOTORS)
+        assert len(again.groups(NAMES)) == (2 if group_from == 2 else MOTORS), 'as before: the late one is alone'
         for name in NAMES:
             np.testing.assert_array_equal(again.estimates()[name].value, one.estimates()[name].value)
             np.testing.assert_array_equal(again.estimates()[name].covariance, one.estimates()[name].covariance)
@@ -215,3 +215,33 @@ def test_parting_a_group_forgets_no_message() -> None:
         assert after.refused == counts.refused
         assert after.taken_voltage == counts.taken_voltage + more
         assert after.waiting + after.used == counts.waiting
+
+
+def test_motors_that_come_each_in_messages_of_its_own_go_on_so_from_a_checkpoint(
+    said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
+) -> None:
+    names, (one, other) = (CALM, STIFF), (observer(group_from=2) for _ in range(2))
+    for name in names:
+        feed(one, said, (name,), 600, 700)
+    checkpoint.save(one, tmp_path / 'alone')
+    checkpoint.load(other, tmp_path / 'alone')
+    for k in range(700, 710):
+        for name in names:
+            feed(other, said, (name,), k, k + 1)
+    for name in names:
+        assert other.counts(name).rejected == {}
+        assert other.counts(name).used == 10
+
+
+def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
+    said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
+) -> None:
+    one, other = (observer(group_from=2) for _ in range(2))
+    speeds = np.array([3.0 if k < 3 else np.nan for k in range(MOTORS)])
+    for k in range(600, 650):
+        one.take('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
+        one.take('torque', NAMES, k * PERIOD_NS, np.array([said[name][1][k] for name in NAMES]), speeds)
+    checkpoint.save(one, tmp_path / 'parted')
+    checkpoint.load(other, tmp_path / 'parted')
+    assert [group.names for group in other.groups(NAMES)] == [NAMES[:3], NAMES[3:]]
+    assert [other.motors[name].white_box.speed_measured for name in (CALM, PLAIN)] == [True, False]

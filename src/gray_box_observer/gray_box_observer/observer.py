@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -219,13 +219,20 @@ class Observer:
         if configuration['freeze'] != self._frozen:
             self.freeze(configuration['freeze'])
 
-    def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
+    def restore(
+        self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]], together: Sequence[Sequence[str]] = ()
+    ) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
+
+        Args:
+            saved: plain values and arrays, by motor.
+            together: motors that were computed together: they came in the same messages, what others do nobody knows.
 
         Raises:
             ConfigurationError: something was learnt with another white box or other parameters.
         """
-        self._grouping.gather(list(saved))
+        for names in together:
+            self._grouping.gather(names)
         made: list[tuple[Group, MotorObserver]] = []
         try:
             affected = [group for group in self.every_group if any(name in saved for name in group.names)]
