@@ -301,3 +301,25 @@ def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_o
     assert np.all(estimate.std[0] < 0.005 * estimate.value[0])
     assert counters['motor changes'] == 0
     assert counters['torque outliers'] < 1.5 * lost[1].sum() + 100 * (signal != 'torque')
+
+
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_whoever_says_twice_that_learning_goes_on_begins_a_new_history_all_the_same(
+    record: Callable[..., Recording], rule: str
+) -> None:
+    recording, one = record(duration_s=6.0), observer(InlineTraining, context_update=rule)
+    feed(one, recording, 100)
+    one.freeze(True)
+    for k in range(100, 120):
+        stamp = int(recording.stamp_ns[k])
+        one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    for _ in range(2):
+        one.freeze(False)
+    stamp = int(recording.stamp_ns[120])
+    one.voltage('motor', stamp, float(recording.voltage_v[0, 120]))
+    (result,) = one.torque('motor', stamp, float(recording.torque_nm[0, 120]))
+    assert result.sample.interval_s[0] > 0.0
+    motor = one.group_of('motor').observer
+    for replay in (motor.context_nodes.replay, motor.predictor.replay):
+        assert replay.interval_s(3)[0].tolist() == [0.01, 0.01, 0.0]

@@ -234,8 +234,9 @@ class Predictor:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume training; predictions go on with the network that runs."""
-        self._resumes = self._frozen and not frozen
-        self._frozen = frozen
+        if frozen == self._frozen:
+            return
+        self._frozen, self._resumes = frozen, not frozen
 
     def refill(self, content: Array) -> None:
         """Remember these samples instead, which were paired anew; what the others taught beside the physics is void.
