@@ -245,3 +245,21 @@ def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
     checkpoint.load(other, tmp_path / 'parted')
     assert [group.names for group in other.groups(NAMES)] == [NAMES[:3], NAMES[3:]]
     assert [other.motors[name].white_box.speed_measured for name in (CALM, PLAIN)] == [True, False]
+
+
+def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_went_away(
+    said: dict[str, tuple[np.ndarray, np.ndarray]],
+) -> None:
+    one, names = observer(group_from=2), (CALM, CHANGED, GONE, STIFF)
+    feed(one, said, names, 600, 700)
+    one.freeze(True)
+    feed(one, said, names, 700, 710)
+    one.freeze(False)
+    feed(one, said, names[1:], 710, 711)
+    feed(one, said, names, 711, 712)
+    motors = one.group_of(CALM).observer
+    assert motors is not None
+    assert motors.predictor is not None
+    for replay in (motors.predictor.replay, motors.context_nodes.replay):
+        begun = replay.newest(1, slice(None), replay.received)[0, :, 0] == 0.0
+        assert [name for name, first in zip(names, begun, strict=True) if first] == [CALM]

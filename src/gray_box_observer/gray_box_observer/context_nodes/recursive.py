@@ -147,7 +147,7 @@ class RecursiveUpdate:
         if self._frozen:
             return False
         if self._resumes is not None:
-            sample = self._resumed(sample, self._resumes)
+            sample, self._resumes = sample.resuming(self._resumes)
         self._learner.catch_up()
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
@@ -165,12 +165,6 @@ class RecursiveUpdate:
         samples = int(self._due[0] - self._learnt.at[0])
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
             self._learner.begin(Group(self._white_box, slice(None), self._learnt), samples)
-
-    def _resumed(self, sample: Sample, waiting: NDArray[np.bool_]) -> Sample:
-        """Begin a new signal history of every motor at its first sample after learning was stopped."""
-        waits = self._nobody if sample.present is None else waiting & ~sample.present
-        self._resumes = waits if np.any(waits) else None
-        return sample.beginning(waiting)
 
     def _serve(self) -> bool:
         """Do what is due, as much of it as one sample's turn allows."""

@@ -11,6 +11,7 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
@@ -102,7 +103,7 @@ class Predictor:
         self.jobs_late = 0
         self.loss: float | None = None
         self._frozen = False
-        self._resumes = False
+        self._resumes: NDArray[np.bool_] | None = None  # whose history begins anew
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
         self._settled: dict[int, tuple[Array, OperatingRange]] = {}
@@ -221,8 +222,9 @@ class Predictor:
         self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
         if self._frozen:
             return
-        self.replay.append(sample.beginning() if self._resumes else sample, self._previous_speed)
-        self._resumes = False
+        if self._resumes is not None:
+            sample, self._resumes = sample.resuming(self._resumes)
+        self.replay.append(sample, self._previous_speed)
         self._schedule.follow(self.replay, _physics_of(prediction))
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
@@ -236,7 +238,8 @@ class Predictor:
         """Stop or resume training; predictions go on with the network that runs."""
         if frozen == self._frozen:
             return
-        self._frozen, self._resumes = frozen, not frozen
+        self._frozen = frozen
+        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
         """Remember these samples instead, which were paired anew; what the others taught beside the physics is void.
