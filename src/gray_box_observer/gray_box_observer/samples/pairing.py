@@ -109,12 +109,12 @@ class Pairing:
         self._rules = rules
         self._gap_ns = round(rules.gap_s * 1e9)
         self._jump_ns = round(rules.jump_back_s * 1e9)
+        # a voltage that is stamped late comes late, and torque has to wait for it that much longer
         self._hold_ns = round(rules.hold_s * 1e9) + max(0, -self._delay_ns)
 
     def _set_delay(self, delay_s: float) -> None:
         self._delay_ns = nanoseconds(delay_s)
-        # a voltage that is stamped late comes late, and torque has to wait for it that much longer
-        self._hold_ns = round(self._rules.hold_s * 1e9) + max(0, -self._delay_ns)
+        self.reconfigure(self._rules)
 
     def _learn_habits(self) -> None:
         """Know nothing of how regularly the signals come."""
@@ -136,7 +136,7 @@ class Pairing:
 
     @property
     def rejected(self) -> Counter[Rejection]:
-        """What could not be used, by reason, whatever signal it was of."""
+        """What could not be used of a single motor, by reason, whatever signal it was of."""
         return sum(self.refused.values(), Counter())
 
     @property
