@@ -449,3 +449,25 @@ def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
     assert content(known + rest + feed(changed, later) + changed.flush()) == content(expected)
     assert changed.rejected == {}
     assert fresh.rejected == {Rejection.NO_VOLTAGE: 2}
+
+
+def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_unchanged() -> None:
+    group, alone, told = Pairing(motors=2), Pairing(), []
+    expected = []
+    for k in range(1400):
+        stamp_ns, volt = 10 * k * MS, 1.0 + k % 7
+        out = math.nan if 1200 <= k < 1300 else volt
+        expected += alone.voltage(stamp_ns, out) + alone.torque(stamp_ns, 0.1)
+        told += group.voltage(stamp_ns, np.array([out, volt])) + group.torque(stamp_ns, np.full(2, 0.1))
+        ahead = group.ahead(stamp_ns)
+        assert ahead is None or not np.any(np.isnan(ahead[1]) & (ahead[0] > 0.0))
+    expected += alone.flush()
+    told += group.flush()
+    mine = [s for s in told if s.present is None or s.present[0]]
+    assert not any(np.isnan(s.voltage_v[0]) for s in mine)
+    assert [s.stamp_ns // MS for s in mine if s.interval_s[0] == 0.0] == [0, 13_000]
+    assert [s.stamp_ns // MS for s in expected if s.interval_s[0] == 0.0] == [0, 13_000]
+    assert abs(len(mine) - len(expected)) <= 2
+    assert group.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 70
+    assert group.of(1).rejected == {}
+    assert group.of(1).used == 1400

@@ -5,6 +5,7 @@ Values are plain floats for one motor and arrays of shape (motor,) for a group; 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Any
 
@@ -52,6 +53,11 @@ class HeldVoltage:
     def known_at(self, stamp_ns: int) -> bool:
         """Whether it is known what was in force at the stamp of the last torque."""
         return self._held_v is not self._blank or (bool(self._coming) and self._coming[0][0] <= stamp_ns)
+
+    @property
+    def patience_s(self) -> float:
+        """For how long a voltage, of one motor of a group, may be missing before it is overdue, in s."""
+        return self._rhythm.silence_s if self._rhythm.regular else math.inf
 
     def take(self, stamp_ns: int, voltage_v: Any) -> None:
         """Let a voltage be in force from a stamp on that is newer than all before."""

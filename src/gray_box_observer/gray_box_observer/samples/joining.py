@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.samples.counts import PairingCounts, Refused
+from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, NANOSECONDS_PER_SECOND, Sample, seconds
 from gray_box_observer.white_box.base import Array
@@ -40,8 +41,8 @@ class Joining(Protocol):
     def voltage(self, voltage_v: Any, missing: Missing) -> Any:
         """Return the voltage as far as it can be used, NaN in place of what cannot; None where nothing can."""
 
-    def filled(self, voltage_v: Any, newest_v: Any) -> Any:
-        """Return a voltage with that before it in place of what cannot be used."""
+    def filled(self, stamp_ns: int, voltage_v: Any, voltages: HeldVoltage) -> Any:
+        """Return a voltage with that before it in place of what cannot be used, NaN where that is overdue."""
 
     def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
         """Count a message as refused, for those motors of which it says something that could be used."""
@@ -116,7 +117,7 @@ class OneMotor:
         """See :class:`Joining`."""
         return voltage_v if self.usable('voltage', voltage_v) else None
 
-    def filled(self, voltage_v: float, newest_v: float) -> float:
+    def filled(self, stamp_ns: int, voltage_v: float, voltages: HeldVoltage) -> float:
         """See :class:`Joining`."""
         return voltage_v
 
@@ -195,6 +196,7 @@ class ManyMotors:
         """Begin a new signal history."""
         self._owed_ns = np.full(self.blank.size, NEVER_NS)
         self._owed_vns = np.zeros(self.blank.size)
+        self._told_ns: Any = 0  # when the voltage was known last; of every motor, or the same of all
         self._regular = False
 
     def usable(self, signal: str, value: float) -> bool:
@@ -209,10 +211,16 @@ class ManyMotors:
         self._count_bad(voltage_v, good, 'voltage', missing)
         return np.where(good, voltage_v, np.nan) if np.any(good) else None
 
-    def filled(self, voltage_v: Array, newest_v: Array) -> Array:
+    def filled(self, stamp_ns: int, voltage_v: Array, voltages: HeldVoltage) -> Array:
         """See :class:`Joining`."""
         unknown = np.isnan(voltage_v)
-        return np.where(unknown, newest_v, voltage_v) if unknown.any() else voltage_v
+        if not unknown.any():
+            self._told_ns = stamp_ns
+            return voltage_v
+        self._told_ns = np.where(unknown, self._told_ns, stamp_ns)
+        overdue = unknown & ((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND > voltages.patience_s)
+        self._regular = self._regular and not overdue.any()
+        return np.where(unknown, np.where(overdue, np.nan, voltages.newest_v), voltage_v)
 
     def refuse(self, signal: str, reason: Rejection, values: Array) -> None:
         """See :class:`Joining`."""
@@ -256,7 +264,7 @@ class ManyMotors:
         if self._regular:
             return np.full(mean_v.size, seconds(passed_ns)), mean_v
         span_ns = self._owed_ns + passed_ns
-        leads = span_ns <= gap_ns
+        leads = (span_ns <= gap_ns) & ~np.isnan(mean_v)
         return np.where(leads, span_ns / NANOSECONDS_PER_SECOND, 0.0), self._mean(span_ns, passed_ns, mean_v)
 
     def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
@@ -274,7 +282,7 @@ class ManyMotors:
         if self._regular and everyone and passed_ns is not None:
             return Sample(stamp_ns, np.full(here.size, seconds(passed_ns)), mean_v, torque_nm, speed)
         span_ns = self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
-        begins = np.ones_like(here) if passed_ns is None else span_ns > gap_ns
+        begins = np.ones_like(here) if passed_ns is None else (span_ns > gap_ns) | np.isnan(mean_v)
         first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
         blind = here & begins & np.isnan(first_v)
         self._own['torque'][Rejection.NO_VOLTAGE] += blind

@@ -230,7 +230,7 @@ class Pairing:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        self._voltages.take(stamp_ns, self._joining.filled(voltage_v, self._voltages.newest_v))
+        self._voltages.take(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
         return done + self._complete(self._known_ns())
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
