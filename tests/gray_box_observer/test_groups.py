@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -263,3 +264,13 @@ def test_the_network_too_learns_nothing_across_a_freeze_during_which_a_motor_wen
     for replay in (motors.predictor.replay, motors.context_nodes.replay):
         begun = replay.newest(1, slice(None), replay.received)[0, :, 0] == 0.0
         assert [name for name, first in zip(names, begun, strict=True) if first] == [CALM]
+
+
+def test_a_list_of_very_many_names_is_used_but_not_kept() -> None:
+    one, names = observer(), (CALM,) + ('stranger',) * 30_000
+    owners = sys.getrefcount(names)
+    for stamp_ns in (0, PERIOD_NS):
+        for signal in ('voltage', 'torque'):
+            one.take(signal, names, stamp_ns, np.zeros(len(names)))
+    assert one.counts(CALM).used == 2
+    assert sys.getrefcount(names) == owners

@@ -23,6 +23,9 @@ from gray_box_observer.white_box.base import Array
 MOST_PLANS = 256
 """Lists of names of which it is remembered whom they mean; a publisher keeps its list, so few are enough."""
 
+MOST_NAMES = 20_000
+"""A longer list is not remembered: somebody who sends ever other lists of a million would fill the memory."""
+
 Values = Sequence[float] | Array
 """Values of a message, one a name."""
 
@@ -132,9 +135,10 @@ class Grouping:
             self.gather(names)
             self._divide({name for name in names if name in self._places})
             parts = self._found(names)
-            if len(self._parts) > MOST_PLANS:
-                self._parts.clear()
-            self._parts[signal, names] = parts
+            if len(names) <= MOST_NAMES:
+                if len(self._parts) > MOST_PLANS:
+                    self._parts.clear()
+                self._parts[signal, names] = parts
         return parts
 
     def gather(self, names: Sequence[str]) -> None:
