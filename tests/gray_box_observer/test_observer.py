@@ -231,6 +231,22 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     assert frozen.motors['motor'].predictor.jobs_done == 0
 
 
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_thawing_twice_before_a_sample_comes_is_thawing_once(record: Callable[..., Recording], rule: str) -> None:
+    recording, stretches = record(duration_s=6.0), ((0, 200), (200, 300), (300, 320))
+    one = observer(InlineTraining, context_update=rule)
+    for (first, end), asked in zip(stretches, ((), (True,), (False, False)), strict=True):
+        for frozen in asked:
+            one.freeze(frozen)
+        for k in range(first, end):
+            one.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
+            one.torque('motor', int(recording.stamp_ns[k]), float(recording.torque_nm[0, k]))
+    seen = one.motors['motor']
+    for replay in (seen.context_nodes.replay, seen.predictor.replay):
+        begins = np.flatnonzero(replay.interval_s()[0] <= 0.0)
+        np.testing.assert_array_equal(begins, [0, 200])  # nobody knows what came while it was frozen
+
+
 def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
     for source, expected in (('auto', True), ('measured', True), ('torque_constant', False)):
         one = observer(**{'motor.speed_source': source})

@@ -114,7 +114,7 @@ class GradientUpdate:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
-        self._resumes = self._frozen and not frozen
+        self._resumes = not frozen and (self._frozen or self._resumes)
         self._frozen = frozen
 
     def work_ahead(self) -> None:

@@ -234,7 +234,7 @@ class Predictor:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume training; predictions go on with the network that runs."""
-        self._resumes = self._frozen and not frozen
+        self._resumes = not frozen and (self._frozen or self._resumes)
         self._frozen = frozen
 
     def refill(self, content: Array) -> None:
