@@ -103,6 +103,18 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
         assert second[name].tobytes() == array.tobytes(), name
 
 
+@pytest.mark.parametrize('training', [None, InlineTraining])
+def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
+    tmp_path: Path, recording: Recording, training: Any
+) -> None:
+    one, other = observer(training), observer(training, freeze=True)
+    feed(one, recording, 0, 1500)
+    assert one.known('motor')[1]
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
+    assert other.known('motor')[1]
+
+
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:
     one, other = (observer(InlineTraining, variant='main') for _ in range(2))
     feed(one, recording, 0, 500)

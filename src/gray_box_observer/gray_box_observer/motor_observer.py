@@ -244,12 +244,17 @@ class MotorObserver:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
+        self.settle()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self.predictor is None else self.predictor.state(motor)
         delay = self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
-        content = {'white_box': self.white_box_of(motor).to_dict(), 'context_nodes': plain, 'delay': delay}
-        identified = self._identified[motor : motor + 1].copy()
-        alarm = {} if self.alarm is None else {**self.alarm.state(motor), 'identified': identified}
+        content = {
+            'white_box': self.white_box_of(motor).to_dict(),
+            'context_nodes': plain,
+            'delay': delay,
+            'identified': self.identified_of(motor),
+        }
+        alarm = {} if self.alarm is None else self.alarm.state(motor)
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
         return content, {f'{group}/{name}': array for group, part in groups.items() for name, array in part.items()}
 
@@ -263,11 +268,11 @@ class MotorObserver:
         which = slice(motor, motor + 1)
         self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'), motor)
         self._know(self.context_nodes.estimate(which), which)
+        self._identified[which] = plain['identified']
         if self.predictor is not None:
             self.predictor.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
-            self._identified[which] = alarm.pop('identified')
             self.alarm.restore(alarm, motor)
         if 'delay' in plain:
             if isinstance(self.delay, DelayWatch):
