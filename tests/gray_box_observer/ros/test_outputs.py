@@ -97,3 +97,25 @@ def test_an_alarm_goes_out_when_it_changes_and_only_then():
         one.aftermath.alarm = np.array([raised])
         outputs.alarms([one])
     assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [False, True, False]
+
+
+def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_otherwise():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    one = result(1, 1.0)
+    one.aftermath.alarm = np.array([True])
+    outputs.alarms([one])
+    outputs.alarm('motor', False)  # a checkpoint was loaded in which it did not stand
+    outputs.alarms([one])
+    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [True, False, True]
+
+
+def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_falls():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({'horizon_s': 1.0}))
+    last_ns = 2**31 * 1_000_000_000 - 1
+    for stamp_ns in (last_ns, last_ns + 1, -(2**31) * 1_000_000_000 - 1):
+        outputs.prediction(('motor',), stamp_ns, np.array([0.5]))
+        outputs.forecast(('motor',), stamp_ns, np.array([0.5]))
+    stamps = [deserialize_message(data, JointState).header.stamp for _, data in node.sent]
+    assert [(stamp.sec, stamp.nanosec) for stamp in stamps] == [(2**31 - 1, 999_999_999)] * 2

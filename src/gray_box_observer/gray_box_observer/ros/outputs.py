@@ -20,6 +20,7 @@ from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.pairing import MAX_WAITING_VOLTAGES
+from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
 from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
@@ -29,6 +30,9 @@ MOST_FORMS = 64
 """Lists of names of which a serialised message is kept."""
 
 _STAMP = struct.Struct('=iI')
+_SECONDS = range(-(2**31), 2**31)
+"""What a stamp can tell, which has 32 bits for them."""
+
 _STAMP_AT = 4
 """Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
 
@@ -120,7 +124,7 @@ class Outputs:
         self._alarmed[names] = raised.copy()
         for motor, name in enumerate(names):
             if told is None or told[motor] != raised[motor]:
-                self.alarm(name, bool(raised[motor]))
+                self._alarm[name](Bool(data=bool(raised[motor])))
 
     def all_estimates(self, motors: Sequence[str], groups: Iterable[Group]) -> None:
         """Publish value and standard deviation of every parameter of every motor, in one message.
@@ -161,10 +165,10 @@ class Outputs:
         self._identified[motor](Bool(data=estimate.identified(0) if identified is None else identified))
 
     def alarm(self, motor: str, raised: bool) -> None:
-        """Publish whether the alarm on the prediction's residual stands."""
-        if motor not in self._alarm:
-            return
-        self._alarm[motor](Bool(data=raised))
+        """Publish whether the alarm on the prediction's residual stands, whatever was published before."""
+        self._alarmed.clear()  # what samples have said last is not what stands there now
+        if motor in self._alarm:
+            self._alarm[motor](Bool(data=raised))
 
 
 class TorqueMessages:
@@ -178,7 +182,7 @@ class TorqueMessages:
         self._forms: dict[tuple[str, ...], tuple[bytearray, slice]] = {}
 
     def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
-        """Return the message of those motors of which there is a torque; None of none.
+        """Return the message of those motors of which there is a torque; None of none, or of a time beyond all stamps.
 
         Args:
             names: of the motors.
@@ -189,7 +193,8 @@ class TorqueMessages:
         if not known.all():
             names = tuple(name for name, is_known in zip(names, known.tolist(), strict=True) if is_known)
             torque_nm = torque_nm[known]
-        if not names:
+        seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+        if not names or seconds not in _SECONDS:
             return None
         form = self._forms.get(names)
         if form is None:
@@ -197,7 +202,7 @@ class TorqueMessages:
                 self._forms.clear()
             form = self._forms[names] = _form(names)
         data, values = form
-        _STAMP.pack_into(data, _STAMP_AT, *divmod(stamp_ns, 1_000_000_000))
+        _STAMP.pack_into(data, _STAMP_AT, seconds, nanoseconds)
         data[values] = torque_nm.tobytes()
         return bytes(data)
 
