@@ -214,21 +214,21 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     predictor = one.motors['motor'].predictor
     assert predictor is not None
     one.freeze(True)
-    jobs, network = predictor.jobs_done, predictor.state()
+    jobs, network = predictor.training.jobs_done, predictor.state()
     results = feed(one, recording, 800)
     assert jobs > 0
-    assert predictor.jobs_done == jobs
+    assert predictor.training.jobs_done == jobs
     for name, array in network.items():
         if not name.startswith('seen_'):
             np.testing.assert_array_equal(predictor.state()[name], array, err_msg=name)
     assert all(r.prediction is not None and np.isfinite(r.prediction.torque_nm[0]) for r in results[-100:])
     one.freeze(False)
     feed(one, recording)
-    assert predictor.jobs_done > jobs
+    assert predictor.training.jobs_done > jobs
     frozen = observer(InlineTraining, freeze=True)
     feed(frozen, recording, 400)
     assert frozen.motors['motor'].predictor is not None
-    assert frozen.motors['motor'].predictor.jobs_done == 0
+    assert frozen.motors['motor'].predictor.training.jobs_done == 0
 
 
 @pytest.mark.parametrize('rule', ['recursive', 'gradient'])
@@ -242,7 +242,7 @@ def test_thawing_twice_before_a_sample_comes_is_thawing_once(record: Callable[..
             one.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
             one.torque('motor', int(recording.stamp_ns[k]), float(recording.torque_nm[0, k]))
     seen = one.motors['motor']
-    for replay in (seen.context_nodes.replay, seen.predictor.replay):
+    for replay in (seen.context_nodes.replay, seen.predictor.training.replay):
         begins = np.flatnonzero(replay.interval_s()[0] <= 0.0)
         np.testing.assert_array_equal(begins, [0, 200])  # nobody knows what came while it was frozen
 

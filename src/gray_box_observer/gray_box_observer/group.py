@@ -156,9 +156,7 @@ class OneOfGroup:
         if whole is None:
             return None
         residual = SimpleNamespace(size_nm=whole.residual.size_nm[self._one])
-        return SimpleNamespace(
-            failure=whole.failure, jobs_done=whole.jobs_done, jobs_late=whole.jobs_late, residual=residual
-        )
+        return SimpleNamespace(training=whole.training, residual=residual)
 
     @property
     def alarm(self) -> Any:

@@ -116,7 +116,7 @@ def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(i
     learnt = correction()
     mute = replace(learnt, weights=replace(learnt.weights, output=np.zeros(8)))  # the linear part alone
     always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
-    late.residual.adopt(mute.arrays(), newest(late.replay, LONGEST))
+    late.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
     forgetful.residual.adopt(mute.arrays())
     said = [go_on(one, HELD_V[:1], 1).torque_nm[0] for one in (always, late, forgetful)]
     assert said[1] == pytest.approx(said[0], abs=1e-9)

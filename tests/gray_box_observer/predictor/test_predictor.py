@@ -297,14 +297,14 @@ def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_ta
         predictor(thesis_box, told, rules=TrainingRules(start='fresh')),
         samples(record('R[5,15]D[0.2,2]', 10.0)),
     )
-    one.freeze(True)
+    one.training.freeze(True)
     run(one, some[:500])
     assert told.jobs == 0
     np.testing.assert_array_equal(one.state()['output'], fresh(12, 0).output)
-    one.freeze(False)
+    one.training.freeze(False)
     run(one, some[500:])
     np.testing.assert_array_equal(one.state()['output'], better.output)
-    assert one.loss == 0.5
+    assert one.training.loss == 0.5
 
 
 def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_move(

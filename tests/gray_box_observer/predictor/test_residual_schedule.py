@@ -126,7 +126,7 @@ def test_samples_paired_anew_leave_nothing_of_the_others(thesis_box: MotorWhiteB
         sample = Sample.of_one_motor(k, 0.01 * (k > 0), 5.0, 0.02)
         one.learn(sample, one.predict(sample.interval_s, sample.voltage_v, TRUTH), TRUTH)
     assert 'schedule_segments' in one.state()
-    one.refill(one.replay.content()[:, :, -700:])
+    one.training.refill(one.training.replay.content()[:, :, -700:])
     state = one.state()
     assert 'schedule_segments' not in state
     assert (int(state['schedule_from']), bool(state['schedule_anew'])) == (9 * SEGMENT - 700, True)

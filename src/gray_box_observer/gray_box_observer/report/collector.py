@@ -163,6 +163,7 @@ def notes(name: str, observer: Observer) -> list[str]:
             f'The clock jumped back {pairing.restarts} times; the signal history started anew, estimates stayed.'
         )
     predictor = motor.predictor
-    if predictor is not None and predictor.jobs_late:
-        said.append(f'{predictor.jobs_late} training jobs were late; the running network stayed in service meanwhile.')
+    late = 0 if predictor is None else predictor.training.jobs_late
+    if late:
+        said.append(f'{late} training jobs were late; the running network stayed in service meanwhile.')
     return said

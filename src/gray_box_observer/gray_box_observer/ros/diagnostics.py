@@ -138,9 +138,9 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
 def _failed_training(motor: str, now: Situation) -> Judgement | None:
     """What stays true whether samples come or not."""
     seen = now.observer.motors.get(motor)
-    if seen is None or seen.predictor is None or seen.predictor.failure is None:
+    if seen is None or seen.predictor is None or seen.predictor.training.failure is None:
         return None
-    return DiagnosticStatus.ERROR, seen.predictor.failure
+    return DiagnosticStatus.ERROR, seen.predictor.training.failure
 
 
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
@@ -237,9 +237,9 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     skill = now.observer.skill(motor)
     if skill is not None and seen.predictor is not None:
         values.update({name: _text(value) for name, value in skill.to_dict().items()})
-        values['training jobs done'] = str(seen.predictor.jobs_done)
+        values['training jobs done'] = str(seen.predictor.training.jobs_done)
         values['learnt residual, rms [N m]'] = f'{seen.predictor.residual.size_nm[0]:.3g}'
-        values['training jobs late'] = str(seen.predictor.jobs_late)
+        values['training jobs late'] = str(seen.predictor.training.jobs_late)
     return values
 
 
