@@ -288,6 +288,23 @@ def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
     assert told.jobs == farthest
 
 
+def test_what_settles_is_what_the_job_was_of_not_what_came_while_it_ran(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording]
+) -> None:
+    told = Told(windows=0, settled=True)
+    one = predictor(thesis_box, told, rules=TrainingRules(period=100, residual=False))
+    some = samples(record('R[5,15]D[20,20]', 10.0))
+    run(one, some[:300])
+    assert told.jobs == 1, 'settled at once'
+    moved = np.array([[0.5, 1.3, 10.0]])
+    run(one, some[300:400], moved)
+    assert (told.jobs, told.busy) == (2, True)
+    run(one, some[400:500], 1.2 * moved)  # it is done now, but of a motor that is no more
+    assert (told.jobs, told.busy) == (3, True)
+    run(one, some[500:900], 1.2 * moved)
+    assert told.jobs == 3
+
+
 def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_takes_none(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:

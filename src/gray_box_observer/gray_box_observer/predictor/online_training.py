@@ -172,7 +172,7 @@ class OnlineTraining:
             if result is None:
                 self.jobs_late += 1
                 return
-            self._adopt(result, theta)
+            self._adopt(result)
         if self._schedule.moved(theta):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
         residual = self._schedule.due(self.replay)
@@ -212,13 +212,15 @@ class OnlineTraining:
         settled, seen = self._settled[motor]
         return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
 
-    def _adopt(self, result: dict[str, Any], theta: Array) -> None:
+    def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1
-        motor, self._job = int(self._job.get('motor', 0)), {}
+        job, self._job = self._job, {}
+        motor = int(job['motor'])
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled.pop(motor, None)
         if result.get('settled'):
-            self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
+            # for what the job was of: the motor and its range may have moved while it ran
+            self._settled[motor] = job['theta'], OperatingRange.from_dict(job['seen'])
         self.loss = result.get('loss', self.loss)
         if not self._schedule.anew:  # else it was learnt of parameters that are no more
             self._residual.adopt(result, newest(self.replay, LONGEST))

@@ -38,6 +38,9 @@ WARM = 64
 ASKED = 32
 """Times, at most, that it is asked on the way to a forecast: there is time for it at a thousand samples a second."""
 
+SIZE_MEMORY = 500.0
+"""Samples over which the size of what is said is followed, for diagnostics."""
+
 PREFIX = 'residual_'
 
 
@@ -210,11 +213,11 @@ class ResidualForecaster:
         if memory is not None:
             self._memory = memory.cleared(anew)
         added = np.nan_to_num(correction_nm)
-        self._square_nm2 += 0.002 * (added * added - self._square_nm2)
+        self._square_nm2 += (added * added - self._square_nm2) / SIZE_MEMORY
 
     @property
     def size_nm(self) -> Array:
-        """Root mean square of the correction over the last few hundred samples in N m, shape (motor,)."""
+        """Root mean square of the correction over the last SIZE_MEMORY samples or so in N m, shape (motor,)."""
         size: Array = np.sqrt(self._square_nm2)
         return size
 
@@ -225,15 +228,15 @@ class ResidualForecaster:
             arrays: the correction among others.
             newest: samples of the signal history that goes on, see
                 :func:`~gray_box_observer.predictor.residual_schedule.newest`: while nothing was said, nothing was
-                traced. None: a history begins.
+                traced, and what the network remembered is long past. None: a history begins.
         """
         found = Correction.of(arrays)
         if found is None:
             return
-        self.correction = found
-        before = self._memory or Recollection.blank(self._motors, found.weights.hidden)
-        traced = traces.blank(self._motors) if newest is None else _traced(newest, found.interval_s)
-        self._memory = Recollection(before.network, traced)
+        blank = Recollection.blank(self._motors, found.weights.hidden)
+        before = self._memory if self.speaks and self._memory is not None else blank
+        traced = blank.traces if newest is None else _traced(newest, found.interval_s)
+        self.correction, self._memory = found, Recollection(before.network, traced)
 
 
 def _traced(newest: Mapping[str, Array], pace_s: float) -> Array:

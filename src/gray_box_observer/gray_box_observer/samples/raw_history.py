@@ -1,8 +1,8 @@
 """The newest raw voltages and torques, as they came in, so that they can be paired again.
 
 Pairing forgets how a sample's mean voltage was made. Whoever asks whether voltage and torque are shifted against each
-other needs the stamps themselves. Bounded, in the order of arrival; what is read out depends on stamps alone, so that
-live topics and a replayed bag give the same signals.
+other needs the stamps themselves. Bounded, each signal in the order of its stamps; what is read out depends on stamps
+alone, so that live topics and a replayed bag give the same signals.
 """
 
 from __future__ import annotations
