@@ -72,8 +72,10 @@ class Outputs:
     def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, and every changed estimate."""
         for result in results:
-            names = result.group.names
-            foretold = self._awaited.setdefault(names, {}).pop(result.sample.stamp_ns, False)
+            names, awaited = result.group.names, self._awaited.setdefault(result.group.names, {})
+            foretold = awaited.pop(result.sample.stamp_ns, False)
+            if not result.sample.interval_s.any():  # a history begins: stamps that are still awaited may come again
+                awaited.clear()
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
