@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import course, flow
 from gray_box_observer.predictor.start import fresh
-from gray_box_observer.samples import Sample
+from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
@@ -243,6 +244,23 @@ def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
     assert other.state().keys() == one.state().keys()
     for name, array in one.state().items():
         np.testing.assert_array_equal(other.state()[name], array)
+
+
+def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
+    some, listening = samples(record('R[5,15]D[0.2,2]', 15.0)), (idle, type(idle)())
+    for one_of, brought in zip(listening, (np.nan, 3.0), strict=True):  # where speed_source is torque_constant
+        one = predictor(thesis_box, one_of, rules=TrainingRules(period=500))
+        with_speed = [replace(s, speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)]
+        run(one, with_speed)
+        one.training.refill(ReplayBuffer.of(with_speed[-1300:]).content())
+        run(one, with_speed[1:])
+    without, along = (one_of.jobs for one_of in listening)
+    assert sum(job['residual'] for job in without) == 2
+    for expected, job in zip(without, along, strict=True):
+        for name, value in expected.items():
+            np.testing.assert_array_equal(value, job[name], err_msg=name)
 
 
 class Told:

@@ -12,6 +12,7 @@ from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
 from gray_box_observer.predictor.rules import TrainingRules
+from gray_box_observer.predictor.segments import SIGNALS
 from gray_box_observer.predictor.traces import LONGEST
 from gray_box_observer.predictor.training import Training
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -30,6 +31,7 @@ class OnlineTraining:
         training: where jobs run.
         forecaster: runs the network.
         residual: runs the correction, which is learnt of a single motor only.
+        speed_measured: whether speed is a signal; else whoever predicts sees none, and nobody must be taught with it.
 
     Attributes:
         replay: samples that jobs are made of.
@@ -40,13 +42,14 @@ class OnlineTraining:
 
     def __init__(
         self, motors: int, rules: TrainingRules, training: Training, forecaster: Forecaster,
-        residual: ResidualForecaster,
+        residual: ResidualForecaster, *, speed_measured: bool,
     ) -> None:  # fmt: skip
         self._motors = motors
         self._rules = rules
         self._training = training
         self._forecaster = forecaster
         self._residual = residual
+        self._no_speed = None if speed_measured else np.full(motors, np.nan)
         self._schedule = ResidualSchedule(motors, rules)
         # of a group no residual is learnt, and a job carries its newest samples only
         self.replay = ReplayBuffer(motors, rules.replay_capacity if motors == 1 else rules.job_samples)
@@ -76,6 +79,7 @@ class OnlineTraining:
         """
         if self._frozen:
             return
+        speed_rad_s = speed_rad_s if self._no_speed is None else self._no_speed
         self.replay.append(sample.beginning() if self._resumes else sample, speed_rad_s)
         self._resumes = False
         self._schedule.follow(self.replay, physics_nm)
@@ -98,6 +102,9 @@ class OnlineTraining:
         Args:
             content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
         """
+        if self._no_speed is not None:
+            content = content.copy()
+            content[SIGNALS.index('speed_rad_s')] = np.nan
         self.replay.refill(content)
         self._begin_residual_anew(from_number=self.replay.total - len(self.replay))
 

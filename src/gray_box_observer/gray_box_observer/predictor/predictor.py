@@ -94,7 +94,9 @@ class Predictor:
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        self.training = OnlineTraining(motors, rules, training, self._forecaster, self.residual)
+        self.training = OnlineTraining(
+            motors, rules, training, self._forecaster, self.residual, speed_measured=speed_measured
+        )
         self.scores = Scores(motors)
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
