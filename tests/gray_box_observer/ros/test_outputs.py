@@ -119,7 +119,9 @@ def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_
     outputs.alarms([one])
     outputs.alarm('motor', False)  # a checkpoint was loaded in which it did not stand
     outputs.alarms([one])
-    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [True, False, True]
+    outputs.alarm('motor', True)
+    outputs.alarms([one])
+    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [True, False, True, True]
 
 
 def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_falls():

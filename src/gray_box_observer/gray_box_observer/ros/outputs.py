@@ -60,6 +60,7 @@ class Outputs:
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+        self._told: dict[str, bool] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False, **names: str) -> Publish:
@@ -120,13 +121,13 @@ class Outputs:
             self.estimate(names[motor], estimate if len(changed) == 1 else estimate.of(row))
 
     def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
-        told = self._alarmed.get(names)
-        if told is not None and np.array_equal(told, raised):
+        before = self._alarmed.get(names)
+        if before is not None and np.array_equal(before, raised):
             return
+        for name, stands in zip(names, raised.tolist(), strict=True):
+            if self._told.get(name) != stands:
+                self.alarm(name, stands)
         self._alarmed[names] = raised.copy()
-        for motor, name in enumerate(names):
-            if told is None or told[motor] != raised[motor]:
-                self._alarm[name](Bool(data=bool(raised[motor])))
 
     def all_estimates(self, motors: Sequence[str], groups: Iterable[Group]) -> None:
         """Publish value and standard deviation of every parameter of every motor, in one message.
@@ -170,6 +171,7 @@ class Outputs:
         """Publish whether the alarm on the prediction's residual stands, whatever was published before."""
         self._alarmed.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
+            self._told[motor] = raised
             self._alarm[motor](Bool(data=raised))
 
 
