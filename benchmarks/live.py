@@ -1,83 +1,104 @@
 """What the live observer costs: samples lost, CPU, memory and the wait for the first estimate, training on.
 
-Simulator and observer run as processes of their own on real DDS; the observer's training process is counted in.
+Simulator and observer run as processes of their own on real DDS; the observer's training process is counted in. Of many
+motors in the same messages (``--motors 1000``) the observer publishes what it tells of all together.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import time
 
 import psutil
 import rclpy
+from common.figures import Figure, figure_table, last_line
 from common.live.processes import cpu_s as cpu_of
 from common.live.processes import family, own_domain, running
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, Float64MultiArray
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 PATIENCE_S = 60.0
+LAST_WORDS_S = 8.0
+"""Diagnostics come once a second; of many motors each is told of at every fourth."""
+
+
+JOBS = 'done', 'late'
+"""What became of training jobs; motors that are computed together share them."""
 
 
 class Watch(Node):
-    """Hears estimates and diagnostics of the observer."""
+    """Hears estimates and diagnostics of the observer.
 
-    def __init__(self) -> None:
+    Args:
+        motors: how many it observes.
+
+    Attributes:
+        first_estimate_s: when the first estimate came, on the monotonic clock; None: none yet.
+        facts: what diagnostics said last, by motor.
+    """
+
+    def __init__(self, motors: int) -> None:
         super().__init__('live_benchmark')
         self.first_estimate_s: float | None = None
-        self.facts: dict[str, str] = {}
-        self.create_subscription(Float64, '/gray_box_observer/motor/resistance', self._estimate, LATCHED)
+        self.facts: dict[str, dict[str, str]] = {}
+        if motors == 1:
+            self.create_subscription(Float64, '/gray_box_observer/motor/resistance', self._estimate, LATCHED)
+        else:
+            self.create_subscription(Float64MultiArray, '/gray_box_observer/estimates', self._estimate, LATCHED)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._diagnostics, 10)
 
-    def _estimate(self, _message: Float64) -> None:
+    def _estimate(self, _message: object) -> None:
         if self.first_estimate_s is None:
             self.first_estimate_s = time.monotonic()
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.facts = {entry.key: entry.value for entry in status.values}
+            self.facts[status.hardware_id] = {entry.key: entry.value for entry in status.values}
 
 
 def main() -> int:
     """Print a table and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--quick', action='store_true', help='20 s instead of 60 s')
+    parser.add_argument('--quick', action='store_true', help='20 s')
+    parser.add_argument('--duration', type=float, default=0.0, metavar='S', help='default: 60 s')
     parser.add_argument('--rate', type=float, default=100.0, help='samples a second')
+    parser.add_argument('--motors', type=int, default=1, help='motors in every message')
     options = parser.parse_args()
-    duration_s = 20.0 if options.quick else 60.0
+    duration_s, count = options.duration or (20.0 if options.quick else 60.0), options.motors
     own_domain()
     rclpy.init()
-    watch = Watch()
+    watch = Watch(count)
     started_s = time.monotonic()
-    with running('gray_box_observer.ros.observer_node') as observer:
+    named = {} if count == 1 else {'motors': f"['m[1..{count}]']", 'motor_topics': 'false'}
+    with running('gray_box_observer.ros.observer_node', **named) as observer:
         begin = {'duration_s': duration_s, 'sample_rate_hz': options.rate, 'wait_for_subscribers': 1}
+        begin |= {name: value for name, value in named.items() if name == 'motors'}
         with running('dc_motor_sim.ros.motor_sim', **begin) as simulator:
             memory, cpu_s = follow(watch, simulator, psutil.Process(observer.pid), duration_s)
         settled_s = time.monotonic()
-        while time.monotonic() - settled_s < 3.0:
+        while time.monotonic() - settled_s < LAST_WORDS_S:
             rclpy.spin_once(watch, timeout_sec=0.2)
     rclpy.shutdown()
-    used = int(watch.facts.get('samples used', 0))
+    used = [int(facts.get('samples used', 0)) for facts in watch.facts.values()]
     half = memory[len(memory) // 2 :]
     growth_mb = (max(half[-5:]) - max(half[:5])) / 1e6
     first_s = float('nan') if watch.first_estimate_s is None else watch.first_estimate_s - started_s
-    rows = (
-        ('samples lost', duration_s * options.rate - used, 0.0),
-        ('CPU of observer and training, cores', cpu_s / duration_s, 1.0),
-        ('memory of observer and training, MB', max(memory) / 1e6, 700.0),
-        ('memory growth in the second half, MB', growth_mb, 5.0),
-        ('first estimate after the start of the observer, s', first_s, 5.0),
-    )
-    for name, value, goal in rows:
-        print(f'{name:<52} {value:8.2f}   goal at most {goal:g}')
-    done, late = (watch.facts.get(f'training jobs {which}') for which in ('done', 'late'))
-    print(f'{"training jobs done / late":<52} {done} / {late}')
-    figures = [{'name': name, 'value': value, 'goal': goal, 'met': bool(value <= goal)} for name, value, goal in rows]
-    print(json.dumps({'benchmark': 'live', 'seeds': 1, 'figures': figures}))
+    figures = [
+        Figure('samples lost, of all motors', count * duration_s * options.rate - sum(used), 0.0),
+        Figure('CPU of observer and training, cores', cpu_s / duration_s, 1.0),
+        Figure('memory of observer and training, MB', max(memory) / 1e6, 700.0),
+        Figure('memory growth in the second half, MB', growth_mb, 5.0),
+        Figure('first estimate after the start of the observer, s', first_s, 5.0),
+    ]
+    print(f'{count} motors, {options.rate:g} samples a second, {duration_s:g} s\n')
+    print(figure_table(figures))
+    jobs = {which: max(int(facts.get(f'training jobs {which}', 0)) for facts in watch.facts.values()) for which in JOBS}
+    print(f'Training jobs: {jobs["done"]} done, {jobs["late"]} late.')
+    print(last_line('live', 1, figures))
     return 0
 
 

@@ -31,8 +31,9 @@ TRUTH = {'inductance [H]': 0.5, 'resistance [ohm]': 1.0, 'hysteresis [V s/(rad A
 QUEUE = 20_000
 """Messages on the way between us and the observer; its own queue of 1000 would drop a burst, and say so."""
 PATIENCE_S = 120.0
-HOLD_S = 5.0
-"""Stamps run many times faster than the clock here, and so does what one topic is ahead of the other."""
+HOLD_S = 60.0
+"""Stamps run many times faster than the clock here, and so does what one topic is ahead of the other: on a busy machine
+by all that is on the way, :data:`QUEUE` messages at most."""
 PROBE = JointStateView(0, ('probe',), (), (), (0.0,))
 
 

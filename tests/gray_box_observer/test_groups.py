@@ -90,7 +90,7 @@ def test_motors_in_one_message_are_what_each_would_be_alone(said: dict[str, tupl
             np.array([np.nan if r.prediction is None else r.prediction.torque_nm[0] for r in x]) for x in (ours, alone)
         ]
         np.testing.assert_allclose(*torques, rtol=1e-3, atol=1e-9, err_msg=name)
-        # of a fit that waited for its turn the predicted state remembers the old theta, for a few of its time constants
+        # the predicted state remembers the theta before a fit that waited for its turn, for a few of its time constants
         waits = np.abs(torques[0] - torques[1]) > 1e-5 * np.abs(torques[1]) + 1e-9
         assert np.sum(waits) <= 4, f'{name}: a fit that waits for its turn is all that may be late'
         kept, own = whole.pairing[name], single.pairing[name]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import pytest
@@ -259,25 +258,3 @@ def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
         (folder / 'metadata.yaml').write_text(METADATA.format(name))
         with pytest.raises(BagError, match=r"'other_0.mcap', listed in metadata.yaml, is missing"):
             BagReader(folder)
-
-
-def test_reading_raw_is_no_slower_than_twice_mcaps_own_reader(make_bag):
-    folder = make_bag(12_000, options=BagOptions())
-
-    def best(action) -> float:
-        times = []
-        for _ in range(3):
-            started = time.perf_counter()
-            assert action() == 24_000
-            times.append(time.perf_counter() - started)
-        return min(times)
-
-    def with_mcap() -> int:
-        with (folder / 'run_0.mcap').open('rb') as stream:
-            return sum(1 for _ in make_reader(stream).iter_messages())
-
-    def with_ours() -> int:
-        with BagReader(folder) as bag:
-            return sum(1 for _ in bag.messages())
-
-    assert best(with_ours) < 2 * best(with_mcap)

@@ -20,6 +20,8 @@ _PREFIX_START = 12
 """Encapsulation and stamp come first; the frame and the names follow."""
 _MOST_LAYOUTS = 64
 """A publisher keeps its frame and names, so few layouts are enough; more are forgotten at once."""
+_MOST_NAMES = 20_000
+"""A layout of more names is not remembered: somebody who sends ever other lists of a million would fill the memory."""
 
 
 class JointStateView(NamedTuple):
@@ -76,7 +78,12 @@ def decode_joint_state(data: bytes) -> JointStateView:
     Raises:
         SampleError: The bytes are no JointState; the message says where they stop making sense.
     """
-    view = _layout(data).view(data)
+    return _first_view(_layout(data), data)
+
+
+def _first_view(layout: _Layout, data: bytes) -> JointStateView:
+    """The content of the message that a layout was found in."""
+    view = layout.view(data)
     if view is None:  # cannot be: the layout comes from these bytes
         raise SampleError('JointState whose lengths contradict themselves')
     return view
@@ -97,10 +104,12 @@ class JointStateDecoder:
             view = layout.view(data)
             if view is not None:
                 return view
-        if len(self._layouts) >= _MOST_LAYOUTS:
-            self._layouts.clear()
-        view = decode_joint_state(data)
-        self._layouts[key] = _layout(data)
+        layout = _layout(data)
+        view = _first_view(layout, data)
+        if len(view.names) <= _MOST_NAMES:
+            if len(self._layouts) >= _MOST_LAYOUTS:
+                self._layouts.clear()
+            self._layouts[key] = layout
         return view
 
 
