@@ -268,7 +268,9 @@ class MotorObserver:
         which = slice(motor, motor + 1)
         self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'), motor)
         self._know(self.context_nodes.estimate(which), which)
-        self._identified[which] = plain['identified']
+        if self._frozen:  # verdicts tell it no more
+            self._identified = self._identified.copy()
+            self._identified[which] = plain['identified']
         if self.predictor is not None:
             self.predictor.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')

@@ -114,8 +114,9 @@ class GradientUpdate:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
-        self._resumes = not frozen and (self._frozen or self._resumes)
-        self._frozen = frozen
+        if frozen == self._frozen:
+            return
+        self._frozen, self._resumes = frozen, not frozen
 
     def work_ahead(self) -> None:
         """Nothing can be done ahead of an update whose samples are drawn at random."""
