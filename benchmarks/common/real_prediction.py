@@ -101,8 +101,8 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     """
     observer, histories = identified(task)
     motor = observer.motors['motor']
-    delay_s = motor.delay.estimate.applied_s
-    theta = motor.context_nodes.estimate().value
+    delay_s = motor.delay.applied_s
+    theta = motor.estimate.value
     names = [parameter.name for parameter in motor.white_box.parameters]
     found = dict(zip(names, theta[0].tolist(), strict=True)) | {'delay': delay_s}
     network = trained(observer, histories, seed, rounds)
@@ -197,7 +197,7 @@ def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
 def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int, rounds: int) -> dict[str, Any]:
     """Run rounds of the package's trainer over all histories; return the arrays of networks and correction."""
     motor = observer.motors['motor']
-    estimate = motor.context_nodes.estimate()
+    estimate = motor.estimate
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
     seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])

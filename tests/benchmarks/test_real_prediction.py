@@ -61,9 +61,7 @@ def test_what_scores_is_not_in_what_teaches(log: Path) -> None:
     log.write_text('\n'.join([*kept[:401], *(f'{row.split(",")[0]},0,7' for row in kept[401:])]) + '\n')
     other, again = identified(task)
     assert [s.stamp_ns for h in histories for s in h] == [s.stamp_ns for h in again for s in h]
-    np.testing.assert_array_equal(
-        observer.motors['motor'].context_nodes.theta, other.motors['motor'].context_nodes.theta
-    )
+    np.testing.assert_array_equal(observer.motors['motor'].theta, other.motors['motor'].theta)
 
 
 def test_logs_one_after_another_are_histories_of_their_own(log: Path) -> None:

@@ -76,7 +76,7 @@ class Account:
 
     def close(self, delivered: Counter[str], intake: Intake, observer: Observer) -> None:
         """Add what one observer was given and what became of it."""
-        pairing = observer.pairing[MOTOR]
+        pairing = observer.counts(MOTOR)
         for signal, of_motor in (('voltage', pairing.received_voltage), ('torque', pairing.received_torque)):
             unreadable, strangers = intake.rejected[signal].total(), intake.others[signal]
             self.unexplained += abs(delivered[signal] - of_motor - unreadable - strangers)
@@ -150,7 +150,7 @@ class Campaign:
 
     def counters(self) -> dict[str, int]:
         """Outliers, kicks and changes that the present observer has seen."""
-        return self._observer.motors[MOTOR].context_nodes.counters()
+        return self._observer.motors[MOTOR].counters
 
     def _take(self, signal: str, message: JointStateView | bytes) -> None:
         self._delivered[signal] += 1

@@ -79,7 +79,7 @@ def main() -> int:
     worst = np.max(deviations, axis=0)
     rms = np.sqrt(np.mean(np.square(deviations), axis=0))
     sent = minutes * round(LOOK_EVERY_S * options.rate)
-    counters = observer.motors['motor'].context_nodes.counters()
+    counters = observer.motors['motor'].counters
     figures = [
         Figure('simulated hours', minutes * LOOK_EVERY_S / 3600),
         Figure('samples lost', float(sent - used), 0.0),

@@ -29,4 +29,4 @@ def test_a_step_of_resistance_is_followed_within_a_second_and_moves_nothing_else
     np.testing.assert_allclose(resistance[after], 1.3, rtol=0.01)
     np.testing.assert_allclose(inductance[time_s > 20.0], 0.5, rtol=0.01)
     np.testing.assert_allclose(hysteresis[time_s > 20.0], 10.0, rtol=0.01)
-    assert outcome.observer.motors['motor'].context_nodes.counters()['motor changes'] == 1
+    assert outcome.observer.motors['motor'].counters['motor changes'] == 1

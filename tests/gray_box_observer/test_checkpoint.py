@@ -66,7 +66,7 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     assert before.stamp_ns == after.stamp_ns
     samples = [r.sample for r in feed(observer(), recording, 0, 2000)][1010:]
     for sample in samples:
-        changed = [o.motors['motor'].context_nodes.learn(sample) for o in (one, other)]
+        changed = [o.group_of('motor').observer.context_nodes.learn(sample) for o in (one, other)]
         assert changed[0] == changed[1]
     on, again = one.estimates()['motor'], other.estimates()['motor']
     assert on.value.tobytes() + on.covariance.tobytes() == again.value.tobytes() + again.covariance.tobytes()
@@ -126,13 +126,13 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
         return told
 
     take(one, 0, 1010)
-    predictor = one.motors['motor'].predictor
+    predictor = one.group_of('motor').observer.predictor
     assert predictor is not None
     predictor.residual.adopt(learnt.arrays())
     take(one, 1010, 1039)  # in the middle of a block and of a period of training; nobody has asked for the last alarm
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
-    one.pairing['motor'].restart()  # as loading does
+    one.group_of('motor').pairing.restart()  # as loading does
     size_nm = predictor.residual.size_nm[0]
     assert take(one, 1039, 1900) == take(other, 1039, 1900)
     assert predictor.residual.size_nm[0] > size_nm > 0.0, 'it spoke'
@@ -336,7 +336,7 @@ def test_an_estimated_delay_stays_in_force_after_loading(tmp_path: Path, recordi
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'] == one.delays()['motor']
-    assert other.pairing['motor'].delay_ns == round(applied_s * 1e9)
+    assert other.counts('motor').delay_ns == round(applied_s * 1e9)
     on = feed_early(other, recording, 1500, 2000, 53_000_000)
     assert other.delays()['motor'].applied_s == pytest.approx(applied_s, abs=1e-3)
     np.testing.assert_allclose(
@@ -351,16 +351,7 @@ def test_a_delay_that_is_declared_stands_whatever_was_saved(tmp_path: Path, reco
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
     assert other.delays()['motor'].applied_s == 0.02
-    assert other.pairing['motor'].delay_ns == 20_000_000
-
-
-def test_a_checkpoint_from_before_delays_were_known_can_be_loaded(saved: Path) -> None:
-    plain, arrays = decode(saved.read_bytes())
-    del plain['motors']['motor']['delay']
-    saved.write_bytes(encode(plain, arrays))
-    one = observer(**{'motor.delay': 'estimate'})
-    load(one, saved)
-    assert one.delays()['motor'].applied_s == 0.0
+    assert other.counts('motor').delay_ns == 20_000_000
 
 
 @pytest.mark.parametrize('dtype', ['f8', 'f4', 'i8', 'i4', 'u8', 'u1', '?'])
@@ -395,7 +386,7 @@ def test_inline_training_goes_on_bit_for_bit(tmp_path: Path, recording: Recordin
     load(other, tmp_path / 'c')
     for name, array in one.motors['motor'].state()[1].items():
         assert array.tobytes() == other.motors['motor'].state()[1][name].tobytes(), name
-    one.pairing['motor'].restart()  # loading begins the signal history anew
+    one.group_of('motor').pairing.restart()  # loading begins the signal history anew
     first, second = (feed(o, recording, at, at + 500) for o in (one, other))
     for r, s in zip(first, second, strict=True):
         assert r.prediction is not None
@@ -417,7 +408,7 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Calla
     feed(one, lagging, 0, 2210)
     save(one, tmp_path / 'c')
     load(other, tmp_path / 'c')
-    one.pairing['motor'].restart()
+    one.group_of('motor').pairing.restart()
     for o in (one, other):
         feed(o, lagging, 2210, 3000)
     on, again = (o.motors['motor'].state()[1] for o in (one, other))
@@ -434,3 +425,16 @@ def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recordi
     save(one, tmp_path / 'c')
     with pytest.raises(GrayBoxError, match='holds a network of 6 hidden units and 5 inputs, expected 4 and 5'):
         load(observer(InlineTraining, **{**HARD, 'training.hidden': 4}), tmp_path / 'c')
+
+
+@pytest.mark.parametrize('predictor', [True, False])
+def test_a_motor_that_was_identified_is_so_where_learning_is_frozen_from_the_start(
+    record: Callable[..., Recording], tmp_path: Path, predictor: bool
+) -> None:
+    one = observer(InlineTraining, predictor=predictor)
+    feed(one, record(duration_s=20.0), 0, 2000)
+    assert one.known('motor')[1]
+    save(one, tmp_path / 'c')
+    other = observer(InlineTraining, predictor=predictor, freeze=True)
+    load(other, tmp_path / 'c')
+    assert other.known('motor')[1]

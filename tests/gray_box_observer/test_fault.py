@@ -103,7 +103,7 @@ def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     results = feed(one, record(excitation, 60.0, 5, torque_noise_relative=0.01))
     alarm = one.motors['motor'].alarm
     assert alarm is not None
-    assert alarm.armed[0]
+    assert alarm.armed
     assert not stood(results).any()
 
 
@@ -142,7 +142,7 @@ def test_a_saved_alarm_stands_where_it_stood(tmp_path: Path, open_brush: Recordi
     checkpoint.save(one, tmp_path / 'c')
     checkpoint.load(other, tmp_path / 'c')
     assert other.alarm('motor')
-    first, second = (o.motors['motor'].alarm for o in (one, other))
+    first, second = (o.group_of('motor').observer.alarm for o in (one, other))
     assert first is not None
     assert second is not None
     for name, array in first.state().items():

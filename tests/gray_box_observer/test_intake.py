@@ -49,7 +49,7 @@ def test_a_motor_that_is_named_twice_makes_one_message_malformed_and_two_of_noth
     taker, observer = intake(motors=['a', 'b'])
     assert taker.take('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
-    assert observer.pairing['a'].received_torque == 0
+    assert observer.counts('a').received_torque == 0
 
 
 def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed() -> None:
@@ -59,7 +59,7 @@ def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed(
         taker.take('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
         taker.take('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
         taker.take('torque', view(stamp_ns, (), ()), 0)
-    assert observer.pairing['a'].used == observer.pairing['b'].used > 0
+    assert observer.counts('a').used == observer.counts('b').used > 0
 
 
 def test_messages_of_other_motors_are_counted_however_many_names_they_bring() -> None:
@@ -117,7 +117,7 @@ def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) ->
     taker, observer = intake()
     assert taker.take('torque', message, 0) == (0, (), [])
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
-    assert observer.pairing['motor'].received_torque == 0
+    assert observer.counts('motor').received_torque == 0
 
 
 def test_a_number_without_a_name_cannot_belong_to_several_motors() -> None:
@@ -204,7 +204,7 @@ def test_every_message_is_accounted_for() -> None:
             taker.take('torque', view(k * 10_000_000, ('motor',), ()), 0)
         else:
             taker.take('torque', view(k * 10_000_000, ('motor',), (math.nan if kind == 1 else 0.1,)), 0)
-    pairing = observer.pairing['motor']
+    pairing = observer.counts('motor')
     malformed = taker.rejected['torque'].total()
     assert malformed > 50
     assert pairing.rejected[Rejection.NON_FINITE] > 50

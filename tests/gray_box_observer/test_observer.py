@@ -151,7 +151,7 @@ def test_no_voltage_that_is_held_leads_anywhere_without_predictor_history_or_in_
     assert one.forecast_held('motor', 0.1) is not None
     for stamp in (1_100_000_000, 1_400_000_000):  # the first of them is learnt by patience, without its voltage
         one.torque('motor', stamp, 0.01)
-    assert one.pairing['motor'].held == 1
+    assert one.counts('motor').held == 1
     assert one.forecast_held('motor', 0.1) is None
     without = observer()
     feed(without, recording, 100)
@@ -211,7 +211,7 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
 ) -> None:
     recording, one = record(duration_s=12.0), observer(InlineTraining, variant='main')
     feed(one, recording, 400)
-    predictor = one.motors['motor'].predictor
+    predictor = one.group_of('motor').observer.predictor
     assert predictor is not None
     one.freeze(True)
     jobs, network = predictor.training.jobs_done, predictor.state()
@@ -227,24 +227,8 @@ def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     assert predictor.training.jobs_done > jobs
     frozen = observer(InlineTraining, freeze=True)
     feed(frozen, recording, 400)
-    assert frozen.motors['motor'].predictor is not None
-    assert frozen.motors['motor'].predictor.training.jobs_done == 0
-
-
-@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
-def test_thawing_twice_before_a_sample_comes_is_thawing_once(record: Callable[..., Recording], rule: str) -> None:
-    recording, stretches = record(duration_s=6.0), ((0, 200), (200, 300), (300, 320))
-    one = observer(InlineTraining, context_update=rule)
-    for (first, end), asked in zip(stretches, ((), (True,), (False, False)), strict=True):
-        for frozen in asked:
-            one.freeze(frozen)
-        for k in range(first, end):
-            one.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
-            one.torque('motor', int(recording.stamp_ns[k]), float(recording.torque_nm[0, k]))
-    seen = one.motors['motor']
-    for replay in (seen.context_nodes.replay, seen.predictor.training.replay):
-        begins = np.flatnonzero(replay.interval_s()[0] <= 0.0)
-        np.testing.assert_array_equal(begins, [0, 200])  # nobody knows what came while it was frozen
+    assert frozen.group_of('motor').observer.predictor is not None
+    assert frozen.group_of('motor').observer.predictor.training.jobs_done == 0
 
 
 def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
@@ -312,8 +296,30 @@ def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_o
         observer.voltage('motor', stamp, float(voltage[k]))
         observer.torque('motor', stamp, float(torque[k]))
     estimate = observer.estimates()['motor']
-    counters = observer.motors['motor'].context_nodes.counters()
+    counters = observer.motors['motor'].counters
     assert np.all(np.abs(estimate.value[0] - [0.5, 1.0, 10.0]) < 4.0 * estimate.std[0])
     assert np.all(estimate.std[0] < 0.005 * estimate.value[0])
     assert counters['motor changes'] == 0
     assert counters['torque outliers'] < 1.5 * lost[1].sum() + 100 * (signal != 'torque')
+
+
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_whoever_says_twice_that_learning_goes_on_begins_a_new_history_all_the_same(
+    record: Callable[..., Recording], rule: str
+) -> None:
+    recording, one = record(duration_s=6.0), observer(InlineTraining, context_update=rule)
+    feed(one, recording, 100)
+    one.freeze(True)
+    for k in range(100, 120):
+        stamp = int(recording.stamp_ns[k])
+        one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    for _ in range(2):
+        one.freeze(False)
+    stamp = int(recording.stamp_ns[120])
+    one.voltage('motor', stamp, float(recording.voltage_v[0, 120]))
+    (result,) = one.torque('motor', stamp, float(recording.torque_nm[0, 120]))
+    assert result.sample.interval_s[0] > 0.0
+    motor = one.group_of('motor').observer
+    for replay in (motor.context_nodes.replay, motor.predictor.training.replay):
+        assert replay.interval_s(3)[0].tolist() == [0.01, 0.01, 0.0]

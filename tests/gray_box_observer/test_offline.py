@@ -35,7 +35,7 @@ def test_a_bag_identifies_the_motor_it_was_recorded_of(
 ) -> None:
     outcome = observe(write_bag(tmp_path / 'bag', messages_of(record())))
     np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02)
-    assert outcome.observer.pairing['motor'].used == 6000
+    assert outcome.observer.counts('motor').used == 6000
     assert (outcome.first_ns['motor'], outcome.last_ns['motor']) == (10**9, 10**9 + 59_990_000_000)
     assert outcome.warnings == []
 
@@ -93,8 +93,8 @@ def test_an_older_bag_after_a_newer_one_restarts_the_history_and_keeps_the_estim
 ) -> None:
     bag = write_bag(tmp_path / 'bag', messages)
     outcome = observe(bag, bag)
-    assert outcome.observer.pairing['motor'].restarts >= 1
-    assert outcome.observer.pairing['motor'].used == 2000
+    assert outcome.observer.counts('motor').restarts >= 1
+    assert outcome.observer.counts('motor').used == 2000
     np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02)
 
 
@@ -110,7 +110,7 @@ def test_broken_messages_are_counted_and_skipped(
         'torque': 3,
         'speed': 0,
     }
-    assert outcome.observer.pairing['motor'].used == 997
+    assert outcome.observer.counts('motor').used == 997
 
 
 @pytest.mark.parametrize(

@@ -67,7 +67,7 @@ def predict(trained: Observer, tests: Series) -> Array:
 
 def theta(observer: Observer) -> Array:
     """Identified parameters, shape (parameter,)."""
-    values: Array = observer.motors[MOTOR].context_nodes.theta[0]
+    values: Array = observer.motors[MOTOR].theta[0]
     return values
 
 

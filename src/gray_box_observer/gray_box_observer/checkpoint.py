@@ -30,7 +30,7 @@ from gray_box_observer.white_box.base import Array
 
 FORMAT = 'gray_box_observer checkpoint'
 
-VERSION = 5
+VERSION = 6
 
 PARTIAL = '.partial'
 """What the name of a file ends with that is not whole yet."""
@@ -63,7 +63,9 @@ def capture(observer: Observer) -> Snapshot:
     """
     if not observer.motors:
         raise GrayBoxError('nothing to save yet: no motor has been seen')
-    plain: dict[str, Any] = {'context_update': observer.configuration['context_update'], 'motors': {}}
+    together = [list(group.names) for group in observer.every_group if len(group.names) > 1]
+    rule = observer.configuration['context_update']
+    plain: dict[str, Any] = {'context_update': rule, 'together': together, 'motors': {}}
     arrays: dict[str, Array] = {}
     for name, motor in observer.motors.items():
         plain['motors'][name], own = motor.state()
@@ -180,7 +182,7 @@ def load(observer: Observer, path: Path) -> None:
     """
     try:
         plain, arrays = decode(path.read_bytes())
-        rule, motors = plain['context_update'], dict(plain['motors'])
+        rule, together, motors = plain['context_update'], plain['together'], dict(plain['motors'])
     except OSError as error:
         raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
     except (KeyError, TypeError, ValueError) as error:
@@ -198,7 +200,7 @@ def load(observer: Observer, path: Path) -> None:
         prefix = f'{name}/'
         saved[name] = own, {k[len(prefix) :]: value for k, value in arrays.items() if k.startswith(prefix)}
     try:
-        observer.restore(saved)
+        observer.restore(saved, together)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:  # whole, and yet not ours
         raise GrayBoxError(f'{path} does not hold what this release expects: {error!r}') from error
 

@@ -59,7 +59,7 @@ class CheckpointKeeper:
         """Bring the file up to date if there is something new; returns at once."""
         if not self.automatic or observer is None or not observer.motors:
             return
-        used = sum(pairing.used for pairing in observer.pairing.values())
+        used = sum(observer.counts(motor).used for motor in observer.configuration.motors)
         if used == self._kept and self._writer.failure is None:
             return
         self._writer.submit(checkpoint.capture(observer), self.file)

@@ -36,7 +36,7 @@ def describe(outcome: Outcome) -> dict[str, Any]:
     motors: dict[str, dict[str, Any]] = {}
     delays = outcome.observer.delays()
     for name, estimate in outcome.observer.estimates().items():
-        pairing = outcome.observer.pairing[name]
+        pairing = outcome.observer.counts(name)
         rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
         skill = outcome.observer.skill(name)
         motors[name] = {

@@ -1,12 +1,10 @@
-"""Motors that come in the same messages: their pairing, their observer, what comes of them, and how to look at one."""
+"""Motors that come in the same messages: their pairing, their observer, and what comes of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +12,7 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.motor_observer import Aftermath, MotorObserver
 from gray_box_observer.predictor import Prediction
-from gray_box_observer.samples import Pairing, ReplayBuffer, Sample
-from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.white_box.base import Array
 
 
@@ -112,104 +109,3 @@ class GroupResult:
 
 def _rollout_of(prediction: Prediction, one: slice) -> Array:
     return prediction.white_box_torque_nm[one]
-
-
-class PairingOfOne:
-    """What became of one motor's messages, of a group; see :class:`~gray_box_observer.samples.Pairing`."""
-
-    def __init__(self, group: Group, motor: int) -> None:
-        self._group = group
-        self._motor = motor
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._group.pairing.of(self._motor), name)
-
-
-class OneOfGroup:
-    """One motor of a group in the form of a :class:`MotorObserver` of its own, to look at.
-
-    Args:
-        observer: of the group.
-        motor: its place on the motor axis.
-    """
-
-    def __init__(self, observer: MotorObserver, motor: int) -> None:
-        self._observer = observer
-        self._motor = motor
-        self._one = slice(motor, motor + 1)
-
-    @property
-    def white_box(self) -> MotorWhiteBox:
-        """Its physics."""
-        return self._observer.white_box_of(self._motor)
-
-    @property
-    def context_nodes(self) -> Any:
-        """Its context nodes."""
-        nodes, motor = self._observer.context_nodes, self._motor
-        return _NodesOfOne(nodes, motor)
-
-    @property
-    def predictor(self) -> Any:
-        """Its share of the group's predictor."""
-        whole = self._observer.predictor
-        if whole is None:
-            return None
-        residual = SimpleNamespace(size_nm=whole.residual.size_nm[self._one])
-        return SimpleNamespace(training=whole.training, residual=residual)
-
-    @property
-    def alarm(self) -> Any:
-        """Its alarm."""
-        whole, one = self._observer.alarm, self._one
-        if whole is None:
-            return None
-        return SimpleNamespace(
-            armed=whole.armed[one], spread=whole.spread[one], count=whole.count[one], raised=whole.raised[one]
-        )
-
-    @property
-    def delay(self) -> Any:
-        """What is known of its delay."""
-        return SimpleNamespace(estimate=self._observer.delay_of(self._motor))
-
-    @property
-    def identified(self) -> bool:
-        """Whether every parameter was identified when learning went on last."""
-        return self._observer.identified_of(self._motor)
-
-    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt of it, for a checkpoint."""
-        return self._observer.state(self._motor)
-
-
-class _NodesOfOne:
-    """Context nodes of one motor of a group, to look at."""
-
-    def __init__(self, nodes: Any, motor: int) -> None:
-        self._nodes = nodes
-        self._motor = motor
-        self._one = slice(motor, motor + 1)
-
-    @property
-    def theta(self) -> Array:
-        """Present values, shape (1, parameter)."""
-        return self.estimate().value
-
-    @property
-    def replay(self) -> ReplayBuffer:
-        """A copy of the samples remembered."""
-        content = self._nodes.replay.content(self._one)
-        made = ReplayBuffer(1, max(1, content.shape[2]))
-        made.refill(content)
-        return made
-
-    def estimate(self) -> Estimate:
-        """Return the present values with covariance and verdicts."""
-        estimate: Estimate = self._nodes.estimate(self._one)
-        return estimate
-
-    def counters(self) -> dict[str, int]:
-        """What the rule has met so far, by a name for diagnostics."""
-        counters: dict[str, int] = self._nodes.counters(self._motor)
-        return counters

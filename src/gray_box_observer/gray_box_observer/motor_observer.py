@@ -276,11 +276,10 @@ class MotorObserver:
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
             self.alarm.restore(alarm, motor)
-        if 'delay' in plain:
-            if isinstance(self.delay, DelayWatch):
-                self.delay.restore(plain['delay'])
-            else:
-                self.delay.restore(plain['delay'], motor)
+        if isinstance(self.delay, DelayWatch):
+            self.delay.restore(plain['delay'])
+        else:
+            self.delay.restore(plain['delay'], motor)
 
 
 _NOBODY = np.arange(0)

@@ -12,33 +12,30 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gray_box_observer.assembly import (
     TrainingFactory,
     alarm_rules,
     context_nodes,
     initial_estimate,
-    kind,
     motor_observer,
-    pairing_rules,
     verdict_rules,
 )
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.group import Group, GroupResult, OneOfGroup, PairingOfOne, Result
+from gray_box_observer.group import Group, GroupResult, Result
+from gray_box_observer.grouping import Grouping, Part, Values
 from gray_box_observer.motor_observer import MotorObserver
+from gray_box_observer.motor_view import MotorView
 from gray_box_observer.predictor import Skill
-from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples import Sample
+from gray_box_observer.samples.counts import PairingCounts
 from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.white_box.base import Array
 
 __all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
-
-MOST_PLANS = 256
-"""Lists of names of which it is remembered whom they mean; a publisher keeps its list, so few are enough."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,28 +59,23 @@ class Observer:
         self.configuration = configuration
         self._training = training if configuration['predictor'] else None
         self._frozen = bool(configuration['freeze'])
-        self._places: dict[str, tuple[Group, int]] = {}
-        self._parts: dict[tuple[str, tuple[str, ...]], list[_Part]] = {}
-        self.pairing: dict[str, Any] = {}
-        self.motors: dict[str, Any] = {}
-        for name in configuration.motors:
-            self._settle(Group((name,), self._pairing((name,))))
+        self._grouping = Grouping(configuration)
+        self.motors: dict[str, MotorView] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
         """Take one armature voltage in V; return what the samples that it completes have led to."""
-        return _flat(self._take(self._part(motor), 'voltage', stamp_ns, [voltage_v], None))
+        return _flat(self._take(self._grouping.part(motor), 'voltage', stamp_ns, [voltage_v], None))
 
     def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
         """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
-        return _flat(self._take(self._part(motor), 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
+        return _flat(self._take(self._grouping.part(motor), 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
 
     def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
         """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
-        return _flat(self._take(self._part(motor), 'speed', stamp_ns, [speed_rad_s], None))
+        return _flat(self._take(self._grouping.part(motor), 'speed', stamp_ns, [speed_rad_s], None))
 
     def take(
-        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Sequence[float] | Array,
-        speeds: Sequence[float] | Array | None = None,
+        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
     ) -> list[GroupResult]:  # fmt: skip
         """Take what one message says of a signal.
 
@@ -97,22 +89,23 @@ class Observer:
         Returns:
             What the samples that it completes have led to, group by group.
         """
-        if signal == 'torque' and speeds is not None:
-            self._tell_speeds_apart(names, np.asarray(speeds, dtype=float))
-        parts = self._parts.get((signal, names))
-        if parts is None:
-            parts = self._plan(signal, names)
         results: list[GroupResult] = []
-        for part in parts:
+        for part in self._grouping.parts(signal, names, speeds):
             results += self._take(part, signal, stamp_ns, values, speeds)
         return results
 
     def groups(self, names: tuple[str, ...]) -> list[Group]:
         """Return the groups that the motors of a message belong to."""
-        parts = self._parts.get(('voltage', names))
-        if parts is None:
-            parts = self._plan('voltage', names)
-        return [part.group for part in parts]
+        return self._grouping.spoken_of(names)
+
+    def group_of(self, motor: str) -> Group:
+        """Return the group that a motor belongs to; one that comes alone is a group of its own."""
+        return self._grouping.place(motor)[0]
+
+    def counts(self, motor: str) -> PairingCounts:
+        """Return what became of a motor's messages."""
+        group, place = self._grouping.place(motor)
+        return group.pairing.of(place)
 
     def flush(self) -> list[Result]:
         """Learn what still waits for a voltage (end of a bag)."""
@@ -131,7 +124,7 @@ class Observer:
 
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
         """Predict the torque at a stamp whose voltage is known and whose torque is still to come; changes nothing."""
-        group, place = self._places[motor]
+        group, place = self._grouping.place(motor)
         torque_nm = self.forecast_group(group, stamp_ns)
         if torque_nm is None or not math.isfinite(torque_nm[place]):
             return None
@@ -154,7 +147,7 @@ class Observer:
         Raises:
             ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
         """
-        group, place = self._places[motor]
+        group, place = self._grouping.place(motor)
         found = self.forecast_group_held(group, horizon_s)
         if found is None or not math.isfinite(found[1][place]):
             return None
@@ -175,7 +168,7 @@ class Observer:
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor that has been seen."""
-        return {name: motor.context_nodes.estimate() for name, motor in self.motors.items()}
+        return {name: motor.estimate for name, motor in self.motors.items()}
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
         """Return what is known of a motor and whether all of it is identified; of one not seen yet, what was given."""
@@ -183,22 +176,22 @@ class Observer:
         if seen is None:
             given = initial_estimate(self.configuration, self.configuration.motors[motor])
             return given, given.identified(0)
-        return seen.context_nodes.estimate(), seen.identified
+        return seen.estimate, seen.identified
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return what is known of the delay between voltage and torque of every motor that has been seen."""
-        return {name: motor.delay.estimate for name, motor in self.motors.items()}
+        return {name: motor.delay for name, motor in self.motors.items()}
 
     def alarm(self, motor: str) -> bool:
         """Whether the alarm on the prediction's residual stands; never where nothing is predicted by the physics."""
-        if motor not in self._places:
+        if motor not in self._grouping:
             return False
-        group, place = self._places[motor]
+        group, place = self._grouping.place(motor)
         return group.observer is not None and bool(group.observer.alarmed[place])
 
     def skill(self, motor: str) -> Skill | None:
         """Return the predictor's scores; None where there is no predictor."""
-        group, place = self._places[motor]
+        group, place = self._grouping.place(motor)
         if group.observer is None or group.observer.predictor is None:
             return None
         return group.observer.predictor.scores.skill(place)
@@ -218,22 +211,28 @@ class Observer:
     def reconfigure(self, configuration: Configuration) -> None:
         """Take over the values of parameters that may change at any time; what was learnt stays."""
         self.configuration = configuration
+        self._grouping.reconfigure(configuration)
         verdicts, alarm = verdict_rules(configuration), alarm_rules(configuration)
         for group in self.every_group:
-            group.pairing.reconfigure(pairing_rules(configuration))
             if group.observer is not None:
                 group.observer.reconfigure(verdicts, alarm, configuration['training.core_share'])
         if configuration['freeze'] != self._frozen:
             self.freeze(configuration['freeze'])
 
-    def restore(self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> None:
+    def restore(
+        self, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]], together: Sequence[Sequence[str]] = ()
+    ) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
+
+        Args:
+            saved: plain values and arrays, by motor.
+            together: motors that were computed together: they came in the same messages, what others do nobody knows.
 
         Raises:
             ConfigurationError: something was learnt with another white box or other parameters.
         """
-        if saved:
-            self._gather([name for name in saved if name in self._places])
+        for names in together:
+            self._grouping.gather(names)
         made: list[tuple[Group, MotorObserver]] = []
         try:
             affected = [group for group in self.every_group if any(name in saved for name in group.names)]
@@ -282,113 +281,14 @@ class Observer:
     @property
     def every_group(self) -> list[Group]:
         """Every group once; a motor that comes alone is a group of its own."""
-        return list({id(group): group for group, _ in self._places.values()}.values())
-
-    def _pairing(self, names: tuple[str, ...]) -> Pairing:
-        own_speed = bool(self.configuration['speed.topic'])
-        delay_s = self.configuration.motors[names[0]].delay_s
-        return Pairing(pairing_rules(self.configuration), len(names), own_speed=own_speed, delay_s=delay_s)
-
-    def _settle(self, group: Group) -> None:
-        """Let a group have its motors."""
-        for place, name in enumerate(group.names):
-            self._places[name] = group, place
-            self.pairing[name] = group.pairing if len(group.names) == 1 else PairingOfOne(group, place)
-        self._parts.clear()
-
-    def _part(self, motor: str) -> _Part:
-        """What a message speaks of that brings one motor only."""
-        group, place = self._places[motor]
-        return _Part(group, 0 if len(group.names) == 1 else np.zeros(1, dtype=int), np.array([place]))
-
-    def _plan(self, signal: str, names: tuple[str, ...]) -> list[_Part]:
-        """Settle which groups a message speaks of, and where in it; motors that are new to us become groups."""
-        self._gather([name for name in names if name in self._places and self._places[name][0].untouched])
-        self._divide({name for name in names if name in self._places}, signal)
-        found: dict[int, tuple[Group, list[int], list[int]]] = {}
-        for at, name in enumerate(names):
-            if name in self._places:
-                group, place = self._places[name]
-                _, source, target = found.setdefault(id(group), (group, [], []))
-                source.append(at)
-                target.append(place)
-        parts = []
-        for group, source, target in found.values():
-            if len(group.names) == 1:
-                parts += [_Part(group, at) for at in source]
-                continue
-            whole = target == list(range(len(group.names)))
-            parts.append(_Part(group, np.array(source), None if whole else np.array(target)))
-        if len(self._parts) > MOST_PLANS:
-            self._parts.clear()
-        self._parts[signal, names] = parts
-        return parts
-
-    def _gather(self, names: list[str]) -> None:
-        """Compute motors together that come together, where they are many and of one kind."""
-        if len(names) < self.configuration['group_from']:
-            return
-        kinds: dict[Any, list[str]] = {}
-        for name in dict.fromkeys(names):
-            what = kind(self.configuration, self.configuration.motors[name])
-            if what is not None and len(self._places[name][0].names) == 1 and self._places[name][0].untouched:
-                kinds.setdefault(what, []).append(name)
-        for alike in kinds.values():
-            if len(alike) >= self.configuration['group_from']:
-                self._settle(Group(tuple(alike), self._pairing(tuple(alike))))
-
-    def _divide(self, spoken_of: set[str], signal: str) -> None:
-        """Part motors of a group that has not begun to learn yet, where a message speaks of some of them only."""
-        for group in self.every_group:
-            some = [name for name in group.names if name in spoken_of]
-            if len(group.names) > 1 and group.observer is None and 0 < len(some) < len(group.names):
-                self._split(group, set(some))
-
-    def _tell_speeds_apart(self, names: tuple[str, ...], speeds: Array) -> None:
-        """Part motors with speed from those without, before they begin to learn."""
-        parts = self._parts.get(('torque', names))
-        if parts is not None and all(part.group.observer is not None for part in parts):
-            return
-        told = {name for name, speed in zip(names, speeds.tolist(), strict=True) if math.isfinite(speed)}
-        for group in self.every_group:
-            some = told.intersection(group.names)
-            if len(group.names) > 1 and group.observer is None and 0 < len(some) < len(group.names):
-                self._split(group, some)
-
-    def _split(self, group: Group, some: set[str]) -> None:
-        """Make two groups of one; what has come for them so far is gone through again."""
-        events = list(group.pairing.history.events(group.pairing.delay_ns))
-        for names in ([n for n in group.names if n in some], [n for n in group.names if n not in some]):
-            places = [group.names.index(name) for name in names]
-            parts = [([name], [place]) for name, place in zip(names, places, strict=True)]
-            if len(names) >= self.configuration['group_from']:
-                parts = [(names, places)]
-            for own, index in parts:
-                made = Group(tuple(own), self._pairing(tuple(own)))
-                self._settle(made)
-                for signal, stamp_ns, values in events:
-                    picked: list[Any] = [np.asarray(v)[index] if np.ndim(v) else v for v in values]
-                    if len(own) == 1:
-                        picked = [float(np.atleast_1d(v)[0]) for v in picked]
-                    getattr(made.pairing, signal)(stamp_ns, *picked)
+        return self._grouping.groups
 
     def _take(
-        self, part: _Part, signal: str, stamp_ns: int, values: Sequence[float] | Array, speeds: Any
-    ) -> list[GroupResult]:
+        self, part: Part, signal: str, stamp_ns: int, values: Values, speeds: Values | None
+    ) -> list[GroupResult]:  # fmt: skip
         """Let a group have its part of a message."""
-        group, source = part.group, part.source
-        pairing = group.pairing
-        if isinstance(source, int):
-            arguments: list[Any] = [float(values[source])]
-            if signal == 'torque':
-                arguments.append(math.nan if speeds is None else float(speeds[source]))
-            samples = getattr(pairing, signal)(stamp_ns, *arguments)
-        else:
-            arguments = [part.spread(values)]
-            if signal == 'torque':
-                arguments.append(math.nan if speeds is None else part.spread(speeds))
-            samples = getattr(pairing, signal)(stamp_ns, *arguments, missing=part.missing)
-        return self._learn(group, samples) if samples else []
+        samples = part.take(signal, stamp_ns, values, speeds)
+        return self._learn(part.group, samples) if samples else []
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
@@ -420,47 +320,13 @@ class Observer:
         """Let a group be observed from now on."""
         group.observer = observer
         group.pairing.needs_speed = observer.white_box.speed_measured
-        for place, name in enumerate(group.names):
-            self.motors[name] = observer if len(group.names) == 1 else OneOfGroup(observer, place)
+        self.motors.update({name: MotorView(observer, place) for place, name in enumerate(group.names)})
 
     def _make(self, group: Group, measured: bool) -> MotorObserver:
         motors = [self.configuration.motors[name] for name in group.names]
         made = motor_observer(self.configuration, motors, self._training, measured=measured)
         made.freeze(self._frozen)
         return made
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """What a message says of a group.
-
-    Attributes:
-        group: the motors.
-        source: where their values stand in the message.
-        target: which motors of the group they are of; None: all of them, in order.
-    """
-
-    group: Group
-    source: Any
-    target: NDArray[np.intp] | None = None
-
-    @property
-    def missing(self) -> NDArray[np.bool_] | None:
-        """Which motors of the group the message does not speak of; None: it speaks of all."""
-        if self.target is None:
-            return None
-        missing = np.ones(len(self.group.names), dtype=bool)
-        missing[self.target] = False
-        return missing
-
-    def spread(self, values: Any) -> Array:
-        """Values of the group's motors; NaN where the message has none."""
-        picked: Array = np.asarray(values, dtype=float)[self.source]
-        if self.target is None:
-            return picked
-        spread = np.full(len(self.group.names), np.nan)
-        spread[self.target] = picked
-        return spread
 
 
 def _flat(results: Iterable[GroupResult]) -> list[Result]:

@@ -183,6 +183,8 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
     if strangers:
         wanted = ', '.join(outcome.observer.configuration.motors)
         return f'{names}: no usable sample of motor {wanted}; the messages speak of {", ".join(strangers[:5])}'
-    reasons = sorted({r.value for p in outcome.observer.pairing.values() for r in p.rejected})
+    reasons = sorted(
+        {r.value for name in outcome.observer.configuration.motors for r in outcome.observer.counts(name).rejected}
+    )
     because = f' (rejected: {", ".join(reasons)})' if reasons else ''
     return f'{names}: no usable sample: voltage and torque must overlap in time{because}'

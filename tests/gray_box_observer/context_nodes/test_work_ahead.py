@@ -86,3 +86,15 @@ def test_a_block_that_is_too_stiff_to_be_cut_is_predicted_as_a_whole(
     without, ahead = (learnt(box, disturbed[:400], ahead=choice)[0] for choice in (False, True))
     assert without
     assert without == ahead
+
+
+@pytest.mark.filterwarnings('error')
+def test_blocks_of_nothing_but_restarts_are_met_without_a_warning(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
+) -> None:
+    samples = samples_of(record('R[5,15]D[0.2,0.4]', 9.0, torque_noise_std=1e-4))
+    nodes = RecursiveUpdate(thesis_box, START)
+    for k, sample in enumerate(samples):
+        nodes.learn(sample if k < 700 else sample.beginning())
+        nodes.work_ahead()
+    np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.01)

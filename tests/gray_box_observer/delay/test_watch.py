@@ -81,7 +81,7 @@ def test_an_asked_for_delay_is_applied_and_the_motor_identified_as_if_it_had_bee
     assert found.verdict is DelayVerdict.ESTIMATED
     assert found.applied_s == pytest.approx(delay_s, abs=4.0 * found.std_s)
     assert found.std_s < 0.05 / RATE_HZ
-    assert asked.pairing['motor'].delay_ns == round(found.applied_s * 1e9)
+    assert asked.counts('motor').delay_ns == round(found.applied_s * 1e9)
     truth = np.array([0.5, 1.0, 10.0])
     wrong = np.abs(deceived.estimates()['motor'].value[0] / truth - 1.0)
     right = [np.abs(one.estimates()['motor'].value[0] / truth - 1.0) for one in (asked, told)]
@@ -133,7 +133,7 @@ def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_co
         results = feed(one, recording, delay, torque_late=torque_late) + one.flush()
         assert one.delays()['motor'].verdict is DelayVerdict.ESTIMATED
         assert [r.sample.stamp_ns for r in results] == sorted({r.sample.stamp_ns for r in results})
-        traces.append((trace(results), one.delays()['motor'].applied_s, one.pairing['motor'].used))
+        traces.append((trace(results), one.delays()['motor'].applied_s, one.counts('motor').used))
     assert all(t == traces[0] for t in traces[1:])
 
 
@@ -143,7 +143,7 @@ def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_wa
     for delay in (0.053, -0.031):
         one = observer(**{'motor.delay': 'estimate'})
         results = feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), delay)
-        pairing = one.pairing['motor']
+        pairing = one.counts('motor')
         assert one.delays()['motor'].applied_s != 0.0
         assert pairing.received_torque == pairing.used + pairing.rejected.total() + pairing.waiting
         assert len(results) == pairing.used
@@ -177,7 +177,7 @@ def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(
     results = feed(one, recording, 0.053)
     assert len(results) == pytest.approx(1200, abs=15)
     assert one.delays()['motor'].applied_s == pytest.approx(before, abs=0.001)
-    assert one.pairing['motor'].restarts == 1
+    assert one.counts('motor').restarts == 1
 
 
 def test_gaps_duplicates_and_junk_do_not_hide_the_delay(record: Callable[..., Recording], observer: Any) -> None:
@@ -198,7 +198,7 @@ def test_gaps_duplicates_and_junk_do_not_hide_the_delay(record: Callable[..., Re
 
 def test_memory_is_bounded_whatever_comes_or_stays_away(observer: Callable[..., Observer]) -> None:
     one = observer()
-    history = one.pairing['motor'].history
+    history = one.group_of('motor').pairing.history
     for k in range(30_000):
         one.voltage('motor', k * 1_000_000, 1.0)
     assert len(history) < 20_000
@@ -234,7 +234,7 @@ def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
     said = [r.prediction.torque_nm[0] for r in results[-200:] if r.prediction is not None]
     assert np.isfinite(said).all()
     assert len(said) == 200
-    predictor = one.motors['motor'].predictor
+    predictor = one.group_of('motor').observer.predictor
     assert predictor is not None
     last = (results[-1].sample.stamp_ns - START_NS) // 10_000_000  # the very last torque may wait for its voltage
     expected = recording.voltage_v[0, last - 1000 : last]

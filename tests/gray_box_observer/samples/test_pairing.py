@@ -404,3 +404,70 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
     known, rest = pairing.redelay(0.01, 190 * MS)
     assert [s.stamp_ns // MS for s in known + rest] == list(range(10, 200, 10))
     assert pairing.restarts == 1
+
+
+def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
+    """Whatever a message lacks, and whatever becomes of it: no motor is charged with what did not speak of it."""
+    random, motors = np.random.default_rng(7), 4
+    pairing, told = Pairing(PairingRules(hold_s=0.05), motors), {signal: np.zeros(motors, int) for signal in 'vt'}
+    stamp_ns = 0
+    for _ in range(3000):
+        stamp_ns += round(MS * random.choice([0, 1, 10, 10, 10, 700]))
+        late_ns = round(MS * random.choice([0, 0, 0, 0, 0, 3, 10, 1500]))
+        signal, missing = str(random.choice(['v', 't'])), random.random(motors) < 0.2
+        values = random.choice([0.1, 0.2, math.nan, 1e12], motors, p=[0.45, 0.45, 0.05, 0.05])
+        told[signal] += ~missing
+        take = pairing.voltage if signal == 'v' else pairing.torque
+        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), missing=missing)
+        for motor in range(motors):
+            counts = pairing.of(motor)
+            assert counts.received_torque == told['t'][motor]
+            assert counts.received_torque == counts.used + counts.refused['torque'].total() + counts.waiting
+            assert counts.received_voltage == told['v'][motor]
+            assert counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
+    assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(pairing.of(0).rejected)
+    assert pairing.of(0).used > 500
+
+
+def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> None:
+    pairing = Pairing()
+    events = [(kind, at, 1.0) for at in range(-100, 100, 10) for kind in 'tv']
+    samples = feed(pairing, events) + pairing.flush()
+    assert [s.stamp_ns // MS for s in samples] == list(range(-100, 100, 10))
+    assert pairing.rejected == {}
+
+
+def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
+    """A voltage that was regular for 900 samples was so no longer for having been gone through twice."""
+    voltages, torques = steady(900)
+    later: list[Event] = [('t', at, 0.1) for at in range(9000, 12_000, 10)]
+    fresh, changed = Pairing(delay_s=0.02), Pairing()
+    events = [e for pair in zip(voltages, torques, strict=True) for e in pair]
+    expected = feed(fresh, events + later) + fresh.flush()
+    before = feed(changed, events)
+    known, rest = changed.redelay(0.02, before[-1].stamp_ns)
+    assert content(known + rest + feed(changed, later) + changed.flush()) == content(expected)
+    assert changed.rejected == {}
+    assert fresh.rejected == {Rejection.NO_VOLTAGE: 2}
+
+
+def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_unchanged() -> None:
+    group, alone, told = Pairing(motors=2), Pairing(), []
+    expected = []
+    for k in range(1400):
+        stamp_ns, volt = 10 * k * MS, 1.0 + k % 7
+        out = math.nan if 1200 <= k < 1300 else volt
+        expected += alone.voltage(stamp_ns, out) + alone.torque(stamp_ns, 0.1)
+        told += group.voltage(stamp_ns, np.array([out, volt])) + group.torque(stamp_ns, np.full(2, 0.1))
+        ahead = group.ahead(stamp_ns)
+        assert ahead is None or not np.any(np.isnan(ahead[1]) & (ahead[0] > 0.0))
+    expected += alone.flush()
+    told += group.flush()
+    mine = [s for s in told if s.present is None or s.present[0]]
+    assert not any(np.isnan(s.voltage_v[0]) for s in mine)
+    assert [s.stamp_ns // MS for s in mine if s.interval_s[0] == 0.0] == [0, 13_000]
+    assert [s.stamp_ns // MS for s in expected if s.interval_s[0] == 0.0] == [0, 13_000]
+    assert abs(len(mine) - len(expected)) <= 2
+    assert group.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 70
+    assert group.of(1).rejected == {}
+    assert group.of(1).used == 1400

@@ -98,7 +98,8 @@ class Learner:
         """Watch the hold of the last block, where that could wait; before another sample is remembered."""
         held, self._held = self._held, None
         if held is not None:
-            held()
+            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # as where nothing waits
+                held()
 
     def fit(self, group: Group, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""

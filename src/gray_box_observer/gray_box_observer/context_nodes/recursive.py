@@ -147,7 +147,7 @@ class RecursiveUpdate:
         if self._frozen:
             return False
         if self._resumes is not None:
-            sample = self._resumed(sample, self._resumes)
+            sample, self._resumes = sample.resuming(self._resumes)
         self._learner.catch_up()
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
@@ -165,12 +165,6 @@ class RecursiveUpdate:
         samples = int(self._due[0] - self._learnt.at[0])
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
             self._learner.begin(Group(self._white_box, slice(None), self._learnt), samples)
-
-    def _resumed(self, sample: Sample, waiting: NDArray[np.bool_]) -> Sample:
-        """Begin a new signal history of every motor at its first sample after learning was stopped."""
-        waits = self._nobody if sample.present is None else waiting & ~sample.present
-        self._resumes = waits if np.any(waits) else None
-        return sample.beginning(waiting)
 
     def _serve(self) -> bool:
         """Do what is due, as much of it as one sample's turn allows."""
@@ -249,6 +243,7 @@ class RecursiveUpdate:
         which = slice(motor, motor + 1)
         known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
         received = int(self.replay.received[motor])
+        content = self.replay.content(which, more=received - int(known.at[0]))
         plain: dict[str, Any] = {
             'new': received - int(known.at[0]),
             'next_fit': int(known.next_fit[0]),
@@ -257,7 +252,9 @@ class RecursiveUpdate:
             'noise_count': int(known.noise_count[0]),
             'resumes': self._resumes is not None and bool(self._resumes[motor]),
             'parameters': [p.name for p in self._white_box.parameters],
-            'anchored': int(known.anchored[0]) - received,  # a buffer that is refilled counts anew
+            'anchored': int(known.anchored[0]) - received,
+            'gone': received - content.shape[2],
+            'begin': int(self.replay.begin(which)[0]),
             'asked': int(known.asked[0]),
         }
         arrays = {name: getattr(known, name).copy() for name in _ARRAYS}
@@ -266,7 +263,7 @@ class RecursiveUpdate:
             'drift_score': np.moveaxis(known.score, 1, 0),
             'drift_information': np.moveaxis(known.information, 1, 0),
         }
-        arrays |= {'speed': self._speed[which].copy(), 'replay': self.replay.content(which)}
+        arrays |= {'speed': self._speed[which].copy(), 'replay': content}
         parts: dict[str, Any] = {'belief': known.belief, 'anchor': known.anchor, 'holds': known.hold}
         for part, content in parts.items():
             arrays |= {f'{part}.{f.name}': getattr(content, f.name).copy() for f in fields(content)}
@@ -282,7 +279,10 @@ class RecursiveUpdate:
         names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
-        self.replay.refill(arrays['replay'], which)
+        content, begin = arrays['replay'], plain['begin']
+        if content.shape[2] - plain['new'] < self.replay.capacity:  # less is there than may be remembered
+            begin = max(begin, plain['gone'])
+        self.replay.refill(content, which, plain['gone'], begin)
         received = self.replay.received[which]
         counts: dict[str, Any] = {name: np.array([plain[name]]) for name in ('next_fit', 'started', 'noise_count')}
         counts |= {name: arrays[name] for name in _ARRAYS}
@@ -293,7 +293,7 @@ class RecursiveUpdate:
             Belief(**_below('anchor', arrays)),
             received + plain['anchored'],
             received - plain['new'],
-            asked=np.array([plain.get('asked', 0)]),
+            asked=np.array([plain['asked']]),
             score=np.moveaxis(arrays['drift_score'], 1, 0),
             information=np.moveaxis(arrays['drift_information'], 1, 0),
             hold=HoldState(**_below('holds', arrays)),

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.predictor.forecaster import Forecaster
 from gray_box_observer.predictor.operating_range import OperatingRange
@@ -57,7 +58,7 @@ class OnlineTraining:
         self.jobs_late = 0
         self.loss: float | None = None
         self._frozen = False
-        self._resumes = False
+        self._resumes: NDArray[np.bool_] | None = None  # whose history begins anew
         self._seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
         self._settled: dict[int, tuple[Array, OperatingRange]] = {}
@@ -80,8 +81,9 @@ class OnlineTraining:
         if self._frozen:
             return
         speed_rad_s = speed_rad_s if self._no_speed is None else self._no_speed
-        self.replay.append(sample.beginning() if self._resumes else sample, speed_rad_s)
-        self._resumes = False
+        if self._resumes is not None:
+            sample, self._resumes = sample.resuming(self._resumes)
+        self.replay.append(sample, speed_rad_s)
         self._schedule.follow(self.replay, physics_nm)
         if self.replay.total % self._rules.period == 0:
             self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
@@ -93,8 +95,10 @@ class OnlineTraining:
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume; what comes while frozen is not remembered, a new signal history follows it."""
-        self._resumes = not frozen and (self._frozen or self._resumes)
+        if frozen == self._frozen:
+            return
         self._frozen = frozen
+        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
         """Remember these samples instead, which were paired anew; what the others taught beside the physics is void.

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.sensitivity import sensitivity
+from gray_box_observer.motor_view import MotorView
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
@@ -112,9 +112,9 @@ class Collector:
         )
 
 
-def _sensitivity(motor: Any) -> dict[str, dict[str, float]] | None:
+def _sensitivity(motor: MotorView) -> dict[str, dict[str, float]] | None:
     """How an error of the known constants goes into the estimate, from what the rule remembers."""
-    return sensitivity(motor.white_box, motor.context_nodes.replay, motor.context_nodes.theta)
+    return sensitivity(motor.white_box, motor.remembered(), motor.theta)
 
 
 def _alarm_notes(times_s: list[float]) -> list[str]:
@@ -142,7 +142,7 @@ def notes(name: str, observer: Observer) -> list[str]:
     for term in others:
         what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
         said.append(f'{what} is taken as known: its error goes into the estimates.')
-    delay = motor.delay.estimate
+    delay = motor.delay
     complaint = delay.complaint(name)
     if complaint is not None:
         said.append(f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.')
@@ -157,13 +157,12 @@ def notes(name: str, observer: Observer) -> list[str]:
         )
     elif delay.applied_s:
         said.append(f'Voltage is taken to act on torque {1e3 * delay.applied_s:.4g} ms later than it is stamped.')
-    pairing = observer.pairing[name]
+    pairing = observer.counts(name)
     if pairing.restarts:
         said.append(
             f'The clock jumped back {pairing.restarts} times; the signal history started anew, estimates stayed.'
         )
-    predictor = motor.predictor
-    late = 0 if predictor is None else predictor.training.jobs_late
-    if late:
-        said.append(f'{late} training jobs were late; the running network stayed in service meanwhile.')
+    training = motor.training
+    if training is not None and training.jobs_late:
+        said.append(f'{training.jobs_late} training jobs were late; the running network stayed in service meanwhile.')
     return said

@@ -86,7 +86,7 @@ class Diagnoser:
         """Say once where messages speak of other motors while a configured one is never spoken of."""
         for name in ('voltage', 'torque'):
             strangers = sorted(intake.signals[name].unknown)
-            silent = [motor for motor, pairing in observer.pairing.items() if not getattr(pairing, f'received_{name}')]
+            silent = [motor for motor in self._motors if not getattr(observer.counts(motor), f'received_{name}')]
             if strangers and silent and not self._has_warned_of_strangers:
                 self._has_warned_of_strangers = True
                 self._node.get_logger().warning(

@@ -119,7 +119,7 @@ def _judge(motor: str, now: Situation) -> Judgement:
 
 def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
     """Why a motor has never been heard of."""
-    pairing = now.observer.pairing[motor]
+    pairing = now.observer.counts(motor)
     silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
     if not silent:
         return None
@@ -138,9 +138,9 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
 def _failed_training(motor: str, now: Situation) -> Judgement | None:
     """What stays true whether samples come or not."""
     seen = now.observer.motors.get(motor)
-    if seen is None or seen.predictor is None or seen.predictor.training.failure is None:
+    if seen is None or seen.training is None or seen.training.failure is None:
         return None
-    return DiagnosticStatus.ERROR, seen.predictor.training.failure
+    return DiagnosticStatus.ERROR, seen.training.failure
 
 
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
@@ -183,7 +183,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
         changed = now.traffic.motors[motor].changes
         followed = f'; the motor was found changed ({changed} times) and is being followed' if changed else ''
         return DiagnosticStatus.WARN, REMEDY + followed
-    undeclared = observer.motors[motor].delay.estimate.complaint(motor)
+    undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
     if now.traffic.busy > OVERLOAD:
@@ -201,7 +201,7 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
 
 def _verdicts(motor: str, now: Situation) -> Judgement:
     """What the estimates themselves say."""
-    estimate = now.observer.motors[motor].context_nodes.estimate()
+    estimate = now.observer.motors[motor].estimate
     for verdict, advice in ADVICE.items():
         at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
         if at:
@@ -222,29 +222,30 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     seen = now.observer.motors.get(motor)
     if seen is None:
         return values
-    values.update(_estimates(seen.context_nodes.estimate()))
-    delay = seen.delay.estimate
+    values.update(_estimates(seen.estimate))
+    delay = seen.delay
     values['delay [s]'] = _text(delay.value_s)
     values['delay std [s]'] = _text(delay.std_s)
     values['delay applied [s]'] = f'{delay.applied_s:.6g}'
     values['delay verdict'] = delay.verdict.value
-    values.update({name: str(count) for name, count in seen.context_nodes.counters().items()})
-    if seen.alarm is not None:
-        armed = 'raised' if now.observer.alarm(motor) else 'armed' if seen.alarm.armed[0] else 'learning the residual'
+    values.update({name: str(count) for name, count in seen.counters.items()})
+    alarm, training = seen.alarm, seen.training
+    if alarm is not None:
+        armed = 'raised' if alarm.raised else 'armed' if alarm.armed else 'learning the residual'
         values['residual alarm'] = armed
-        values['residual std [N m]'] = _text(float(seen.alarm.spread[0]))
-        values['alarms raised'] = str(seen.alarm.count[0])
+        values['residual std [N m]'] = _text(alarm.std_nm)
+        values['alarms raised'] = str(alarm.count)
     skill = now.observer.skill(motor)
-    if skill is not None and seen.predictor is not None:
+    if skill is not None and training is not None:
         values.update({name: _text(value) for name, value in skill.to_dict().items()})
-        values['training jobs done'] = str(seen.predictor.training.jobs_done)
-        values['learnt residual, rms [N m]'] = f'{seen.predictor.residual.size_nm[0]:.3g}'
-        values['training jobs late'] = str(seen.predictor.training.jobs_late)
+        values['training jobs done'] = str(training.jobs_done)
+        values['learnt residual, rms [N m]'] = f'{training.residual_nm:.3g}'
+        values['training jobs late'] = str(training.jobs_late)
     return values
 
 
 def _counts(motor: str, now: Situation) -> dict[str, str]:
-    pairing, rhythm = now.observer.pairing[motor], now.meter.rhythms.get(motor)
+    pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
     rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
     for counts in now.intake.rejected.values():
         rejected.update({reason.value: n for reason, n in counts.items()})
@@ -270,7 +271,7 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
 
 def _balance(motor: str, now: Situation) -> dict[str, str]:
     """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
-    pairing, intake = now.observer.pairing[motor], now.intake
+    pairing, intake = now.observer.counts(motor), now.intake
     values = {'voltages taken': str(pairing.taken_voltage)}
     for name in ('voltage', 'torque'):
         values[f'{name} topic: messages'] = str(intake.received[name])

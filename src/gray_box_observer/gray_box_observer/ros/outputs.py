@@ -19,7 +19,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
-from gray_box_observer.samples.pairing import MAX_WAITING_VOLTAGES
+from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
 from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array

@@ -100,15 +100,15 @@ class TrafficMeter:
             unread += self._new_rejections(name, counts)
         return Traffic(
             period_s,
-            {motor: self._motor(motor, observer, unread) for motor in observer.pairing},
+            {motor: self._motor(motor, observer, unread) for motor in observer.configuration.motors},
             {name: self._new('messages', name, intake.received[name]) for name in SIGNALS},
             (self._now[1] - before_cpu_s) / period_s,
             busy_s / period_s,
         )
 
     def _motor(self, motor: str, observer: Observer, unread: Counter[Rejection]) -> MotorTraffic:
-        pairing, seen = observer.pairing[motor], observer.motors.get(motor)
-        changes = 0 if seen is None else seen.context_nodes.counters().get('motor changes', 0)
+        pairing, seen = observer.counts(motor), observer.motors.get(motor)
+        changes = 0 if seen is None else seen.counters.get('motor changes', 0)
         since = changes - self._settled[motor]
         if seen is not None and seen.identified and not observer.alarm(motor):  # told this once, at least
             self._settled[motor] = changes

@@ -9,19 +9,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.samples.counts import PairingCounts, Refused
+from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, NANOSECONDS_PER_SECOND, Sample, seconds
 from gray_box_observer.white_box.base import Array
 
 Missing = NDArray[np.bool_] | None
-
-Refused = dict[str, Counter[Rejection]]
-"""What could not be used, by signal and reason."""
 
 NEVER_NS = 1 << 62
 """Owed by a motor whose signal history has not begun."""
@@ -38,8 +38,17 @@ class Joining(Protocol):
     def usable(self, signal: str, value: float) -> bool:
         """Whether a plain number can be used; counted where not."""
 
-    def voltage(self, voltage_v: Any, newest_v: Any, missing: Missing) -> Any:
-        """Return the voltage as far as it can be used, that before in place of what cannot; None where nothing can."""
+    def voltage(self, voltage_v: Any, missing: Missing) -> Any:
+        """Return the voltage as far as it can be used, NaN in place of what cannot; None where nothing can."""
+
+    def filled(self, stamp_ns: int, voltage_v: Any, voltages: HeldVoltage) -> Any:
+        """Return a voltage with that before it in place of what cannot be used, NaN where that is overdue."""
+
+    def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
+        """Count a message as refused, for those motors of which it says something that could be used."""
+
+    def one(self, values: Any, motor: int) -> float:
+        """Return the value of one motor."""
 
     def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
         """Return the torque as far as it can be used, NaN in place of what cannot; None where nothing can."""
@@ -75,6 +84,9 @@ class Joining(Protocol):
     def lost(self, motor: int) -> int:
         """How many of the group's samples a motor was absent from."""
 
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """Count on from what had become of every motor's messages."""
+
 
 class OneMotor:
     """A single motor, in plain floats.
@@ -101,9 +113,21 @@ class OneMotor:
             return False
         return True
 
-    def voltage(self, voltage_v: float, newest_v: float, missing: Missing) -> float | None:
+    def voltage(self, voltage_v: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
         return voltage_v if self.usable('voltage', voltage_v) else None
+
+    def filled(self, stamp_ns: int, voltage_v: float, voltages: HeldVoltage) -> float:
+        """See :class:`Joining`."""
+        return voltage_v
+
+    def refuse(self, signal: str, reason: Rejection, values: float) -> None:
+        """See :class:`Joining`."""
+        self._refused[signal][reason] += 1
+
+    def one(self, values: float, motor: int) -> float:
+        """See :class:`Joining`."""
+        return values
 
     def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
@@ -136,7 +160,7 @@ class OneMotor:
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        return self._refused
+        return {signal: counter.copy() for signal, counter in self._refused.items()}
 
     def missed(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
@@ -146,18 +170,22 @@ class OneMotor:
         """See :class:`Joining`."""
         return 0
 
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """See :class:`Joining`."""
+        for signal, counter in self._refused.items():
+            counter.clear()
+            counter.update(counts[0].refused[signal])
+
 
 class ManyMotors:
     """A group of motors, in arrays of shape (motor,).
 
     Args:
-        refused: counts messages that are refused as a whole.
         motors: how many.
     """
 
-    def __init__(self, refused: Refused, motors: int) -> None:
+    def __init__(self, motors: int) -> None:
         self.blank: Array = np.full(motors, np.nan)
-        self._messages = refused
         signals = ('voltage', 'torque')
         self._own = {signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection} for signal in signals}
         self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
@@ -168,19 +196,39 @@ class ManyMotors:
         """Begin a new signal history."""
         self._owed_ns = np.full(self.blank.size, NEVER_NS)
         self._owed_vns = np.zeros(self.blank.size)
+        self._told_ns: Any = 0  # when the voltage was known last; of every motor, or the same of all
         self._regular = False
 
     def usable(self, signal: str, value: float) -> bool:
         """Signals with a topic of their own come to single motors only."""
         raise NotImplementedError
 
-    def voltage(self, voltage_v: Array, newest_v: Array, missing: Missing) -> Array | None:
+    def voltage(self, voltage_v: Array, missing: Missing) -> Array | None:
         """See :class:`Joining`."""
         good = np.abs(voltage_v) <= ABSURD_MAGNITUDE  # NaN is not
         if missing is None and np.all(good):
             return voltage_v
         self._count_bad(voltage_v, good, 'voltage', missing)
-        return np.where(good, voltage_v, newest_v) if np.any(good) else None
+        return np.where(good, voltage_v, np.nan) if np.any(good) else None
+
+    def filled(self, stamp_ns: int, voltage_v: Array, voltages: HeldVoltage) -> Array:
+        """See :class:`Joining`."""
+        unknown = np.isnan(voltage_v)
+        if not unknown.any():
+            self._told_ns = stamp_ns
+            return voltage_v
+        self._told_ns = np.where(unknown, self._told_ns, stamp_ns)
+        overdue = unknown & ((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND > voltages.patience_s)
+        self._regular = self._regular and not overdue.any()
+        return np.where(unknown, np.where(overdue, np.nan, voltages.newest_v), voltage_v)
+
+    def refuse(self, signal: str, reason: Rejection, values: Array) -> None:
+        """See :class:`Joining`."""
+        self._own[signal][reason] += ~np.isnan(values)
+
+    def one(self, values: Array, motor: int) -> float:
+        """See :class:`Joining`."""
+        return float(values[motor])
 
     def torque(self, torque_nm: Array, speed_rad_s: Any, missing: Missing) -> Array | None:
         """See :class:`Joining`."""
@@ -216,7 +264,7 @@ class ManyMotors:
         if self._regular:
             return np.full(mean_v.size, seconds(passed_ns)), mean_v
         span_ns = self._owed_ns + passed_ns
-        leads = span_ns <= gap_ns
+        leads = (span_ns <= gap_ns) & ~np.isnan(mean_v)
         return np.where(leads, span_ns / NANOSECONDS_PER_SECOND, 0.0), self._mean(span_ns, passed_ns, mean_v)
 
     def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
@@ -234,7 +282,7 @@ class ManyMotors:
         if self._regular and everyone and passed_ns is not None:
             return Sample(stamp_ns, np.full(here.size, seconds(passed_ns)), mean_v, torque_nm, speed)
         span_ns = self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
-        begins = np.ones_like(here) if passed_ns is None else span_ns > gap_ns
+        begins = np.ones_like(here) if passed_ns is None else (span_ns > gap_ns) | np.isnan(mean_v)
         first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
         blind = here & begins & np.isnan(first_v)
         self._own['torque'][Rejection.NO_VOLTAGE] += blind
@@ -253,9 +301,9 @@ class ManyMotors:
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        told = {signal: counter.copy() for signal, counter in self._messages.items()}
+        told: Refused = {'speed': Counter()}
         for signal, counts in self._own.items():
-            told[signal].update({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
+            told[signal] = Counter({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
         return told
 
     def missed(self, motor: int) -> dict[str, int]:
@@ -265,3 +313,13 @@ class ManyMotors:
     def lost(self, motor: int) -> int:
         """See :class:`Joining`."""
         return int(self._lost[motor])
+
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """See :class:`Joining`."""
+        for signal, by_reason in self._own.items():
+            for reason in by_reason:
+                by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
+        received = np.array([(of.received_voltage, of.received_torque) for of in counts])
+        self._missed = dict(zip(('voltage', 'torque'), (received.max(axis=0) - received).T, strict=True))
+        used = np.array([of.used for of in counts])
+        self._lost = used.max() - used

@@ -6,8 +6,8 @@ it has come, or when so much torque has come since that waiting makes no sense. 
 the wall clock, so that live topics and a replayed bag make the same samples.
 
 A voltage that is old while torque comes was not changed. But where both signals were silent far longer than is their
-habit, or the voltage, which always came regularly, is overdue, nobody knows what it did: the history begins anew with
-the next voltage, and torque before that is refused.
+habit, or the voltage, which always came regularly, is overdue, nobody knows what it did (:mod:`held_voltage`): the
+history begins anew with the next voltage, and torque before that is refused.
 
 Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
 all that follows sees signals that belong together.
@@ -20,20 +20,21 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.samples.counts import PairingCounts, Refused
+from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.joining import Joining, ManyMotors, OneMotor
+from gray_box_observer.samples.own_speed import OwnSpeed
 from gray_box_observer.samples.raw_history import RawHistory
 from gray_box_observer.samples.rejection import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
-
-MAX_WAITING_VOLTAGES = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +53,6 @@ class PairingRules:
     jump_back_s: float = 1.0
 
 
-@dataclass(frozen=True, slots=True)
-class PairingCounts:
-    """What became of one motor's messages; see :class:`Pairing`."""
-
-    refused: dict[str, Counter[Rejection]]
-    received_torque: int
-    received_voltage: int
-    taken_voltage: int
-    used: int
-    waiting: int
-    restarts: int
-    held: int
-    delay_ns: int
-
-    @property
-    def rejected(self) -> Counter[Rejection]:
-        """What could not be used, by reason, whatever signal it was of."""
-        return sum(self.refused.values(), Counter())
-
-
 class Pairing:
     """Turns stamped voltages and torques into samples, counting what cannot be used.
 
@@ -87,7 +68,7 @@ class Pairing:
     Attributes:
         history: what came in and was taken, to be paired anew.
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
-        refused: what could not be used, by signal and reason; of a group, messages that were refused as a whole.
+        refused: what could not be used of a single motor, by signal and reason; of one of a group see :meth:`of`.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
     """
@@ -100,8 +81,8 @@ class Pairing:
         self.needs_speed = own_speed
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
-        self.refused: dict[str, Counter[Rejection]] = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
-        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(self.refused, motors)
+        self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
+        self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(motors)
         self.received_torque = 0
         self.received_voltage = 0
         self.taken_voltage = 0
@@ -109,7 +90,8 @@ class Pairing:
         self.restarts = 0
         self.held = 0
         self.history = RawHistory(motors)
-        self._voltage_rhythm, self._torque_rhythm = Rhythm(), Rhythm()
+        self._speeds = OwnSpeed()
+        self._learn_habits()
         self._take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
@@ -118,28 +100,32 @@ class Pairing:
         self._set_delay(delay_s)
         self._restart()
 
+    def taker(self, signal: str) -> Callable[..., list[Sample]]:
+        """Return what takes a signal by its name: :meth:`voltage`, :meth:`torque` or :meth:`speed`."""
+        return self._take[signal]
+
     def reconfigure(self, rules: PairingRules) -> None:
         """Be as patient as other rules say, from the next message on."""
         self._rules = rules
         self._gap_ns = round(rules.gap_s * 1e9)
         self._jump_ns = round(rules.jump_back_s * 1e9)
+        # a voltage that is stamped late comes late, and torque has to wait for it that much longer
         self._hold_ns = round(rules.hold_s * 1e9) + max(0, -self._delay_ns)
 
     def _set_delay(self, delay_s: float) -> None:
         self._delay_ns = nanoseconds(delay_s)
-        # a voltage that is stamped late comes late, and torque has to wait for it that much longer
-        self._hold_ns = round(self._rules.hold_s * 1e9) + max(0, -self._delay_ns)
+        self.reconfigure(self._rules)
+
+    def _learn_habits(self) -> None:
+        """Know nothing of how regularly the signals come."""
+        self._voltages, self._torque_rhythm = HeldVoltage(self._joining.blank), Rhythm()
 
     def _restart(self) -> None:
         self._repeated_until_ns: int | None = None
-        self._voltages: deque[tuple[int, Any]] = deque()
+        self._voltages.restart()
         self._torques: deque[tuple[int, Any, Any]] = deque()
-        self._speeds: deque[tuple[int, float]] = deque()
-        self._held_v: Any = self._joining.blank  # the voltage in force
-        self._held_ns: int | None = None  # and since when
+        self._speeds.restart()
         self._joining.restart()
-        self._newest_speed_ns: int | None = None
-        self._newest_voltage_ns: int | None = None
         self._newest_torque_ns: int | None = None
         self._previous_ns: int | None = None
 
@@ -150,7 +136,7 @@ class Pairing:
 
     @property
     def rejected(self) -> Counter[Rejection]:
-        """What could not be used, by reason, whatever signal it was of."""
+        """What could not be used of a single motor, by reason, whatever signal it was of."""
         return sum(self.refused.values(), Counter())
 
     @property
@@ -187,22 +173,40 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts = self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held
-        refused, waited = {name: counter.copy() for name, counter in self.refused.items()}, self.waiting
+        counts, waited = self.of(0), self.waiting
         self._set_delay(delay_s)
+        self._learn_habits()
         self._restart()
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
             samples += self._take[signal](stamp_ns, *values)
-        self.received_torque, self.received_voltage, self.taken_voltage, self.used, self.restarts, self.held = counts
-        for name, counter in self.refused.items():
-            counter.clear()
-            counter.update(refused[name])
+        self._count_as([counts])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
         return certain, samples[len(certain) :]
+
+    def part(self, motors: Sequence[int]) -> Pairing:
+        """Return the pairing of some motors of a group that has made no sample yet.
+
+        What came is gone through again without the others; what was counted of these motors stays counted.
+        """
+        made = Pairing(self._rules, len(motors), own_speed=self._own_speed, delay_s=seconds(self._delay_ns))
+        index = motors[0] if len(motors) == 1 else list(motors)
+        for signal, stamp_ns, values in self.history.events(self._delay_ns):
+            picked: list[Any] = [np.asarray(value)[index] if np.ndim(value) else value for value in values]
+            made._take[signal](stamp_ns, *picked)
+        made._count_as([self.of(motor) for motor in motors])
+        return made
+
+    def _count_as(self, counts: Sequence[PairingCounts]) -> None:
+        """Count on from what had become of every motor's messages."""
+        self.received_torque = max(of.received_torque for of in counts)
+        self.received_voltage = max(of.received_voltage for of in counts)
+        self.taken_voltage = max(of.taken_voltage for of in counts)
+        self.used, self.restarts, self.held = max(of.used for of in counts), counts[0].restarts, counts[0].held
+        self._joining.count_as(counts)
 
     def repeats(self, sample: Sample) -> bool:
         """Whether a sample was given out before, paired under another delay."""
@@ -217,36 +221,27 @@ class Pairing:
             missing: which motors of the group the message does not speak of; None: none.
         """
         self.received_voltage += 1
-        newest_v = self._voltages[-1][1] if self._voltages else self._held_v
-        voltage_v = self._joining.voltage(voltage_v, newest_v, missing)
+        voltage_v = self._joining.voltage(voltage_v, missing)
         if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order('voltage', stamp_ns, self._newest_voltage_ns)
+        done = self._order('voltage', stamp_ns, self._voltages.newest_ns, voltage_v)
         if done is None:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        if self._newest_voltage_ns is not None:
-            self._voltage_rhythm.take(seconds(stamp_ns - self._newest_voltage_ns))
-        self._newest_voltage_ns = stamp_ns
-        self._voltages.append((stamp_ns, voltage_v))
-        if len(self._voltages) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
-            self._held_ns, self._held_v = self._voltages.popleft()
+        self._voltages.take(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
         return done + self._complete(self._known_ns())
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
         if not self._joining.usable('speed', speed_rad_s):
             return []
-        done = self._order('speed', stamp_ns, self._newest_speed_ns)
+        done = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
         if done is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
-        self._newest_speed_ns = stamp_ns
-        self._speeds.append((stamp_ns, speed_rad_s))
-        if len(self._speeds) > MAX_WAITING_VOLTAGES:
-            self._speeds.popleft()
+        self._speeds.take(stamp_ns, speed_rad_s)
         return done + self._complete(self._known_ns())
 
     def torque(
@@ -260,7 +255,7 @@ class Pairing:
         torque_nm = self._joining.torque(torque_nm, speed_rad_s, missing)
         if torque_nm is None:
             return []
-        done = self._order('torque', stamp_ns, self._newest_torque_ns)
+        done = self._order('torque', stamp_ns, self._newest_torque_ns, torque_nm)
         if done is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
@@ -273,18 +268,18 @@ class Pairing:
         self.held += len(held)
         return done + held
 
-    def _known_ns(self) -> int:
-        """Up to where every signal that belongs to torque is known."""
-        known = [self._newest_voltage_ns] + ([self._newest_speed_ns] if self._own_speed else [])
-        return min(-1 if stamp_ns is None else stamp_ns for stamp_ns in known)
+    def _known_ns(self) -> int | None:
+        """Up to where every signal that belongs to torque is known; None: nowhere."""
+        known_ns, speed_ns = self._voltages.newest_ns, self._speeds.newest_ns
+        if known_ns is None or not self._own_speed:
+            return known_ns
+        return None if speed_ns is None else min(known_ns, speed_ns)
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
         """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is not known."""
-        unknown = not self._voltages and self._held_v is self._joining.blank
-        if self._newest_voltage_ns is None or unknown:
-            return None
-        return self._newest_voltage_ns, self._voltages[-1][1] if self._voltages else self._held_v
+        newest_ns = self._voltages.newest_ns
+        return None if newest_ns is None or not self._voltages.known else (newest_ns, self._voltages.newest_v)
 
     @property
     def newest_sample_ns(self) -> int | None:
@@ -297,13 +292,15 @@ class Pairing:
         None where torque before that stamp still waits, where the voltage is not known up to it (with a negative delay
         it comes too late), or where no signal history leads there.
         """
-        start_ns, known_ns = self._previous_ns, self._newest_voltage_ns
+        start_ns, known_ns = self._previous_ns, self._voltages.newest_ns
         if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
             return None
-        blind = self._held_v is self._joining.blank and not (self._voltages and self._voltages[0][0] <= start_ns)
-        if blind or stamp_ns - start_ns > self._gap_ns or self._unknown_until_ns(start_ns, stamp_ns) is not None:
+        voltages = self._voltages
+        if not voltages.known_at(start_ns) or stamp_ns - start_ns > self._gap_ns:
             return None
-        return self._joining.ahead(stamp_ns - start_ns, self._mean_voltage(start_ns, stamp_ns), self._gap_ns)
+        if voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm) is not None:
+            return None
+        return self._joining.ahead(stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns)
 
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
@@ -315,7 +312,7 @@ class Pairing:
             received_voltage=received_voltage,
             taken_voltage=received_voltage - refused['voltage'].total(),
             used=self.used - used,
-            waiting=self.waiting,
+            waiting=sum(not math.isnan(self._joining.one(torque_nm, motor)) for _, torque_nm, _ in self._torques),
             restarts=self.restarts,
             held=self.held,
             delay_ns=self._delay_ns,
@@ -323,20 +320,21 @@ class Pairing:
 
     def flush(self) -> list[Sample]:
         """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
-        return self._complete(self._newest_torque_ns) if self._newest_torque_ns is not None else []
+        return self._complete(self._newest_torque_ns)
 
-    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None) -> list[Sample] | None:
+    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any) -> list[Sample] | None:
         """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
             return self.restart()
-        self.refused[signal][Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER] += 1
+        reason = Rejection.DUPLICATE if stamp_ns == newest_ns else Rejection.OUT_OF_ORDER
+        self._joining.refuse(signal, reason, values)
         return None
 
-    def _complete(self, known_until_ns: int) -> list[Sample]:
-        samples = []
-        while self._torques and self._torques[0][0] <= known_until_ns:
+    def _complete(self, known_until_ns: int | None) -> list[Sample]:
+        samples: list[Sample] = []
+        while known_until_ns is not None and self._torques and self._torques[0][0] <= known_until_ns:
             sample = self._pair(*self._torques.popleft())
             if sample is not None:
                 samples.append(sample)
@@ -346,69 +344,18 @@ class Pairing:
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
         """Join a torque sample with the voltage that was held since the one before it, and with the speed then."""
         if self._own_speed:
-            speed_rad_s = self._speed_at(stamp_ns)
+            speed_rad_s = self._speeds.at(stamp_ns, self._gap_ns)
         if self.needs_speed:
             torque_nm = self._joining.with_speed(torque_nm, speed_rad_s)
             if torque_nm is None:
                 return None
-        start_ns = self._previous_ns
-        goes_on = start_ns is not None and stamp_ns - start_ns <= self._gap_ns
-        known_ns = None if start_ns is None else self._unknown_until_ns(start_ns, stamp_ns)
-        goes_on = goes_on and known_ns is None
-        mean_v = self._mean_voltage(start_ns, stamp_ns) if goes_on and start_ns is not None else self._joining.blank
-        while self._voltages and self._voltages[0][0] < stamp_ns:
-            self._held_ns, self._held_v = self._voltages.popleft()
-        if known_ns is not None and known_ns > stamp_ns:
-            self._held_v = self._joining.blank
-        at_once_v = self._voltages[0][1] if self._voltages and self._voltages[0][0] == stamp_ns else self._joining.blank
-        passed_ns = stamp_ns - start_ns if goes_on and start_ns is not None else None
-        sample = self._joining.join(
-            stamp_ns, passed_ns, mean_v, (self._held_v, at_once_v), torque_nm, speed_rad_s, self._gap_ns
-        )
+        start_ns, known_ns, passed_ns, mean_v = self._previous_ns, None, None, self._joining.blank
+        if start_ns is not None:
+            known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
+            if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
+                passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
+        first_v = self._voltages.step_to(stamp_ns, lost=known_ns is not None and known_ns > stamp_ns)
+        sample = self._joining.join(stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns)
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns
         return sample
-
-    def _unknown_until_ns(self, start_ns: int, end_ns: int) -> int | None:
-        """Return when voltage is known again where it was not between two torques; None: it always was.
-
-        Later than the second of them where no voltage has come by then.
-        """
-        if not (self._voltage_rhythm.regular or self._torque_rhythm.silent(seconds(end_ns - start_ns))):
-            return None
-        silent, since_ns, until_ns = self._voltage_rhythm.silent, self._held_ns, None
-        if since_ns is None:
-            return None
-        for voltage_ns, _ in self._voltages:
-            if silent(seconds(voltage_ns - since_ns)):
-                until_ns = voltage_ns
-            since_ns = voltage_ns
-            if since_ns >= end_ns:
-                return until_ns
-        return end_ns + 1 if silent(seconds(end_ns - since_ns)) else until_ns
-
-    def _speed_at(self, stamp_ns: int) -> float:
-        """Speed at a stamp: linear between its samples, held after the last for a gap at most; else NaN."""
-        while len(self._speeds) > 1 and self._speeds[1][0] <= stamp_ns:
-            self._speeds.popleft()
-        if not self._speeds or self._speeds[0][0] > stamp_ns:
-            return math.nan
-        before_ns, before = self._speeds[0]
-        if len(self._speeds) == 1 or self._speeds[1][0] - before_ns > self._gap_ns:
-            return before if stamp_ns - before_ns <= self._gap_ns else math.nan
-        after_ns, after = self._speeds[1]
-        return before + (after - before) * (stamp_ns - before_ns) / (after_ns - before_ns)
-
-    def _mean_voltage(self, start_ns: int, end_ns: int) -> Any:
-        """Mean of the held voltage over an interval of the signal history, which never begins before a voltage."""
-        held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
-        for since_ns, voltage_v in self._voltages:
-            if since_ns >= end_ns:
-                break
-            if since_ns > cursor_ns:
-                integral_vns += held_v * (since_ns - cursor_ns)
-                cursor_ns = since_ns
-            held_v = voltage_v
-        if cursor_ns == start_ns:
-            return held_v  # unchanged over the interval: exact, no division
-        return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)

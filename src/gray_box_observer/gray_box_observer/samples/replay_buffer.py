@@ -155,9 +155,15 @@ class ReplayBuffer:
         motors = np.arange(self._end.size)[which]
         return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
 
-    def content(self, which: Any = slice(None)) -> Array:
-        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor has."""
-        return self.newest(int(self.remembered(which).min()), which).copy()
+    def content(self, which: Any = slice(None), more: int = 0) -> Array:
+        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor has.
+
+        Args:
+            which: index of the motors.
+            more: so many samples before that, as far as there are any: for those who read with ``until``.
+        """
+        told = np.minimum(self.received[which] - self._begin[which], self.capacity + more)
+        return self.newest(int(told.min()), which).copy()
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
@@ -169,12 +175,20 @@ class ReplayBuffer:
             made.append(sample, speed)
         return made
 
-    def refill(self, content: Array, which: Any = slice(None)) -> None:
-        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors ends there."""
+    def refill(self, content: Array, which: Any = slice(None), gone: int = 0, begin: int = 0) -> None:
+        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors ends there.
+
+        Args:
+            content: the samples.
+            which: index of the motors.
+            gone: how many samples stood before them in each stream.
+            begin: place before the oldest that has not been told to be forgotten.
+        """
         self._settle()
-        keep = min(content.shape[2], self.capacity)
-        self._data[:, which, :keep] = content[:, :, content.shape[2] - keep :]
-        self._end[which], self._gone[which], self._begin[which] = keep, 0, 0
+        keep = min(content.shape[2], self.capacity + self.capacity // 2)
+        cut = content.shape[2] - keep
+        self._data[:, which, :keep] = content[:, :, cut:]
+        self._end[which], self._gone[which], self._begin[which] = keep, gone + cut, begin
         self._even = bool(np.all(self._end == self._end[0]))
 
     def _row(self, row: int, count: int | None) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 LATE = 1.75
 """Intervals beyond this many usual ones have lost something; a jitter of half an interval has not."""
 
@@ -38,7 +40,12 @@ class Rhythm:
 
     def silent(self, interval_s: float) -> bool:
         """Tell whether an interval in s is one in which the signal, by its own habit, was silent."""
-        return interval_s > SILENCE * self.usual_s and self._seen > LEARNT
+        return interval_s > self.silence_s
+
+    @property
+    def silence_s(self) -> float:
+        """Longer than this no signal of this habit waits, in s; endless before the habit is known."""
+        return SILENCE * self.usual_s if self._seen > LEARNT else math.inf
 
     @property
     def regular(self) -> bool:

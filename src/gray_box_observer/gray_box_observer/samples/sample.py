@@ -52,6 +52,11 @@ class Sample:
         begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
         return replace(self, interval_s=np.where(begins, 0.0, self.interval_s))
 
+    def resuming(self, waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
+        """Return the sample as the first of a history of all who wait for one, and who still does; None: nobody."""
+        still = None if self.present is None else waiting & ~self.present
+        return self.beginning(waiting), None if still is None or not np.any(still) else still
+
     def of(self, index: NDArray[np.intp]) -> Sample:
         """Return the sample of the chosen motors."""
         voltage_v, torque_nm, speed_rad_s = (x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s))

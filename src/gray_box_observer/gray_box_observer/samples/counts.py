@@ -1,0 +1,45 @@
+"""What became of one motor's messages: nothing may be lost without a trace."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from gray_box_observer.samples.rejection import Rejection
+
+Refused = dict[str, Counter[Rejection]]
+"""What could not be used, by signal and reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairingCounts:
+    """What became of one motor's messages.
+
+    Of torque, ``received = used + refused + waiting``; of voltage, ``received = taken + refused``.
+
+    Attributes:
+        refused: what could not be used.
+        received_torque: torques that came.
+        received_voltage: voltages that came.
+        taken_voltage: voltages that have come into force, or will.
+        used: torques that have become samples.
+        waiting: torques that wait for their voltage.
+        restarts: how often the clock was set back.
+        held: samples, of the group, completed by patience running out.
+        delay_ns: by how much voltage is taken to act later than it is stamped.
+    """
+
+    refused: Refused
+    received_torque: int
+    received_voltage: int
+    taken_voltage: int
+    used: int
+    waiting: int
+    restarts: int
+    held: int
+    delay_ns: int
+
+    @property
+    def rejected(self) -> Counter[Rejection]:
+        """What could not be used, by reason, whatever signal it was of."""
+        return sum(self.refused.values(), Counter())
