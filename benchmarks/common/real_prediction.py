@@ -223,7 +223,7 @@ def free_run(
     box = observer.motors['motor'].white_box
     made = Predictor(box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured)
     made.restore(network)
-    made.freeze(True)  # what was learnt is asked, nothing is learnt any more
+    made.training.freeze(True)  # what was learnt is asked, nothing is learnt any more
     said = []
     for sample in test:
         prediction = made.predict(sample.interval_s, sample.voltage_v, theta)

@@ -18,6 +18,9 @@ from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
 from gray_box_observer.predictor.start import SHIPPED
 
 SMALL: dict[str, Any] = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
@@ -101,6 +104,54 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
     for name, array in arrays.items():
         assert (second[name].dtype, second[name].shape) == (array.dtype, array.shape)
         assert second[name].tobytes() == array.tobytes(), name
+
+
+def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_to_be_studied(
+    tmp_path: Path, recording: Recording
+) -> None:
+    loud = replace(Weights.initial(INPUTS, 8, 3), output_bias=np.zeros(1))
+    linear = LinearPart(np.full(FEATURES, 1e-3), np.full(FEATURES, 20.0))
+    support = np.full((BINS, BINS), 100.0)
+    learnt = Correction(loud, linear, np.array([10.0, 3.0, 1.0]), 0.3, 1.0, support, 0.01)
+    one, other = (Observer(Configuration.from_flat({}), InlineTraining) for _ in range(2))
+
+    def take(which: Observer, start: int, end: int) -> list[bytes]:
+        told = []
+        for k in range(start, end):
+            stamp = int(recording.stamp_ns[k])
+            which.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            for result in which.take('torque', ('motor',), stamp, [float(recording.torque_nm[0, k])]):
+                assert result.prediction is not None
+                told.append(result.prediction.torque_nm.tobytes())
+        return told
+
+    take(one, 0, 1010)
+    predictor = one.group_of('motor').observer.predictor
+    assert predictor is not None
+    predictor.residual.adopt(learnt.arrays())
+    take(one, 1010, 1039)  # in the middle of a block and of a period of training; nobody has asked for the last alarm
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
+    one.group_of('motor').pairing.restart()  # as loading does
+    size_nm = predictor.residual.size_nm[0]
+    assert take(one, 1039, 1900) == take(other, 1039, 1900)
+    assert predictor.residual.size_nm[0] > size_nm > 0.0, 'it spoke'
+    (plain, arrays), (again, second) = (which.motors['motor'].state() for which in (one, other))
+    assert again == plain
+    for name, array in arrays.items():
+        assert second[name].tobytes() == array.tobytes(), name
+
+
+@pytest.mark.parametrize('training', [None, InlineTraining])
+def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
+    tmp_path: Path, recording: Recording, training: Any
+) -> None:
+    one, other = observer(training), observer(training, freeze=True)
+    feed(one, recording, 0, 1500)
+    assert one.known('motor')[1]
+    save(one, tmp_path / 'c.safetensors')
+    load(other, tmp_path / 'c.safetensors')
+    assert other.known('motor')[1]
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(tmp_path: Path, recording: Recording) -> None:

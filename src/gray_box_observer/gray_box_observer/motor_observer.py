@@ -81,7 +81,7 @@ class MotorObserver:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
         if self._predictor is None:
             return None
-        if self._predictor.trains_next:
+        if self._predictor.training.due_next:
             self.settle()
         self._follow()
         question = interval_s.tobytes() + voltage_v.tobytes()
@@ -184,7 +184,7 @@ class MotorObserver:
         self._frozen = frozen
         self.context_nodes.freeze(frozen)
         if self.predictor is not None:
-            self.predictor.freeze(frozen)
+            self.predictor.training.freeze(frozen)
 
     @property
     def identified(self) -> bool:
@@ -206,7 +206,7 @@ class MotorObserver:
         if self.alarm is not None:
             self.alarm.rules = alarm
         if self.predictor is not None:
-            self.predictor.share(core_share)
+            self.predictor.training.share(core_share)
 
     @property
     def alarmed(self) -> NDArray[np.bool_]:
@@ -229,7 +229,7 @@ class MotorObserver:
         context_nodes.learn(samples[-1])
         self.context_nodes = context_nodes
         if self.predictor is not None:
-            self.predictor.refill(content)
+            self.predictor.training.refill(content)
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
         self._know(context_nodes.estimate(), slice(None))
@@ -244,6 +244,7 @@ class MotorObserver:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
+        self.settle()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self.predictor is None else self.predictor.state(motor)
         delay = self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
@@ -260,7 +261,7 @@ class MotorObserver:
     def close(self) -> None:
         """Stop training."""
         if self._predictor is not None:
-            self._predictor.close()
+            self._predictor.training.close()
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor."""

@@ -96,7 +96,8 @@ class MotorView:
         if predictor is None:
             return None
         size_nm = float(predictor.residual.size_nm[self.place])
-        return TrainingView(predictor.failure, predictor.jobs_done, predictor.jobs_late, size_nm)
+        training = predictor.training
+        return TrainingView(training.failure, training.jobs_done, training.jobs_late, size_nm)
 
     @property
     def alarm(self) -> AlarmView | None:

@@ -112,11 +112,23 @@ def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
     assert np.isnan(one.forecast(0.1, HELD_V[:1], TRUTH[:1])[0])
 
 
+def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remembered_then(idle: Any) -> None:
+    silenced, never = warmed(idle, 1, correction()), warmed(idle, 1, None)
+    silenced.residual.adopt(correction(0.0).arrays(), newest(silenced.training.replay, LONGEST))
+    said = []
+    for one in (silenced, never):
+        for k in range(300):
+            go_on(one, np.array([5.0 if k // 30 % 2 else -5.0]), 1)
+        one.residual.adopt(correction().arrays(), newest(one.training.replay, LONGEST))
+        said.append(go_on(one, HELD_V[:1], 1).torque_nm[0])
+    assert said[0] == said[1]
+
+
 def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(idle: Any) -> None:
     learnt = correction()
     mute = replace(learnt, weights=replace(learnt.weights, output=np.zeros(8)))  # the linear part alone
     always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
-    late.residual.adopt(mute.arrays(), newest(late.replay, LONGEST))
+    late.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
     forgetful.residual.adopt(mute.arrays())
     said = [go_on(one, HELD_V[:1], 1).torque_nm[0] for one in (always, late, forgetful)]
     assert said[1] == pytest.approx(said[0], abs=1e-9)

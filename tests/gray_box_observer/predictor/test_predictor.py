@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import course, flow
 from gray_box_observer.predictor.start import fresh
-from gray_box_observer.samples import Sample
+from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
@@ -245,6 +246,23 @@ def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
         np.testing.assert_array_equal(other.state()[name], array)
 
 
+def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
+    some, listening = samples(record('R[5,15]D[0.2,2]', 15.0)), (idle, type(idle)())
+    for one_of, brought in zip(listening, (np.nan, 3.0), strict=True):  # where speed_source is torque_constant
+        one = predictor(thesis_box, one_of, rules=TrainingRules(period=500))
+        with_speed = [replace(s, speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)]
+        run(one, with_speed)
+        one.training.refill(ReplayBuffer.of(with_speed[-1300:]).content())
+        run(one, with_speed[1:])
+    without, along = (one_of.jobs for one_of in listening)
+    assert sum(job['residual'] for job in without) == 2
+    for expected, job in zip(without, along, strict=True):
+        for name, value in expected.items():
+            np.testing.assert_array_equal(value, job[name], err_msg=name)
+
+
 class Told:
     """Training that answers every job at once with what it was told to say."""
 
@@ -288,6 +306,23 @@ def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
     assert told.jobs == farthest
 
 
+def test_what_settles_is_what_the_job_was_of_not_what_came_while_it_ran(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording]
+) -> None:
+    told = Told(windows=0, settled=True)
+    one = predictor(thesis_box, told, rules=TrainingRules(period=100, residual=False))
+    some = samples(record('R[5,15]D[20,20]', 10.0))
+    run(one, some[:300])
+    assert told.jobs == 1, 'settled at once'
+    moved = np.array([[0.5, 1.3, 10.0]])
+    run(one, some[300:400], moved)
+    assert (told.jobs, told.busy) == (2, True)
+    run(one, some[400:500], 1.2 * moved)  # it is done now, but of a motor that is no more
+    assert (told.jobs, told.busy) == (3, True)
+    run(one, some[500:900], 1.2 * moved)
+    assert told.jobs == 3
+
+
 def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_takes_none(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:
@@ -297,14 +332,14 @@ def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_ta
         predictor(thesis_box, told, rules=TrainingRules(start='fresh')),
         samples(record('R[5,15]D[0.2,2]', 10.0)),
     )
-    one.freeze(True)
+    one.training.freeze(True)
     run(one, some[:500])
     assert told.jobs == 0
     np.testing.assert_array_equal(one.state()['output'], fresh(12, 0).output)
-    one.freeze(False)
+    one.training.freeze(False)
     run(one, some[500:])
     np.testing.assert_array_equal(one.state()['output'], better.output)
-    assert one.loss == 0.5
+    assert one.training.loss == 0.5
 
 
 def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_move(

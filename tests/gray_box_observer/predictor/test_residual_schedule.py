@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -126,10 +127,25 @@ def test_samples_paired_anew_leave_nothing_of_the_others(thesis_box: MotorWhiteB
         sample = Sample.of_one_motor(k, 0.01 * (k > 0), 5.0, 0.02)
         one.learn(sample, one.predict(sample.interval_s, sample.voltage_v, TRUTH), TRUTH)
     assert 'schedule_segments' in one.state()
-    one.refill(one.replay.content()[:, :, -700:])
+    one.training.refill(one.training.replay.content()[:, :, -700:])
     state = one.state()
     assert 'schedule_segments' not in state
     assert (int(state['schedule_from']), bool(state['schedule_anew'])) == (9 * SEGMENT - 700, True)
+
+
+def test_more_samples_paired_anew_than_were_counted_are_all_learnt_from(thesis_box: MotorWhiteBox, idle: Any) -> None:
+    one = Predictor(thesis_box, 1, TRUTH[0], replace(RULES, period=100), idle, speed_measured=False)
+
+    def learn_hundred() -> None:
+        for k in range(100):
+            sample = Sample.of_one_motor(k, 0.01 * (k > 0), 5.0, 0.02)
+            one.learn(sample, one.predict(sample.interval_s, sample.voltage_v, TRUTH), TRUTH)
+
+    learn_hundred()
+    came_while_frozen_too = np.array([0.01, 5.0, 0.02, np.nan])[:, None, None].repeat(1400, axis=2)
+    one.training.refill(came_while_frozen_too)
+    learn_hundred()
+    assert [job['voltage_v'].shape[1] for job in idle.jobs if job['residual']] == [1500]
 
 
 @pytest.fixture

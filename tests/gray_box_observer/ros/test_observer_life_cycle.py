@@ -8,8 +8,10 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import rclpy
 from lifecycle_msgs.msg import State, Transition
@@ -139,6 +141,19 @@ def test_a_defect_in_any_transition_leads_back_to_unconfigured_and_from_there_on
     assert 'ArithmeticError: a defect' in said
     for step in ('configure', 'activate', 'deactivate', 'cleanup'):
         assert getattr(one, f'trigger_{step}')() == TransitionCallbackReturn.SUCCESS
+
+
+def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypatch):
+    one = node()
+    one.trigger_configure()
+    one.trigger_activate()
+    told: list[bool] = []
+    monkeypatch.setitem(one._outputs._alarm, 'motor', lambda message: told.append(message.data))
+    monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
+    one._unsettled = [SimpleNamespace(group=SimpleNamespace(names=('motor',)), alarm=np.array([True]))]
+    assert one._load(Trigger.Request(), Trigger.Response()).success
+    one._tell()
+    assert told == [True, False], 'latched: what stands after loading'
 
 
 def test_reset_publishes_at_once_what_is_known_then(rig, record):

@@ -30,8 +30,9 @@ def predicted(node: Node) -> list[tuple[int, float]]:
     return [(m.header.stamp.nanosec, m.effort[0]) for m in messages]
 
 
-def result(stamp_ns: int, torque_nm: float):
-    sample, prediction = SimpleNamespace(stamp_ns=stamp_ns), SimpleNamespace(torque_nm=np.array([torque_nm]))
+def result(stamp_ns: int, torque_nm: float, interval_s: float = 0.01):
+    sample = SimpleNamespace(stamp_ns=stamp_ns, interval_s=np.array([interval_s]))
+    prediction = SimpleNamespace(torque_nm=np.array([torque_nm]))
     group = SimpleNamespace(names=('motor',))
     done = SimpleNamespace(alarm=np.array([False]))
     return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
@@ -55,6 +56,17 @@ def test_stamps_that_come_again_after_a_clock_was_set_back_are_predicted_again()
         outputs.prediction(('motor',), 1, np.array([0.5]))
         outputs.results([result(1, 0.5)])
     assert [stamp for stamp, _ in predicted(node)] == [1, 1]
+
+
+def test_where_voltages_come_between_torques_their_stamps_are_predicted_again_after_a_clock_was_set_back():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for _ in range(2):  # a recording that is played in a loop
+        outputs.results([result(1, np.nan, interval_s=0.0)])
+        for stamp_ns in (2, 3):
+            outputs.prediction(('motor',), stamp_ns, np.array([0.1]))
+        outputs.results([result(3, 0.1)])
+    assert [stamp for stamp, _ in predicted(node)] == [2, 3, 2, 3]
 
 
 def test_what_is_not_finite_is_no_prediction():
@@ -97,3 +109,27 @@ def test_an_alarm_goes_out_when_it_changes_and_only_then():
         one.aftermath.alarm = np.array([raised])
         outputs.alarms([one])
     assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [False, True, False]
+
+
+def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_otherwise():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    one = result(1, 1.0)
+    one.aftermath.alarm = np.array([True])
+    outputs.alarms([one])
+    outputs.alarm('motor', False)  # a checkpoint was loaded in which it did not stand
+    outputs.alarms([one])
+    outputs.alarm('motor', True)
+    outputs.alarms([one])
+    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [True, False, True, True]
+
+
+def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_falls():
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({'horizon_s': 1.0}))
+    last_ns = 2**31 * 1_000_000_000 - 1
+    for stamp_ns in (last_ns, last_ns + 1, -(2**31) * 1_000_000_000 - 1):
+        outputs.prediction(('motor',), stamp_ns, np.array([0.5]))
+        outputs.forecast(('motor',), stamp_ns, np.array([0.5]))
+    stamps = [deserialize_message(data, JointState).header.stamp for _, data in node.sent]
+    assert [(stamp.sec, stamp.nanosec) for stamp in stamps] == [(2**31 - 1, 999_999_999)] * 2

@@ -112,3 +112,25 @@ def test_a_group_tells_the_signals_of_each_motor_and_none_of_its_own() -> None:
     assert signals.voltage_v.tolist() == [2.0] * 5
     with pytest.raises(GrayBoxError, match=r'of\(motor\)'):
         group.signals(4 * MS, 0)
+
+
+def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -> None:
+    group, alone, random = RawHistory(3), RawHistory(), np.random.default_rng(0)
+    forgotten = 100
+    for k in range(TORQUES + SLACK + forgotten):
+        volts, torques, speeds = np.where(random.uniform(size=(3, 3)) < 0.1, np.nan, random.standard_normal((3, 3)))
+        group.voltage(k * MS, volts)
+        group.torque(k * MS, torques, speeds)
+        if np.isfinite(volts[1]):
+            alone.voltage(k * MS, volts[1])
+        if np.isfinite(torques[1]) and k >= forgotten:
+            alone.torque(k * MS, torques[1], speeds[1])
+    one = group.of(1)
+    for history_of_one in (one, alone):
+        history_of_one.torque(10**6 * MS, 1.0)
+    found, expected = ([repr(event) for event in which.events(0)] for which in (one, alone))  # a NaN is equal to none
+    assert found == expected
+    assert len(one) > TORQUES + SLACK
+    assert len(RawHistory(3).of(2)) == 0
+    with pytest.raises(GrayBoxError, match=r'expected \.signals'):
+        alone.of(0)

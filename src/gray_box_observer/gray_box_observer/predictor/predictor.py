@@ -5,31 +5,26 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Forecaster, Question
 from gray_box_observer.predictor.inputs import InputLayout, Variant
 from gray_box_observer.predictor.network import Memory
-from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.online_training import OnlineTraining
 from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
 from gray_box_observer.predictor.residual import Recollection, ResidualForecaster
-from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
-from gray_box_observer.predictor.traces import LONGEST
 from gray_box_observer.predictor.training import Training
 from gray_box_observer.predictor.window_forecaster import WindowForecaster
-from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -73,6 +68,11 @@ class Predictor:
         training: where jobs run.
         speed_measured: whether speed is a signal.
         seed: of a fresh network.
+
+    Attributes:
+        residual: the correction of what the physics says.
+        training: has both taught.
+        scores: how good the predictions were.
     """
 
     def __init__(
@@ -81,7 +81,6 @@ class Predictor:
     ) -> None:  # fmt: skip
         self._white_box = white_box
         self._rules = rules
-        self._training = training
         self._motors = motors
         self._axis = Axis(motors)
         self._speed_measured = speed_measured
@@ -92,24 +91,13 @@ class Predictor:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
         self.residual = ResidualForecaster(white_box, motors)
-        self._schedule = ResidualSchedule(motors, rules)
         blank = np.full(motors, np.nan)
         self._way: Course | None = None
         self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        # of a group no residual is learnt, and a job carries its newest samples only
-        self.replay = ReplayBuffer(motors, rules.replay_capacity if motors == 1 else rules.job_samples)
+        self.training = OnlineTraining(
+            motors, rules, training, self._forecaster, self.residual, speed_measured=speed_measured
+        )
         self.scores = Scores(motors)
-        self.jobs_done = 0
-        self.jobs_late = 0
-        self.loss: float | None = None
-        self._frozen = False
-        self._resumes: NDArray[np.bool_] | None = None  # whose history begins anew
-        self._seen = OperatingRange()
-        self._start_from: dict[str, Any] = {}
-        self._settled: dict[int, tuple[Array, OperatingRange]] = {}
-        self._turn = 0
-        self._job: dict[str, Any] = {}
-        self._learning: dict[str, Array] = {}
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -202,10 +190,10 @@ class Predictor:
         self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
 
     def study(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
-        """Score what was predicted, remember the sample, and start or finish a training job when one is due.
+        """Score what was predicted, and let the sample be trained on.
 
-        Comes after :meth:`follow` and before the next sample is followed; where :attr:`trains_next`, also before it is
-        predicted, for a trained network may take over.
+        Comes after :meth:`follow` and before the next sample is followed; where :attr:`training` is ``due_next``, also
+        before it is predicted, for a trained network may take over.
 
         Args:
             sample: what came.
@@ -220,60 +208,12 @@ class Predictor:
         }
         self.scores.add(sample.torque_nm, rivals)
         self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
-        if self._frozen:
-            return
-        if self._resumes is not None:
-            sample, self._resumes = sample.resuming(self._resumes)
-        self.replay.append(sample, self._previous_speed)
-        self._schedule.follow(self.replay, _physics_of(prediction))
-        if self.replay.total % self._rules.period == 0:
-            self._train(theta, np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance)
-
-    @property
-    def trains_next(self) -> bool:
-        """Whether a training job may start or finish with the next sample that is studied."""
-        return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
-
-    def freeze(self, frozen: bool) -> None:
-        """Stop or resume training; predictions go on with the network that runs."""
-        if frozen == self._frozen:
-            return
-        self._frozen = frozen
-        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
-
-    def refill(self, content: Array) -> None:
-        """Remember these samples instead, which were paired anew; what the others taught beside the physics is void.
-
-        Args:
-            content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
-        """
-        self.replay.refill(content)
-        self._begin_residual_anew(from_number=self.replay.total - len(self.replay))
+        self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """The network, where the motors have run and everything that training one motor depends on, as arrays.
-
-        A job whose result is still to come is saved as it was handed over: it is run again.
-        """
-        replay = {
-            'replay': self.replay.content(slice(motor, motor + 1)),
-            'total': np.array(self.replay.total),
-        }
-        settled = {}
-        if motor in self._settled:
-            theta, seen = self._settled[motor]
-            settled = {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
+        """The network, what was learnt beside it, and what its training depends on, of one motor, as arrays."""
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
-        common = {**self._forecaster.state(), **learnt, **_named('seen', self._seen.to_dict()), **replay, **settled}
-        if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
-            return common
-        return {
-            **common,
-            **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
-            **self._learning,
-            **{f'job_{name}': np.asarray(value) for name, value in self._job.items() if name != 'seen'},
-            **_named('job_seen', self._job.get('seen', {})),
-        }
+        return {**self._forecaster.state(), **learnt, **self.training.state(motor)}
 
     def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave of one motor; training goes on from there.
@@ -282,43 +222,9 @@ class Predictor:
             ConfigurationError: the network is of another variant or size.
         """
         self._forecaster.restore(arrays)
-        if 'replay' in arrays:  # a network alone may be taken over too
-            self.replay.refill(arrays['replay'], slice(motor, motor + 1))
-        self._settled.pop(motor, None)
-        if 'settled_theta' in arrays:
-            self._settled[motor] = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
-        if self._motors > 1:
-            self._seen = self._seen.joined(_range(arrays, 'seen'))
-            self._start_from = self._forecaster.start()
-            return
-        self.residual.adopt(arrays)
-        self._seen = _range(arrays, 'seen')
-        if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
-            self.replay.total = int(arrays['total'])
-            self._schedule.restore({name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')})
-        self._learning = {name: array for name, array in arrays.items() if name.startswith('learning_')}
-        self._start_from = {
-            **self._forecaster.start(),
-            **{f'start_{name}': array for name, array in self._learning.items()},
-        }
-        job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
-        if job:
-            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
-            residual = bool(job['residual'])
-            self._submit({**kept, 'residual': residual, 'seen': _range(job, 'seen').to_dict()})
-
-    def share(self, core_share: float) -> None:
-        """Change the share of a core that training in the background may use."""
-        self._training.share = core_share
-
-    def close(self) -> None:
-        """Stop training."""
-        self._training.close()
-
-    @property
-    def failure(self) -> str | None:
-        """Why training has ended for good, if it has."""
-        return self._training.failure
+        if self._motors == 1:
+            self.residual.adopt(arrays)
+        self.training.restore(arrays, motor)
 
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
         """Say where an interval leads; None where no motor goes on from a known start."""
@@ -341,68 +247,6 @@ class Predictor:
             way = course(ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a)
         return Question(interval_s, axis.give(voltage), axis.give(speed), theta, way, usable)
 
-    def _train(self, theta: Array, covariance: Array) -> None:
-        """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
-        signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
-        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
-        if self._training.busy:
-            result = self._training.collect()
-            if result is None:
-                self.jobs_late += 1
-                return
-            self._adopt(result, theta)
-        if self._schedule.moved(theta):  # what was learnt of other parameters is worth nothing now
-            self._begin_residual_anew()
-        residual = self._schedule.due(self.replay)
-        turn, which = self._turn, slice(self._turn, self._turn + 1)
-        self._turn = (self._turn + 1) % self._motors
-        idle = self._nothing_to_gain(turn, theta[which]) and not residual
-        remembered = int(self.replay.remembered(which)[0])
-        if self._training.resting or idle or remembered < self._rules.length:
-            return
-        anew = residual and self._schedule.anew
-        count = min(remembered, self._rules.job_samples)
-        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
-        self._submit(
-            {
-                **samples,
-                'theta': theta[which].copy(),
-                'covariance': covariance[which].copy(),
-                'seen': self._seen.to_dict(),
-                'residual': residual,
-                'residual_anew': anew,
-                'motor': turn,
-            }
-        )
-
-    def _begin_residual_anew(self, from_number: int | None = None) -> None:
-        self._schedule.begin_anew(self.replay.total if from_number is None else from_number)
-        self.residual.correction = None
-
-    def _submit(self, job: dict[str, Any]) -> None:
-        self._job = job
-        self._training.submit({**job, **self._start_from})
-        self._start_from = {}
-
-    def _nothing_to_gain(self, motor: int, theta: Array) -> bool:
-        if motor not in self._settled:
-            return False
-        settled, seen = self._settled[motor]
-        return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
-
-    def _adopt(self, result: dict[str, Any], theta: Array) -> None:
-        self.jobs_done += 1
-        motor, self._job = int(self._job.get('motor', 0)), {}
-        self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
-        self._settled.pop(motor, None)
-        if result.get('settled'):
-            self._settled[motor] = theta[motor : motor + 1].copy(), self._seen
-        self.loss = result.get('loss', self.loss)
-        if not self._schedule.anew:  # else it was learnt of parameters that are no more
-            self.residual.adopt(result, newest(self.replay, LONGEST))
-        if 'input' in result:
-            self._forecaster.adopt(result)
-
 
 def _of_present(sample: Sample, now: Array, before: Array) -> Array:
     """What is now of the motors that were sampled, what was before of the others."""
@@ -412,15 +256,3 @@ def _of_present(sample: Sample, now: Array, before: Array) -> Array:
 def _physics_of(prediction: Prediction) -> Array:
     """What was predicted before the residual was added: the physics goes on from there."""
     return prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm
-
-
-def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
-    """Name the entries of an operating range as arrays."""
-    return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}
-
-
-def _range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
-    """Take back what :func:`_named` gave."""
-    start = f'{prefix}_'
-    bounds = {name[len(start) :]: pair.tolist() for name, pair in arrays.items() if name.startswith(start)}
-    return OperatingRange.from_dict(bounds)

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.predictor import traces
+from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Question
 from gray_box_observer.predictor.linear_part import LinearPart, features
 from gray_box_observer.predictor.network import Mask, Memory, Weights, step
@@ -22,6 +23,8 @@ from gray_box_observer.white_box.base import Array, WhiteBox
 
 INPUTS = 4
 """Of the network: voltage, predicted current, the current where it is going, speed; each in units of its size."""
+
+_SIZE_OF = [0, 1, 1, 2]
 
 BINS = 12
 """Cells a side of the map of where samples were seen."""
@@ -37,6 +40,9 @@ WARM = 64
 
 ASKED = 32
 """Times, at most, that it is asked on the way to a forecast: there is time for it at a thousand samples a second."""
+
+SIZE_MEMORY = 500.0
+"""Samples over which the size of what is said is followed, for diagnostics."""
 
 PREFIX = 'residual_'
 
@@ -65,10 +71,10 @@ class Correction:
 
     def inputs(self, voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array) -> Array:
         """Columns of the network's input, of the shape of the current with an axis of INPUTS behind; bounded."""
-        volt, ampere, speed = self.size
         columns = np.empty((*current_a.shape, INPUTS))
-        for k, column in enumerate((voltage_v / volt, current_a / ampere, steady_a / ampere, speed_rad_s / speed)):
+        for k, column in enumerate((voltage_v, current_a, steady_a, speed_rad_s)):
             columns[..., k] = column
+        columns /= self.size[_SIZE_OF]
         inputs: Array = np.minimum(np.maximum(columns, -3.0), 3.0)  # np.clip takes four times as long for one motor
         return inputs
 
@@ -79,8 +85,8 @@ class Correction:
             readout: of the network.
             seen: what it was said of, see :func:`~gray_box_observer.predictor.linear_part.features`.
         """
-        voltage_v, current_a = seen[..., 0], seen[..., 1]
-        samples = self.support[cells(current_a / self.size[1]), cells(voltage_v / self.size[0])]
+        at = cells(seen[..., :2] / self.size[:2])
+        samples = self.support[at[..., 1], at[..., 0]]
         said = self.linear.say(seen) + np.tanh(readout) * samples / (samples + FEW)
         correction: Array = self.share * self.limit_a * np.minimum(np.maximum(said, -1.0), 1.0)
         return correction
@@ -151,6 +157,7 @@ class ResidualForecaster:
     def __init__(self, white_box: WhiteBox, motors: int) -> None:
         self._white_box = white_box
         self._motors = motors
+        self._axis = Axis(motors)
         self._memory: Recollection | None = None
         self.correction: Correction | None = None
         self._square_nm2 = np.zeros(motors)
@@ -170,7 +177,7 @@ class ResidualForecaster:
             return None, None
         known = np.isfinite(torque_nm)
         current: Array = self._white_box.state(np.where(known, torque_nm, 0.0))
-        steady = np.broadcast_to(question.way.steady_a, current.shape)
+        steady = self._axis.give(question.way.steady_a)
         signals = question.voltage_v, current, steady, question.speed_rad_s
         readout, network = step(learnt.weights, memory.network, learnt.inputs(*signals))
         reached = self._followed(question, memory, learnt)
@@ -189,7 +196,7 @@ class ResidualForecaster:
         if learnt is None or memory is None:
             return np.zeros(self._motors)
         current = self._white_box.state(np.nan_to_num(path_nm))
-        steady = np.broadcast_to(question.way.steady_a, self._motors)
+        steady = self._axis.give(question.way.steady_a)
         held = (np.asarray(signal)[:, None] for signal in (question.voltage_v, steady, question.speed_rad_s))
         voltage_v, steady_a, speed_rad_s = held
         inputs, network = learnt.inputs(voltage_v, current, steady_a, speed_rad_s), memory.network
@@ -210,11 +217,11 @@ class ResidualForecaster:
         if memory is not None:
             self._memory = memory.cleared(anew)
         added = np.nan_to_num(correction_nm)
-        self._square_nm2 += 0.002 * (added * added - self._square_nm2)
+        self._square_nm2 += (added * added - self._square_nm2) / SIZE_MEMORY
 
     @property
     def size_nm(self) -> Array:
-        """Root mean square of the correction over the last few hundred samples in N m, shape (motor,)."""
+        """Root mean square of the correction over the last SIZE_MEMORY samples or so in N m, shape (motor,)."""
         size: Array = np.sqrt(self._square_nm2)
         return size
 
@@ -225,15 +232,15 @@ class ResidualForecaster:
             arrays: the correction among others.
             newest: samples of the signal history that goes on, see
                 :func:`~gray_box_observer.predictor.residual_schedule.newest`: while nothing was said, nothing was
-                traced. None: a history begins.
+                traced, and what the network remembered is long past. None: a history begins.
         """
         found = Correction.of(arrays)
         if found is None:
             return
-        self.correction = found
-        before = self._memory or Recollection.blank(self._motors, found.weights.hidden)
-        traced = traces.blank(self._motors) if newest is None else _traced(newest, found.interval_s)
-        self._memory = Recollection(before.network, traced)
+        blank = Recollection.blank(self._motors, found.weights.hidden)
+        before = self._memory if self.speaks and self._memory is not None else blank
+        traced = blank.traces if newest is None else _traced(newest, found.interval_s)
+        self.correction, self._memory = found, Recollection(before.network, traced)
 
 
 def _traced(newest: Mapping[str, Array], pace_s: float) -> Array:

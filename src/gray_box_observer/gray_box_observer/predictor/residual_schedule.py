@@ -86,7 +86,7 @@ class ResidualSchedule:
     def job(self, replay: ReplayBuffer) -> dict[str, Any]:
         """Return the samples of a round: segments, then the newest samples of which no segment tells."""
         self._asked, self.anew = replay.total, False
-        parts, end = [], 0
+        parts, end = [], min(0, self._from)  # more may have been paired anew than had been counted
         for segment in self._store.segments:
             joins = segment.first == end  # the one before leads to where it begins: nothing is left out
             signals = dict(zip(SIGNALS, segment.signals, strict=True)) if joins else segment.begun()

@@ -189,8 +189,7 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     residual, said = run.residual_a[:, judges], said[:, judges]
     share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
     before, after = np.abs(residual), np.abs(residual - share * said)
-    parts = PARTS
-    had, gains = (np.array([p.mean() for p in np.array_split(a, parts, axis=1)]) for a in (before, before - after))
+    had, gains = (np.array([p.mean() for p in np.array_split(a, PARTS, axis=1)]) for a in (before, before - after))
     real = borne_out(had, gains)
     return replace(correction, share=share if real else 0.0), float((after if real else before).mean())
 

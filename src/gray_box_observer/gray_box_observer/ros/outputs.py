@@ -20,6 +20,7 @@ from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
+from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
 from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
@@ -29,6 +30,9 @@ MOST_FORMS = 64
 """Lists of names of which a serialised message is kept."""
 
 _STAMP = struct.Struct('=iI')
+_SECONDS = range(-(2**31), 2**31)
+"""What a stamp can tell, which has 32 bits for them."""
+
 _STAMP_AT = 4
 """Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
 
@@ -56,6 +60,7 @@ class Outputs:
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+        self._told: dict[str, bool] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False, **names: str) -> Publish:
@@ -68,8 +73,10 @@ class Outputs:
     def results(self, results: Iterable[GroupResult]) -> None:
         """Publish predictions that have not gone out as forecasts, and every changed estimate."""
         for result in results:
-            names = result.group.names
-            foretold = self._awaited.setdefault(names, {}).pop(result.sample.stamp_ns, False)
+            names, awaited = result.group.names, self._awaited.setdefault(result.group.names, {})
+            foretold = awaited.pop(result.sample.stamp_ns, False)
+            if not result.sample.interval_s.any():  # a history begins: stamps that are still awaited may come again
+                awaited.clear()
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
@@ -114,13 +121,13 @@ class Outputs:
             self.estimate(names[motor], estimate if len(changed) == 1 else estimate.of(row))
 
     def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
-        told = self._alarmed.get(names)
-        if told is not None and np.array_equal(told, raised):
+        before = self._alarmed.get(names)
+        if before is not None and np.array_equal(before, raised):
             return
+        for name, stands in zip(names, raised.tolist(), strict=True):
+            if self._told.get(name) != stands:
+                self.alarm(name, stands)
         self._alarmed[names] = raised.copy()
-        for motor, name in enumerate(names):
-            if told is None or told[motor] != raised[motor]:
-                self.alarm(name, bool(raised[motor]))
 
     def all_estimates(self, motors: Sequence[str], groups: Iterable[Group]) -> None:
         """Publish value and standard deviation of every parameter of every motor, in one message.
@@ -161,10 +168,11 @@ class Outputs:
         self._identified[motor](Bool(data=estimate.identified(0) if identified is None else identified))
 
     def alarm(self, motor: str, raised: bool) -> None:
-        """Publish whether the alarm on the prediction's residual stands."""
-        if motor not in self._alarm:
-            return
-        self._alarm[motor](Bool(data=raised))
+        """Publish whether the alarm on the prediction's residual stands, whatever was published before."""
+        self._alarmed.clear()  # what samples have said last is not what stands there now
+        if motor in self._alarm:
+            self._told[motor] = raised
+            self._alarm[motor](Bool(data=raised))
 
 
 class TorqueMessages:
@@ -178,7 +186,7 @@ class TorqueMessages:
         self._forms: dict[tuple[str, ...], tuple[bytearray, slice]] = {}
 
     def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
-        """Return the message of those motors of which there is a torque; None of none.
+        """Return the message of those motors of which there is a torque; None of none, or of a time beyond all stamps.
 
         Args:
             names: of the motors.
@@ -189,7 +197,8 @@ class TorqueMessages:
         if not known.all():
             names = tuple(name for name, is_known in zip(names, known.tolist(), strict=True) if is_known)
             torque_nm = torque_nm[known]
-        if not names:
+        seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+        if not names or seconds not in _SECONDS:
             return None
         form = self._forms.get(names)
         if form is None:
@@ -197,7 +206,7 @@ class TorqueMessages:
                 self._forms.clear()
             form = self._forms[names] = _form(names)
         data, values = form
-        _STAMP.pack_into(data, _STAMP_AT, *divmod(stamp_ns, 1_000_000_000))
+        _STAMP.pack_into(data, _STAMP_AT, seconds, nanoseconds)
         data[values] = torque_nm.tobytes()
         return bytes(data)
 

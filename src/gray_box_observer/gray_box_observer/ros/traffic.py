@@ -39,7 +39,7 @@ class Traffic:
         motors: by motor.
         messages: messages of each topic, whatever motors they speak of.
         cpu: share of one core that this process has used, without training, which is another process.
-        busy: share of the period that messages took from arrival to publishing: at 1, they queue up.
+        busy: share of the period that messages took, with what they left to be done: at 1, they queue up.
     """
 
     period_s: float

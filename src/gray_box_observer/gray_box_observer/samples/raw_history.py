@@ -1,8 +1,8 @@
 """The newest raw voltages and torques, as they came in, so that they can be paired again.
 
 Pairing forgets how a sample's mean voltage was made. Whoever asks whether voltage and torque are shifted against each
-other needs the stamps themselves. Bounded, in the order of arrival; what is read out depends on stamps alone, so that
-live topics and a replayed bag give the same signals.
+other needs the stamps themselves. Bounded, each signal in the order of its stamps; what is read out depends on stamps
+alone, so that live topics and a replayed bag give the same signals.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,51 +60,48 @@ class RawSignals:
         return integral
 
 
-class _Memory(Protocol):
-    """Bounded rows of a stamp in ns and values, the oldest forgotten; stamps rise."""
-
-    def __len__(self) -> int: ...
-
-    def append(self, stamp_ns: int, *values: Any) -> None:
-        """Remember a row."""
-
-    def rows(self) -> Iterable[tuple[Any, ...]]:
-        """Every row in order."""
-
-    def clear(self) -> None:
-        """Forget every row."""
-
-
 class _Numbers:
-    """Rows of plain numbers, in arrays: they are read out in one piece, while samples wait."""
+    """Bounded rows of a stamp in ns and plain numbers, in arrays: read out in one piece, for a sample waits for it.
+
+    The oldest are forgotten; stamps rise.
+    """
 
     def __init__(self, width: int, most: int) -> None:
         self._most = most
         self._stamps = np.zeros(2 * most, dtype=np.int64)
-        self._values = np.zeros((width, 2 * most))
+        self._columns = [np.zeros(2 * most) for _ in range(width)]
         self._end = 0
+
+    @classmethod
+    def of(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
+        """Remember rows, values of shape (value, row), in one piece; no more than ``most``."""
+        made = cls(values.shape[0], most)
+        made._end = stamps.size
+        for column, row in zip([made._stamps, *made._columns], [stamps, *values], strict=True):
+            column[: made._end] = row
+        return made
 
     def __len__(self) -> int:
         return min(self._end, self._most)
 
     def append(self, stamp_ns: int, *values: float) -> None:
-        """See :class:`_Memory`."""
+        """Remember a row."""
         if self._end == self._stamps.size:
-            self._stamps[: self._most] = self._stamps[self._most :]
-            self._values[:, : self._most] = self._values[:, self._most :]
+            for column in (self._stamps, *self._columns):
+                column[: self._most] = column[self._most :]
             self._end = self._most
         self._stamps[self._end] = stamp_ns
-        for column, value in zip(self._values, values, strict=True):
+        for column, value in zip(self._columns, values, strict=True):
             column[self._end] = value
         self._end += 1
 
     def rows(self) -> Iterable[tuple[Any, ...]]:
-        """See :class:`_Memory`."""
+        """Every row in order."""
         kept = slice(self._end - len(self), self._end)
-        return zip(self._stamps[kept].tolist(), *self._values[:, kept].tolist(), strict=True)
+        return zip(*(column[kept].tolist() for column in (self._stamps, *self._columns)), strict=True)
 
     def clear(self) -> None:
-        """See :class:`_Memory`."""
+        """Forget every row."""
         self._end = 0
 
     def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
@@ -112,29 +109,45 @@ class _Numbers:
         first = self._end - len(self)
         end = first + int(np.searchsorted(self._stamps[first : self._end], stamp_ns, side='right'))
         rows = slice(max(first, end - most), end)
-        return self._stamps[rows].copy(), self._values[:, rows].copy()
+        return self._stamps[rows].copy(), np.stack([column[rows] for column in self._columns])
 
 
 class _Arrays:
-    """Rows of arrays, of a group, as they came."""
+    """The same of a group: rows of arrays, as they came."""
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, width: int, most: int) -> None:
+        self._width = width
+        self._most = most
         self._rows: deque[tuple[Any, ...]] = deque(maxlen=most)
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def append(self, stamp_ns: int, *values: Any) -> None:
-        """See :class:`_Memory`."""
+        """Remember a row."""
         self._rows.append((stamp_ns, *values))
 
     def rows(self) -> Iterable[tuple[Any, ...]]:
-        """See :class:`_Memory`."""
+        """Every row in order."""
         return self._rows
 
     def clear(self) -> None:
-        """See :class:`_Memory`."""
+        """Forget every row."""
         self._rows.clear()
+
+    def of(self, motor: int) -> _Numbers:
+        """Rows of one motor, but those whose first value it lacks; in one piece, for a sample waits for it."""
+        if not self._rows:
+            return _Numbers(self._width, self._most)
+        stamps, *columns = zip(*self._rows, strict=True)
+        values = np.array([[_value(value, motor) for value in column] for column in columns])
+        usable = ~np.isnan(values[0])
+        return _Numbers.of(np.array(stamps, dtype=np.int64)[usable], values[:, usable], self._most)
+
+
+def _value(value: Any, motor: int) -> float:
+    """Pick a motor's out of a group's; NaN where the group has none, as of speeds that nobody measures."""
+    return float(value.item(motor)) if isinstance(value, np.ndarray) else math.nan
 
 
 class RawHistory:
@@ -150,8 +163,8 @@ class RawHistory:
     def __init__(self, motors: int = 1) -> None:
         voltages, torques = VOLTAGES + SLACK, TORQUES + SLACK
         single = motors == 1
-        self._voltages: _Memory = _Numbers(1, voltages) if single else _Arrays(voltages)
-        self._torques: _Memory = _Numbers(2, torques) if single else _Arrays(torques)
+        self._voltages: _Numbers | _Arrays = _Numbers(1, voltages) if single else _Arrays(1, voltages)
+        self._torques: _Numbers | _Arrays = _Numbers(2, torques) if single else _Arrays(2, torques)
         self._speeds = _Numbers(1, torques)
         self.restarts = 0
 
@@ -194,12 +207,9 @@ class RawHistory:
         """Return what is remembered of one motor of a group; what cannot be used of it is left out."""
         made = RawHistory()
         made.restarts = self.restarts
-        for at, volt in self._voltages.rows():
-            if volt[motor] == volt[motor]:
-                made.voltage(at, float(volt[motor]))
-        for at, torque, speed in self._torques.rows():
-            if torque[motor] == torque[motor]:
-                made.torque(at, float(torque[motor]), float(speed[motor]) if np.ndim(speed) else math.nan)
+        if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):
+            raise GrayBoxError('a single motor has signals of its own, expected .signals')
+        made._voltages, made._torques = self._voltages.of(motor), self._torques.of(motor)
         return made
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
