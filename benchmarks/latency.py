@@ -85,7 +85,7 @@ def measure(
         in_namespace[1] += ['-p', f'recursive.block:={block}']
         with (
             start('common.live.relay', '--block', str(block), *in_namespace[0]) as relay,
-            start('gray_box_observer.ros.observer_node', *in_namespace[1]) as observer,
+            start('gray_box_observer.executables:observer', *in_namespace[1]) as observer,
             start('common.live.listener', '--out', str(heard)),
         ):
             arguments = ['--rate', str(rate_hz), '--turn', str(turn_s), '--turns', str(turns), '--seed', str(seed)]

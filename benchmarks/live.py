@@ -74,7 +74,7 @@ def main() -> int:
     watch = Watch(count)
     started_s = time.monotonic()
     named = {} if count == 1 else {'motors': f"['m[1..{count}]']", 'motor_topics': 'false'}
-    with running('gray_box_observer.ros.observer_node', **named) as observer:
+    with running('gray_box_observer.executables:observer', **named) as observer:
         begin = {'duration_s': duration_s, 'sample_rate_hz': options.rate, 'wait_for_subscribers': 1}
         begin |= {name: value for name, value in named.items() if name == 'motors'}
         with running('dc_motor_sim.ros.motor_sim', **begin) as simulator:

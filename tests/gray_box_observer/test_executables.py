@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 
@@ -13,6 +14,17 @@ sys.modules.update(dict.fromkeys(missing))
 from gray_box_observer import executables
 
 raise SystemExit(getattr(executables, executable)([executable, '--help']))
+"""
+
+THREADS_SEEN = """
+import os, sys, types
+
+from gray_box_observer import executables
+
+command = types.ModuleType('command')
+command.main = lambda args: print(os.environ['OMP_NUM_THREADS'], 'numpy' in sys.modules)
+sys.modules['gray_box_observer.identify'] = command
+executables.identify()
 """
 
 
@@ -49,6 +61,14 @@ def test_with_every_package_an_executable_is_the_command_of_its_module(
     code, out, said = start(executable)
     assert (code, said) == (0, '')
     assert out.startswith(f'usage: {executable} ')
+
+
+@pytest.mark.parametrize(('asked', 'expected'), [({}, '1'), ({'OMP_NUM_THREADS': '3'}, '3')])
+def test_linear_algebra_runs_on_one_thread_unless_asked_otherwise(asked: dict[str, str], expected: str) -> None:
+    environment = {name: value for name, value in os.environ.items() if not name.endswith('_NUM_THREADS')} | asked
+    command = [sys.executable, '-c', THREADS_SEEN]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=True)
+    assert done.stdout == f'{expected} False\n', 'settled before numpy, which reads it once, is loaded'
 
 
 def test_the_observer_needs_nothing_of_the_bags_or_the_training() -> None:

@@ -7,6 +7,7 @@ are imported here and not above, so that the line can be said at all.
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,9 @@ EXIT_USER_ERROR = 2
 
 PIP_NAMES = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
 """Packages that pip knows by another name than Python."""
+
+THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
+"""What libraries of linear algebra read when they are loaded."""
 
 _OF_ROS = re.compile(r'rclpy|(ament|rcl|ros|rosidl)_.*|.*_(msgs|srvs|interfaces)')
 
@@ -40,6 +44,8 @@ def identify(args: Sequence[str] | None = None) -> int:
 
 
 def _start(name: str, module: str, args: Sequence[str] | None) -> int:
+    for variable in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
+        os.environ.setdefault(variable, '1')
     try:
         code: int = importlib.import_module(module).main(args)
     except ModuleNotFoundError as error:
