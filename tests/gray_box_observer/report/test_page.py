@@ -13,6 +13,7 @@ import pytest
 
 from gray_box_observer.report import MotorHistory, ParameterHistory, ReportError, render, write_report
 from gray_box_observer.report.page import embedded
+from gray_box_observer.report.sections import sensitivity_table
 
 pytest.importorskip('plotly', reason='the report needs plotly')
 
@@ -189,3 +190,9 @@ def test_without_plotly_the_error_names_the_remedy(monkeypatch, make_run):
     monkeypatch.setitem(sys.modules, 'plotly', None)
     with pytest.raises(ReportError, match='pip install plotly'):
         render(make_run())
+
+
+def test_a_change_that_is_rounding_is_shown_as_none():
+    table = sensitivity_table({'back_emf_constant': {'inductance': -7.4e-12, 'resistance': -0.01}})
+    cells = re.findall(r'<td class="number">(.*?)</td>', table)
+    assert cells == ['0\N{NO-BREAK SPACE}%', '\N{MINUS SIGN}0.010\N{NO-BREAK SPACE}%']

@@ -15,6 +15,9 @@ from gray_box_observer.report.verdicts import look_of
 
 _SUFFIXES = (('_rad_s', 'rad/s'), ('_nm', 'N·m'), ('_hz', 'Hz'), ('_ns', 'ns'), ('_s', 's'), ('_v', 'V'))
 
+ROUNDING = 1e-8
+"""Relative changes below it are shown as none."""
+
 _SCORES = {
     'nmae': (
         'Normalised mean absolute error',
@@ -22,7 +25,8 @@ _SCORES = {
     ),
     'skill_vs_persistence': (
         'Skill against persistence',
-        '1 is perfect; 0 is no better than to repeat the last measured torque; negative is worse',
+        '1 is perfect; 0 is no better than to repeat the last measured torque, which is hard to beat with many samples '
+        'a second and little noise; negative is worse',
     ),
     'skill_vs_white_box': (
         'Skill against the white box',
@@ -136,7 +140,7 @@ def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> 
     rows = ''.join(
         f'<tr><th scope="row">{words(constant)}</th>'
         + ''.join(
-            f'<td class="number">{percent(changes.get(name, math.nan) / 100.0, signed=True)}</td>'
+            f'<td class="number">{percent(_unless_rounding(changes.get(name, math.nan) / 100.0), signed=True)}</td>'
             for name in parameters
         )
         + '</tr>'
@@ -146,6 +150,11 @@ def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> 
         '<h3>If a known constant is 1 % larger than given</h3><div class="scroll"><table><thead><tr>'
         f'<th scope="col">constant</th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
     )
+
+
+def _unless_rounding(change: float) -> float:
+    """A relative change, or zero where it is so small that arithmetic may have made it."""
+    return 0.0 if abs(change) < ROUNDING else change
 
 
 def notes_list(notes: Iterable[str]) -> str:
