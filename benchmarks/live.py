@@ -95,7 +95,7 @@ def main() -> int:
         Figure('memory growth in the second half, MB', growth_mb, 5.0),
         Figure('first estimate after the start of the observer, s', first_s, 5.0),
     ]
-    print(f'{count} motors, {options.rate:g} samples a second, {duration_s:g} s\n')
+    print(f'Motors: {count}, {options.rate:g} samples a second, {duration_s:g} s\n')
     print(figure_table(figures))
     jobs = {which: max(int(facts.get(f'training jobs {which}', 0)) for facts in watch.facts.values()) for which in JOBS}
     print(f'Training jobs: {jobs["done"]} done, {jobs["late"]} late.')
