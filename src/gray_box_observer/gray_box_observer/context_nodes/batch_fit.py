@@ -23,6 +23,7 @@ from gray_box_observer.context_nodes.trajectory import (
     linearise,
     recurrence,
     restart_variance,
+    taken_over,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -187,8 +188,8 @@ class _Search:
     def _gains(self) -> Array:
         """Share of every sample's error that the state takes over, shape (motor, k + 1)."""
         steady, restart = self._gain[:, None], self._stretch.restart
-        self._loose = restart_variance(self._maps.decay, restart) if np.any(restart) else np.zeros_like(self._about)
-        return np.maximum(steady, self._loose / (1.0 + self._loose))
+        self._loose = restart_variance(self._maps.decay, restart)
+        return np.maximum(steady, taken_over(self._loose))
 
     def _predict(self, maps: Linearised, gain: Array) -> None:
         self._path = follow(maps, self._stretch, self._first, gain)
@@ -244,7 +245,7 @@ class _Search:
     def choose_gain(self) -> NDArray[np.bool_]:
         """Take the gain that explains the stretch best, if the evidence is clear; tell where it is not zero."""
         count = np.sum(self._weights, axis=1)
-        trust, taken = self._weights > 0.0, self._loose / (1.0 + self._loose)
+        trust, taken = self._weights > 0.0, taken_over(self._loose)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
@@ -264,7 +265,7 @@ class _Search:
         """Return where the search has ended."""
         transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
-        covariance[:, 0, 0] += self._loose[:, -1] / (1.0 + self._loose[:, -1]) / self._size**2
+        covariance[:, 0, 0] += taken_over(self._loose[:, -1]) / self._size**2
         belief = Belief(
             self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
         )

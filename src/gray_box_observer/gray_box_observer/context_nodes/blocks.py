@@ -24,6 +24,7 @@ from gray_box_observer.context_nodes.trajectory import (
     linearise,
     one_further,
     restart_variance,
+    taken_over,
 )
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
@@ -126,7 +127,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch, ahead: Trajec
     counts = valid.sum(axis=1), kept.sum(axis=1)
     weights = kept / (1.0 + loose[:, 1:])
     normal = weighted(jacobian, weights, residual)
-    left = loose[:, -1] / (1.0 + loose[:, -1])
+    left = taken_over(loose[:, -1])
     return Block(stretch, path, residual, jacobian, spread[:, 1:], valid, kept, weights, left, kicked, *counts, *normal)
 
 
@@ -156,7 +157,7 @@ def _from(
         maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
         if stretch.restart.any():
             loose = restart_variance(maps.decay, stretch.restart)
-            gain = np.maximum(gain, loose / (1.0 + loose))
+            gain = np.maximum(gain, taken_over(loose))
         path = follow(maps, stretch, belief.state, gain * near)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state

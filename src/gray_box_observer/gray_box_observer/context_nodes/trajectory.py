@@ -292,8 +292,16 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
         motor, at, left = motor[onward], at[onward], left[onward]
         predicted = decay[motor, at + ahead] ** 2 * left
         variance[motor, at + ahead + 1] = predicted
-        left = predicted / (1.0 + predicted)
+        left = taken_over(predicted)
     return variance
+
+
+def taken_over(variance: Array) -> Array:
+    """Share of a sample's error that a state of this variance, in units of the noise's, takes over: ``P / (1 + P)``.
+
+    It is also the variance that the state is left with by the sample.
+    """
+    return variance / (1.0 + variance)
 
 
 def recurrence(factor: Array, inputs: Array, start: Array) -> Array:

@@ -284,7 +284,7 @@ class DelayWatch:
             return
         value_s, std_s = (math.nan if plain[key] is None else float(plain[key]) for key in ('value_s', 'std_s'))
         verdict = DelayVerdict[plain['verdict']]
-        applied_std_s = plain.get('applied_std_s')
+        applied_std_s = plain['applied_std_s']
         self._applied_std_s = math.inf if applied_std_s is None else float(applied_std_s)
-        self._gone = int(plain.get('learnt', 0))
+        self._gone = int(plain['learnt'])
         self.estimate = DelayEstimate(float(plain['applied_s']), self.estimate.asked, value_s, std_s, verdict)
