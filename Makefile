@@ -63,6 +63,7 @@ bench: setup  ## run one benchmark (NAME=identification QUICK=1)
 clean:  ## remove what was built and cached (recordings and .venv stay)
 	rm -rf ros_ws/build ros_ws/install ros_ws/log .pytest_cache .mypy_cache .ruff_cache
 	find src tests benchmarks ros_ws -name __pycache__ -prune -exec rm -rf {} +
+	rm -f src/*/*/*/*.so
 
 distclean: clean  ## clean, and remove .venv too
 	rm -rf .venv

@@ -182,7 +182,7 @@ build_stamp() {
     # The build holds links to the sources, so that only what is copied or listed by it counts.
     cat "$venv/.setup_stamp"
     (cd "$root/src" && find . -mindepth 3 -path './*/config/*' -o -path './*/layouts/*' -o -path './*/security/*' -o -path './*/launch/*.launch.py' -o -path './*/resource/*' | LC_ALL=C sort)
-    find -L "$workspace/src" -maxdepth 2 -type f \( -name 'setup.*' -o -name package.xml \) -print0 \
+    find -L "$workspace/src" -type f \( -name '*.[ch]' -o -name 'setup.py' -o -name setup.cfg -o -name package.xml \) -print0 \
         | LC_ALL=C sort -z | xargs -0 cat
 }
 

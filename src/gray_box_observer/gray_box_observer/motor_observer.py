@@ -117,7 +117,7 @@ class MotorObserver:
         return left, estimate
 
     def settle(self) -> None:
-        """Judge and learn the prediction of the last sample, where that is still to be done, and work ahead."""
+        """Judge and learn the prediction of the last sample, where that is still to be done."""
         self._follow()
         left, self._aftermath = self._aftermath, None
         if left is None:
@@ -128,7 +128,6 @@ class MotorObserver:
         left.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
             self._predictor.study(sample, prediction, left.theta, left.covariance)
-        self.context_nodes.work_ahead()
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""

@@ -94,6 +94,7 @@ def test_whoever_has_to_wait_learns_the_same_later(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(recursive, 'UPDATES', 2)
+    monkeypatch.setattr(recursive, 'CAREFUL', 1)
     monkeypatch.setattr(recursive, 'HEAVY', 100)
     together = learnt_by(RecursiveUpdate(BOX, START), samples)
     for motor in range(MOTORS):

@@ -63,25 +63,3 @@ def test_the_jacobian_of_the_parameters_is_a_finite_difference() -> None:
         bump[:, j] = 1e-6 * p[:, j]
         slope = (flow_module.to_parameters(p + bump) - flow_module.to_parameters(p - bump)) / (2 * bump[:, j : j + 1])
         np.testing.assert_allclose(jacobian[:, :, j], slope, rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize('measured', [True, False])
-def test_one_interval_in_plain_floats_is_that_of_the_arrays_to_the_last_bit(measured: bool) -> None:
-    box, theta = case(measured)
-    p = flow_module.to_coordinates(theta)
-    whole = run(box, p, START)
-    for motor in range(2):
-        known = {name: float(np.broadcast_to(value, 2)[motor]) for name, value in box.known.items()}
-        one = MotorWhiteBox(box.context_nodes, float(box.torque_constant[motor]), known, measured)
-        for k in range(START.shape[1]):
-            speeds = float(SPEED[motor, k]), float(NEXT_SPEED[motor, k])
-            signals = float(START[motor, k]), float(VOLTAGE[motor, k]), speeds, INTERVAL_S
-            end, by_state, by_coordinate = flow_module.flow_of_one(one, p[motor].tolist(), *signals)
-            assert (end, by_state) == (whole.end[motor, k], whole.by_state[motor, k])
-            np.testing.assert_array_equal(by_coordinate, whole.by_coordinate[:, motor, k])
-
-
-def test_an_interval_that_needs_more_than_one_step_is_left_to_the_arrays() -> None:
-    box = MotorWhiteBox(ALL[:2], 0.3)
-    assert flow_module.flow_of_one(box, [1.0, 10.0], 1.0, 2.0, (0.0, 0.0), 0.01) is not None
-    assert flow_module.flow_of_one(box, [1.0, 10.0], 1.0, 2.0, (0.0, 0.0), 0.1) is None

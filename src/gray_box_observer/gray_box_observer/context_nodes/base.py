@@ -29,9 +29,6 @@ class ContextUpdate(Protocol):
     def learn(self, sample: Sample) -> bool:
         """Take one sample; tell whether an estimate has changed."""
 
-    def work_ahead(self) -> None:
-        """Do what can be done of the next update before its last sample comes; its outcome is the same without."""
-
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter); positive and inside their bounds."""

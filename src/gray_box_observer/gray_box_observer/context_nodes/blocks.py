@@ -16,13 +16,11 @@ from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
 from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, semidefinite, solved, weighted
 from gray_box_observer.context_nodes.trajectory import (
-    LONG,
     Stretch,
     Trajectory,
     find_kicks,
     follow,
     linearise,
-    one_further,
     restart_variance,
     taken_over,
 )
@@ -77,37 +75,16 @@ class Block:
         return replace(self, information=information, right=np.where(which[:, None], 0.0, self.right))
 
 
-def begin(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Trajectory | None:
-    """Follow a single motor's block ahead of its last sample.
-
-    Args:
-        white_box: the physics.
-        belief: at the sample before the block.
-        stretch: that sample and the block, all but its last sample.
-
-    Returns:
-        What :func:`predict` can go on from, or None where it has to see the whole block.
-    """
-    if stretch.restart.shape[1] >= LONG or stretch.restart.any():
-        return None
-    about, near = _outset(belief, stretch)
-    maps = linearise(white_box, belief.p, stretch, about)
-    return follow(maps, stretch, belief.state, belief.gain[:, None] * near) if maps.apart else None
-
-
-def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch, ahead: Trajectory | None = None) -> Block:
+def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     """Predict a block, and tell its good samples from the others.
 
     Args:
         white_box: the physics.
         belief: at the sample before the block.
         stretch: that sample and the block.
-        ahead: what :func:`begin` has found of it; nothing depends on it but the time that this takes.
     """
     about, near = _outset(belief, stretch)
-    gain = belief.gain[0].item()
-    path = None if ahead is None else one_further(white_box, belief.p, ahead, stretch, about, gain)
-    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near, path)
+    path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
     if (np.abs(residual) > limit).any():
@@ -140,25 +117,18 @@ def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]
 
 
 def _from(
-    white_box: WhiteBox,
-    belief: Belief,
-    stretch: Stretch,
-    about: Array,
-    near: NDArray[np.bool_],
-    path: Trajectory | None = None,
+    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
 ) -> tuple[Trajectory, Array, Array, Array, Array]:
     """Trajectory, residuals, their derivatives by the unknowns, their spread, and the variance that restarts leave.
 
-    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near. A
-    trajectory that is known is that of a stretch without restarts.
+    Spread and variance are in units of the noise; the state takes nothing over from samples that are not near.
     """
-    loose = np.zeros_like(about)
-    if path is None:
-        maps, gain = linearise(white_box, belief.p, stretch, about), belief.gain[:, None]
-        if stretch.restart.any():
-            loose = restart_variance(maps.decay, stretch.restart)
-            gain = np.maximum(gain, taken_over(loose))
-        path = follow(maps, stretch, belief.state, gain * near)
+    loose, gain = np.zeros_like(about), belief.gain[:, None]
+    maps = linearise(white_box, belief.p, stretch, about)
+    if stretch.restart.any():
+        loose = restart_variance(maps.decay, stretch.restart)
+        gain = np.maximum(gain, taken_over(loose))
+    path = follow(maps, stretch, belief.state, gain * near)
     jacobian = belief.frame.jacobian(path)
     residual = stretch.state - path.state
     residual[:, 0] = 0.0  # the first sample belongs to the block before

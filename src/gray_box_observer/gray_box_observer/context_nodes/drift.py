@@ -44,6 +44,13 @@ UNCHANGED = 1e-4
 MEMORIES_BLOCKS = (4.0, 16.0, 64.0, 256.0)
 _MEMORIES = np.array(MEMORIES_BLOCKS)
 
+
+def keep() -> Array:
+    """Return what a block leaves of every memory, shape (memory,)."""
+    left: Array = np.exp(-1.0 / _MEMORIES)
+    return left
+
+
 Scores = tuple[Array, Array]
 """Scores, shape (motor, memory, coordinate), and their information, shape (motor, memory, coordinate, coordinate)."""
 
@@ -57,7 +64,7 @@ class DriftTest:
 
     def __init__(self, threshold: float) -> None:
         self._threshold = threshold
-        self._keep = np.exp(-1.0 / np.array(MEMORIES_BLOCKS))[:, None]
+        self._keep = keep()[:, None]
 
     def take(self, before: Scores, score: Array, information: Array) -> tuple[Scores, NDArray[np.bool_], Array]:
         """Take one block.

@@ -118,9 +118,6 @@ class GradientUpdate:
             return
         self._frozen, self._resumes = frozen, not frozen
 
-    def work_ahead(self) -> None:
-        """Nothing can be done ahead of an update whose samples are drawn at random."""
-
     def estimate(self, which: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         theta, covariance = self.theta[which], self._covariance[which]

@@ -100,10 +100,6 @@ class Holds:
         now = replace(now, settled=settled, p=p, covariance=covariance)
         return now, self.cut(now, belief)
 
-    def tells(self, held: HoldState, passed_s: Array) -> bool:
-        """Whether a block of so many seconds, shape (motor,), may change what is believed, of any motor."""
-        return bool((~held.begun | (held.held_s + passed_s > self._long_s)).any())
-
     def fitted(self, held: HoldState, belief: Belief, stretch: Stretch) -> HoldState:
         """Look at everything that a fit was made of; return where we stand.
 

@@ -6,9 +6,7 @@ Every motor of the group goes its own way: which of its samples are read is sett
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -32,8 +30,9 @@ from gray_box_observer.context_nodes.drift import (
 from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
+from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import Stretch, Trajectory
+from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -73,33 +72,7 @@ class Learner:
         self._drift = DriftTest(rules.drift_threshold)
         self._changes = changes(white_box.parameters, rules.drift_relative_std)
         self._heats = np.array([float(p.heats) for p in white_box.parameters])
-        self._ahead: tuple[Belief, int, Trajectory] | None = None
-        self._held: Callable[[], None] | None = None
-
-    def begin(self, group: Group, samples: int) -> None:
-        """Work ahead for the block of a single motor that the next sample completes, of so many samples."""
-        known, until = group.learnt, group.learnt.at + (samples - 1)
-        stretch = Stretch.newest(group.white_box, self._replay, samples, group.which, until)
-        path = blocks.begin(group.white_box, known.belief, stretch)
-        self._ahead = None if path is None else (known.belief, int(until[0]), path)
-
-    def _begun(self, known: Learnt) -> Trajectory | None:
-        """What was found ahead, if it was found from what is believed now."""
-        ahead, self._ahead = self._ahead, None
-        if ahead is None or ahead[0] is not known.belief or ahead[1] != int(known.at[0]) - 1:
-            return None
-        return ahead[2]
-
-    def begin_anew(self) -> None:
-        """Forget what was found ahead: samples or belief are not what they were."""
-        self._ahead = None
-
-    def catch_up(self) -> None:
-        """Watch the hold of the last block, where that could wait; before another sample is remembered."""
-        held, self._held = self._held, None
-        if held is not None:
-            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # as where nothing waits
-                held()
+        self._ordinary = OrdinaryBlocks(white_box, rules, replay)
 
     def fit(self, group: Group, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -127,13 +100,42 @@ class Learner:
         covariance[:, 1:, 1:] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
+    def update_ordinary(
+        self, known: Learnt, motors: NDArray[np.intp], at: NDArray[np.int_]
+    ) -> tuple[Learnt, NDArray[np.bool_]]:  # fmt: skip
+        """Learn one block of samples of those motors in which nothing asks for more than that.
+
+        Args:
+            known: of all motors; written to.
+            motors: their places.
+            at: shape (place,): the last sample of each block.
+
+        Returns:
+            What is known then, and whose block has been learnt, shape (place,).
+        """
+        enough = self._replay.remembered(motors, at) > self._rules.block
+        if not (self._ordinary.compiled and enough.all()):
+            return known, np.zeros(motors.size, dtype=bool)
+        before = known.at[motors]
+        known.at[motors] = at
+        known, learnt = self._ordinary.learn(known, motors)
+        if not learnt.all():
+            known.at[motors] = np.where(learnt, at, before)
+            motors = motors[learnt]
+        hold = known.hold
+        long = motors[hold.settled[motors] & (hold.held_s[motors] > self._rules.long_hold_s)]
+        if long.size:
+            put(known.belief, long, self._holds.cut(chosen(hold, long), chosen(known.belief, long)))
+        self._move_anchors(known, motors)
+        return known, learnt
+
     def update(self, group: Group, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
         known = group.learnt
         stretch, fresh, expected = self._newest(group, samples + 1), ~known.hold.begun, known.belief
         if fresh.any():  # what is vague must not make everything seem possible
             expected = replace(expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance))
-        block = blocks.predict(group.white_box, expected, stretch, self._begun(known))
+        block = blocks.predict(group.white_box, expected, stretch)
         if fresh.any():
             block = block.silenced(fresh)
         known.outliers = known.outliers + (block.samples - block.used)
@@ -213,18 +215,20 @@ class Learner:
             walked = walk.Walk(self._heats, known.walk_rate).spread(passed_s)
         known.belief = blocks.learn(group.white_box, known.belief, block, walked)
         self._follow_noise(known, block)
-        if known.motors == 1 and self._replay.motors == 1 and not self._holds.tells(known.hold, passed_s):
-            self._held = partial(self._watch_hold, known, block)  # the estimate need not wait for that
-        else:
-            self._watch_hold(known, block)
-        due = known.at - known.anchored >= self._rules.replay_capacity // np.where(walking, 2, 1)
-        if due.any():
-            self.catch_up()
-            known.asked = np.where(due & walking, WALK_AGAIN, known.asked)
-            self._anchor_here(known, due & ~walking)
-
-    def _watch_hold(self, known: Learnt, block: Block) -> None:
         known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
+        self._move_anchors(known, slice(None))
+
+    def _move_anchors(self, known: Learnt, which: Any) -> None:
+        """Where the anchor of a motor is about to be forgotten, ask whether it drifts, or drop a new one."""
+        walking = known.walk_rate[which] > 0.0
+        due = known.at[which] - known.anchored[which] >= self._rules.replay_capacity // np.where(walking, 2, 1)
+        if not due.any():
+            return
+        everyone = np.zeros(known.motors, dtype=bool)
+        everyone[which] = due & walking
+        known.asked = np.where(everyone, WALK_AGAIN, known.asked)
+        everyone[which] = due & ~walking
+        self._anchor_here(known, everyone)
 
     def examine(self, group: Group, samples: int) -> None:
         """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""

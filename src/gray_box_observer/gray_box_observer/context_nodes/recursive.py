@@ -33,8 +33,11 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
 
-UPDATES = 128
-"""Motors, at least, whose blocks are learnt at one sample of the group; of many motors a sixteenth."""
+UPDATES = 1024
+"""Motors, at least, whose blocks are looked at at one sample of the group; of many motors a sixteenth."""
+
+CAREFUL = 128
+"""Of these, motors at least whose blocks are no ordinary ones and are learnt with care; of many motors a sixteenth."""
 
 HEAVY = 4096
 """Samples, of one motor or of several together, that are fitted or examined at one sample of the group."""
@@ -148,23 +151,11 @@ class RecursiveUpdate:
             return False
         if self._resumes is not None:
             sample, self._resumes = sample.resuming(self._resumes)
-        self._learner.catch_up()
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
             return False
         with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
             return self._serve()
-
-    def work_ahead(self) -> None:
-        """Do what is left of a single motor's last block, and what can be done of the next before it is complete."""
-        self._learner.catch_up()
-        if self._due.size > 1 or self._frozen or self.replay.total + 1 != self._wake or self._fits[0]:
-            return
-        if self.replay.received[0] + 1 != self._due[0] or self._learnt.asked[0] != 0:
-            return
-        samples = int(self._due[0] - self._learnt.at[0])
-        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-            self._learner.begin(Group(self._white_box, slice(None), self._learnt), samples)
 
     def _serve(self) -> bool:
         """Do what is due, as much of it as one sample's turn allows."""
@@ -178,14 +169,27 @@ class RecursiveUpdate:
         return bool(self._changed.any())
 
     def _update(self, received: NDArray[np.int_]) -> None:
-        """Learn the blocks of motors that are due, of those first that have waited longest."""
-        motors = np.flatnonzero((received >= self._due) & ~self._fits & (self._learnt.asked == 0))
-        most = max(UPDATES, self._due.size // 16)
-        if motors.size > most:
-            waited = received[motors] - self._due[motors]
-            motors = np.sort(motors[np.argsort(-waited, kind='stable')[:most]])
-        if motors.size:
-            self._work(motors, self._due[motors] - self._learnt.at[motors], self._learner.update)
+        """Learn the blocks of motors that are due: by compiled code, or with care where one is not ordinary."""
+        due = np.flatnonzero((received >= self._due) & ~self._fits & (self._learnt.asked == 0))
+        motors = self._first_in_line(due, received, UPDATES)
+        if motors.size == 0:
+            return
+        self._learnt, ordinary = self._learner.update_ordinary(self._learnt, motors, self._due[motors])
+        if (learnt := motors[ordinary]).size:
+            self._conclude(learnt)
+        if learnt.size < motors.size:
+            careful = self._first_in_line(motors[~ordinary], received, CAREFUL)
+            self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
+
+    def _first_in_line(
+        self, motors: NDArray[np.intp], received: NDArray[np.int_], most: int
+    ) -> NDArray[np.intp]:  # fmt: skip
+        """Those that have waited longest, in order of their places; of many motors a sixteenth."""
+        most = max(most, self._due.size // 16)
+        if motors.size <= most:
+            return motors
+        waited = received[motors] - self._due[motors]
+        return np.sort(motors[np.argsort(-waited, kind='stable')[:most]])
 
     def _heavy(self, received: NDArray[np.int_]) -> int:
         """Fit or examine the motors that have waited longest; return for how many samples others wait on."""
@@ -221,6 +225,10 @@ class RecursiveUpdate:
                 group = self._learner.part_of(self._white_box, self._learnt, alike)
                 work(group, count)
                 put(self._learnt, group.which, group.learnt)
+        self._conclude(motors)
+
+    def _conclude(self, motors: NDArray[np.intp]) -> None:
+        """Say that the estimates of some motors have changed, and reckon when they are due again."""
         which: Any = slice(None) if motors.size == self._due.size else motors
         self._changed[which] = True
         self._reckon(which)
@@ -239,7 +247,6 @@ class RecursiveUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
-        self._learner.catch_up()
         which = slice(motor, motor + 1)
         known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
         received = int(self.replay.received[motor])
@@ -260,8 +267,8 @@ class RecursiveUpdate:
         arrays = {name: getattr(known, name).copy() for name in _ARRAYS}
         arrays |= {'prior_p': known.prior.p.copy(), 'prior_covariance': known.prior.covariance.copy()}
         arrays |= {
-            'drift_score': np.moveaxis(known.score, 1, 0),
-            'drift_information': np.moveaxis(known.information, 1, 0),
+            'drift_score': np.moveaxis(known.score, 1, 0).copy(),
+            'drift_information': np.moveaxis(known.information, 1, 0).copy(),
         }
         arrays |= {'speed': self._speed[which].copy(), 'replay': content}
         parts: dict[str, Any] = {'belief': known.belief, 'anchor': known.anchor, 'holds': known.hold}
@@ -275,7 +282,6 @@ class RecursiveUpdate:
         Raises:
             ConfigurationError: it was learnt of other parameters.
         """
-        self._learner.catch_up()
         names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
@@ -310,7 +316,6 @@ class RecursiveUpdate:
             self._resumes[motor] = True
         self._reckon(which)
         self._wake = 0
-        self._learner.begin_anew()
 
 
 def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:

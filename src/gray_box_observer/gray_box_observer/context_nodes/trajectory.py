@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.flow import Flow, flow, flow_of_one
+from gray_box_observer.white_box.flow import Flow, flow
 
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
@@ -134,17 +134,15 @@ class Linearised:
         decay: shape (motor, k): derivative of the end by the start; 0 at a restart.
         offset: shape (motor, k): end for a start of zero; the measured state at a restart.
         by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
-        apart: whether no interval was treated otherwise than it would have been without the others.
     """
 
     decay: Array
     offset: Array
     by_coordinate: Array
-    apart: bool = True
 
     def of(self, index: NDArray[np.intp]) -> Linearised:
         """Return the intervals of the chosen motors."""
-        return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index], self.apart)
+        return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
 
 
 def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:
@@ -167,7 +165,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
         decay = np.where(stretch.restart, 0.0, decay)
         offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
         forced = np.where(stretch.restart, 0.0, forced)
-    return Linearised(decay, offset, forced, moved.apart)
+    return Linearised(decay, offset, forced)
 
 
 def _tamed(moved: Flow, limit: Array) -> Flow:
@@ -176,7 +174,6 @@ def _tamed(moved: Flow, limit: Array) -> Flow:
         np.clip(np.nan_to_num(moved.end), -limit, limit),
         np.nan_to_num(moved.by_state),
         np.clip(np.nan_to_num(moved.by_coordinate), -ABSURD, ABSURD),
-        apart=False,
     )
 
 
@@ -196,40 +193,6 @@ def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Tra
     first[0], first[1] = start, 1.0
     rows = recurrence(factor, inputs, first)
     return Trajectory(rows[0], rows[1], rows[2:], factor)
-
-
-def one_further(
-    white_box: WhiteBox, p: Array, path: Trajectory, stretch: Stretch, about: Array, gain: float
-) -> Trajectory | None:
-    """Follow a single motor's trajectory through the last interval of a stretch: to the last bit as :func:`follow`.
-
-    Args:
-        white_box: the physics.
-        p: shape (1, coordinate).
-        path: the trajectory to the last sample but one, its intervals linearised apart from each other.
-        stretch: the samples, without restart up to the last but one.
-        about: shape (1, k + 1): states to linearise about.
-        gain: share of every sample's error that the state takes over.
-
-    Returns:
-        The whole trajectory; None at a restart and where the last interval cannot be linearised apart from the others.
-    """
-    if stretch.restart[0, -1]:
-        return None
-    start, speeds = about[0, -2].item(), stretch.speed_rad_s[0, -2:].tolist()
-    voltage_v, interval_s = stretch.voltage_v[0, -1].item(), stretch.interval_s[0, -1].item()
-    moved = flow_of_one(white_box, p[0].tolist(), start, voltage_v, (speeds[0], speeds[1]), interval_s)
-    if moved is None or not abs(moved[0]) <= FAR * (float(np.max(np.abs(stretch.state))) + 1e-9):
-        return None
-    decay = min(max(moved[1], -1.0), 1.0)
-    factor = decay * (1.0 - gain)
-    offset = moved[0] - decay * start + decay * gain * stretch.state[0, -2].item()
-    before = [path.state[0, -1].item(), path.by_start[0, -1].item(), *path.by_coordinate[:, 0, -1].tolist()]
-    last = [factor * value + added for value, added in zip(before, [offset, 0.0, *moved[2]], strict=True)]
-    rows = np.empty((len(last), 1, stretch.state.shape[1]))
-    rows[0, :, :-1], rows[1, :, :-1], rows[2:, :, :-1] = path.state, path.by_start, path.by_coordinate
-    rows[:, 0, -1] = last
-    return Trajectory(rows[0], rows[1], rows[2:], np.append(path.factor, [[factor]], axis=1))
 
 
 def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:

@@ -118,6 +118,14 @@ class ReplayBuffer:
         received: NDArray[np.int_] = self._gone + self._end
         return received
 
+    @property
+    def streams(self) -> tuple[Array, NDArray[np.int_]]:
+        """The storage, shape (signal, motor, column), and the place in each stream before column 0, shape (motor,).
+
+        Both stay where they are as long as the buffer lives; for compiled code, after :attr:`received` has been asked.
+        """
+        return self._data, self._gone
+
     def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
         """Return the place before the oldest sample that has not been told to be forgotten, shape (motor,)."""
         begin: NDArray[np.int_] = self._begin[which]

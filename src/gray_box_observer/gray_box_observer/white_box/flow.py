@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,13 +92,11 @@ class Flow:
         end: shape (motor, k): state at the end of each interval.
         by_state: shape (motor, k): derivative of the end by the start.
         by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
-        apart: whether no interval was treated otherwise than it would have been without the others.
     """
 
     end: Array
     by_state: Array
     by_coordinate: Array
-    apart: bool = True
 
 
 def flow(
@@ -140,57 +137,7 @@ def flow(
         rate = (here[0][which], here[1][which], here[2][:, which])
         moved = _in_steps(white_box.of_motors(which), p[which], start[which], rate, interval.of(which), int(count))
         ends[which], slopes[which], forced[:, which] = moved.end, moved.by_state, moved.by_coordinate
-    return Flow(ends, slopes, forced, apart=False)
-
-
-def flow_of_one(
-    white_box: WhiteBox, p: list[float], start: float, voltage_v: float, speeds_rad_s: tuple[float, float],
-    step_s: float,
-) -> tuple[float, float, list[float]] | None:  # fmt: skip
-    """As :func:`flow`, to the last bit, for one interval of a single motor in plain floats: a third of the time.
-
-    Args:
-        white_box: the physics, its constants plain numbers.
-        p: coordinates.
-        start: state at the start.
-        voltage_v: voltage held over the interval.
-        speeds_rad_s: measured speed at its start and end.
-        step_s: its length.
-
-    Returns:
-        The end, its derivative by the start and by every coordinate; None where one step does not do.
-    """
-
-    def rate(state: float, speed_rad_s: float) -> tuple[float, float, list[float]]:
-        speed: Any = white_box.speed(state, speed_rad_s)  # type: ignore[arg-type]
-        drive: Any = white_box.drive(voltage_v, state, speed)  # type: ignore[arg-type]
-        value = p[0] * drive
-        slope: Any = p[0] * white_box.drive_slope(state, speed)  # type: ignore[arg-type]
-        by_coordinate = [drive]
-        phis, slopes = white_box.basis(state, speed), white_box.basis_slope(state, speed)  # type: ignore[arg-type]
-        for column, phi, phi_slope in zip(p[1:], phis, slopes, strict=True):
-            value = value - column * phi
-            slope = slope - column * phi_slope
-            by_coordinate.append(-phi)
-        return value, slope, by_coordinate
-
-    begin, end = speeds_rad_s
-    k1, l1, m1 = rate(start, begin)
-    if not abs(l1) * step_s <= LARGEST_STEP:
-        return None
-    half, middle = 0.5 * step_s, 0.5 * (begin + end)
-    k2, a2, g2 = rate(start + half * k1, middle)
-    l2, m2 = a2 * (1.0 + half * l1), [a2 * (half * m) + g for m, g in zip(m1, g2, strict=True)]
-    k3, a3, g3 = rate(start + half * k2, middle)
-    l3, m3 = a3 * (1.0 + half * l2), [a3 * (half * m) + g for m, g in zip(m2, g3, strict=True)]
-    k4, a4, g4 = rate(start + step_s * k3, end)
-    l4, m4 = a4 * (1.0 + step_s * l3), [a4 * (step_s * m) + g for m, g in zip(m3, g4, strict=True)]
-    sixth = step_s / 6.0
-    return (
-        start + sixth * (k1 + 2.0 * (k2 + k3) + k4),
-        1.0 + sixth * (l1 + 2.0 * (l2 + l3) + l4),
-        [sixth * (a + 2.0 * (b + c) + d) for a, b, c, d in zip(m1, m2, m3, m4, strict=True)],
-    )
+    return Flow(ends, slopes, forced)
 
 
 def _in_steps(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval, count: int) -> Flow:
@@ -206,7 +153,7 @@ def _in_steps(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval
         moved = step(white_box, p, state, here, part)
         state, by_state = moved.end, moved.by_state * by_state
         by_coordinate = moved.by_state * by_coordinate + moved.by_coordinate
-    return Flow(state, by_state, by_coordinate, apart=False)
+    return Flow(state, by_state, by_coordinate)
 
 
 def _runge_kutta_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:

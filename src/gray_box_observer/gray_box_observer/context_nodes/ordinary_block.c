@@ -1,0 +1,506 @@
+/* One block of samples learnt in which nothing is out of the ordinary, for LANES motors at a time.
+ *
+ * What blocks.py, drift.py, holds.py and learner.py do with numpy arrays for any block, this does for the usual one: no
+ * restart, no outlier, no doubt about the motor. A motor whose block turns out to be another is left as it was and said
+ * to be so; numpy then learns it. Formulas and symbols are those of these modules and of docs/METHOD.md.
+ *
+ * Lanes never mix, products are not fused with sums, and every lane does what it would do alone: results do not depend
+ * on which motors are learnt together, nor on the processor.
+ */
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "white_box/terms.h"
+
+#define MOST_COORDINATES 5
+#define MOST_UNKNOWNS (MOST_COORDINATES + 1)
+#define MOST_KNOWN 8
+#define MOST_SAMPLES 64
+#define MOST_MEMORIES 8
+
+#define UNROLL _Pragma("GCC unroll 8")
+
+/* Everything a call needs; ordinary_block.py holds the same list. Arrays are contiguous, the motor axis first. */
+typedef struct {
+    int64_t coordinates, samples, memories, known_terms, speed_measured;
+    /* the physics: codes of the unknown terms without inductance, then of the known ones */
+    int64_t codes[MOST_COORDINATES + MOST_KNOWN];
+    double heats[MOST_COORDINATES], lower[MOST_COORDINATES], upper[MOST_COORDINATES];
+    const double *known, *torque_constant; /* (known term, motor), (motor,) */
+    int64_t motors;
+    /* settings */
+    double keep[MOST_MEMORIES];
+    double outlier, credible, far_away, largest_step, most_steps, threshold, noise_floor;
+    double left_out_memory, left_out_limit, hold_tolerance, hold_settled;
+    int64_t noise_memory;
+    /* samples: interval, voltage, torque, speed, each of shape (motor, column) */
+    const double *data;
+    int64_t signal_stride, motor_stride;
+    const int64_t *gone, *at;
+    /* what is believed of the motors; written to */
+    const double *current_a, *gain, *walk_rate;
+    const uint8_t *hold_begun;
+    double *p, *state, *covariance, *noise, *sensitivity;
+    double *score, *information;
+    int64_t *noise_count, *since;
+    double *suspicion, *left_out;
+    double *hold_level, *hold_largest, *hold_held_s, *hold_p, *hold_covariance;
+    uint8_t *hold_settled_now;
+} Update;
+
+typedef struct {
+    int64_t unknown, known, speed_measured;
+    const int64_t *codes;
+    Real torque_constant, p[MOST_COORDINATES], constant[MOST_KNOWN];
+} Physics;
+
+typedef struct {
+    Real value, slope, by_coordinate[MOST_COORDINATES];
+} Rate;
+
+typedef struct {
+    Real state, by_state, by_coordinate[MOST_COORDINATES];
+} Moved;
+
+/* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is the one before a block. */
+typedef struct {
+    int n, k, lanes, most;
+    int64_t motor[LANES];
+    Mask fine; /* of which nothing is out of the ordinary so far */
+    Physics box;
+    Real size, noise, gain, steps;
+    Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
+    Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
+    Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
+    Real state, by_start, by_coordinate[MOST_COORDINATES], squares; /* where the trajectory ends */
+    Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS];
+    Real scores[MOST_MEMORIES][MOST_COORDINATES], tested[MOST_MEMORIES][MOST_COORDINATES][MOST_COORDINATES];
+} Tile;
+
+INLINE Real smaller(Real a, Real b) { return chosen(b < a, b, a); }
+INLINE Real larger(Real a, Real b) { return chosen(b > a, b, a); }
+INLINE Real between(Real x, Real low, Real high) { return smaller(larger(x, low), high); }
+
+INLINE Real square_root(Real x)
+{
+    Real found;
+    for (int l = 0; l < LANES; l++) found[l] = sqrt(x[l]);
+    return found;
+}
+
+/* Rate of the current and its derivatives: flow.py, _rate. */
+INLINE Rate rate_of(const Physics *box, const int n, Real state, Real voltage, Real measured)
+{
+    const Real speed = box->speed_measured ? measured : box->torque_constant * state;
+    const Real follows = box->speed_measured ? all(0.0) : box->torque_constant;
+    Rate rate;
+    Real drive = voltage, slope = all(0.0);
+    for (int j = 0; j < box->known; j++) {
+        const Term t = term(box->codes[n - 1 + j], state, speed);
+        drive -= box->constant[j] * t.value;
+        slope -= box->constant[j] * (t.by_current + follows * t.by_speed);
+    }
+    rate.value = box->p[0] * drive;
+    rate.slope = box->p[0] * slope;
+    rate.by_coordinate[0] = drive;
+    for (int j = 1; j < n; j++) {
+        const Term t = term(box->codes[j - 1], state, speed);
+        rate.value -= box->p[j] * t.value;
+        rate.slope -= box->p[j] * (t.by_current + follows * t.by_speed);
+        rate.by_coordinate[j] = -t.value;
+    }
+    return rate;
+}
+
+/* One classical Runge-Kutta step of the state and its variational equation: flow.py, _runge_kutta_step. */
+INLINE Moved runge_kutta(const Physics *box, const int n, const Rate *first, Real start, Real voltage, Real begin, Real end, Real step)
+{
+    const Real half = 0.5 * step, middle = 0.5 * (begin + end), sixth = step / 6.0;
+    const Rate r2 = rate_of(box, n, start + half * first->value, voltage, middle);
+    const Rate r3 = rate_of(box, n, start + half * r2.value, voltage, middle);
+    const Rate r4 = rate_of(box, n, start + step * r3.value, voltage, end);
+    const Real l2 = r2.slope * (1.0 + half * first->slope);
+    const Real l3 = r3.slope * (1.0 + half * l2);
+    const Real l4 = r4.slope * (1.0 + step * l3);
+    Moved moved;
+    moved.state = start + sixth * (first->value + 2.0 * (r2.value + r3.value) + r4.value);
+    moved.by_state = 1.0 + sixth * (first->slope + 2.0 * (l2 + l3) + l4);
+    for (int j = 0; j < n; j++) {
+        const Real m1 = first->by_coordinate[j];
+        const Real m2 = r2.slope * (half * m1) + r2.by_coordinate[j];
+        const Real m3 = r3.slope * (half * m2) + r3.by_coordinate[j];
+        const Real m4 = r4.slope * (step * m3) + r4.by_coordinate[j];
+        moved.by_coordinate[j] = sixth * (m1 + 2.0 * (m2 + m3) + m4);
+    }
+    return moved;
+}
+
+/* Equal steps, as many as each lane asks for; at most `most` of any lane: flow.py, _in_steps. */
+INLINE Moved in_steps(const Physics *box, const int n, Real start, Real voltage, Real begin, Real end, Real interval, Real steps, int most)
+{
+    const Real slope = (end - begin) / steps, length = interval / steps;
+    Moved whole = {start, all(1.0), {{0}}};
+    for (int s = 0; s < most; s++) {
+        const Mask on = all(s) < steps;
+        const Real from = begin + (double)s * slope;
+        const Rate here = rate_of(box, n, whole.state, voltage, from);
+        const Moved part = runge_kutta(box, n, &here, whole.state, voltage, from, begin + (double)(s + 1) * slope, length);
+        whole.state = chosen(on, part.state, whole.state);
+        for (int j = 0; j < n; j++) {
+            const Real grown = part.by_state * whole.by_coordinate[j] + part.by_coordinate[j];
+            whole.by_coordinate[j] = chosen(on, grown, whole.by_coordinate[j]);
+        }
+        whole.by_state = chosen(on, part.by_state * whole.by_state, whole.by_state);
+    }
+    return whole;
+}
+
+/* Processors differ in how many lanes they work on at once; the results do not. */
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#define CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default"), noinline)) static
+#else
+#define CLONES __attribute__((noinline)) static
+#endif
+
+/* Solve a system of `size` unknowns with `columns` right-hand sides, with pivots; what was given is overwritten. */
+CLONES void solve(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+{
+    for (int c = 0; c < size; c++) {
+        for (int r = c + 1; r < size; r++) { /* the largest entry of the column comes up, lane by lane */
+            const Mask over = absolute(matrix[r][c]) > absolute(matrix[c][c]);
+            for (int j = c; j < size; j++) {
+                const Real low = matrix[r][j], high = matrix[c][j];
+                matrix[c][j] = chosen(over, low, high);
+                matrix[r][j] = chosen(over, high, low);
+            }
+            for (int j = 0; j < columns; j++) {
+                const Real low = right[r][j], high = right[c][j];
+                right[c][j] = chosen(over, low, high);
+                right[r][j] = chosen(over, high, low);
+            }
+        }
+        for (int r = c + 1; r < size; r++) {
+            const Real share = matrix[r][c] / matrix[c][c];
+            for (int j = c + 1; j < size; j++) matrix[r][j] -= share * matrix[c][j];
+            for (int j = 0; j < columns; j++) right[r][j] -= share * right[c][j];
+        }
+    }
+    for (int r = size - 1; r >= 0; r--)
+        for (int j = 0; j < columns; j++) {
+            Real sum = right[r][j];
+            for (int i = r + 1; i < size; i++) sum -= matrix[r][i] * right[i][j];
+            right[r][j] = sum / matrix[r][r];
+        }
+}
+
+#define LOAD(name, width, i) ({ Real x_; for (int l_ = 0; l_ < LANES; l_++) x_[l_] = u->name[t->motor[l_] * (width) + (i)]; x_; })
+#define STORE(name, width, i, x) do { const Real x_ = (x); for (int l_ = 0; l_ < t->lanes; l_++) if (t->fine[l_]) u->name[t->motor[l_] * (width) + (i)] = x_[l_]; } while (0)
+
+/* Bring samples and belief of the motors in, lane by lane. */
+CLONES void gather(const Update *u, Tile *t)
+{
+    const int k = t->k, n = t->n, m = n + 1;
+    const int64_t stride = u->signal_stride;
+    t->fine = all(0.0) == all(0.0);
+    for (int l = 0; l < LANES; l++) {
+        const int64_t motor = t->motor[l];
+        const double *first = u->data + motor * u->motor_stride + (u->at[motor] - u->gone[motor] - k - 1);
+        for (int j = 0; j <= k; j++) t->interval[j][l] = first[j];
+        for (int j = 0; j <= k; j++) t->voltage[j][l] = first[stride + j];
+        for (int j = 0; j <= k; j++) t->measured[j][l] = first[2 * stride + j];
+        for (int j = 0; j <= k; j++) t->speed[j][l] = u->speed_measured ? first[3 * stride + j] : 0.0;
+        if (!u->hold_begun[motor]) t->fine[l] = 0;
+    }
+    t->box = (Physics){n - 1, u->known_terms, u->speed_measured, u->codes, LOAD(torque_constant, 1, 0), {{0}}, {{0}}};
+    for (int j = 0; j < n; j++) t->box.p[j] = LOAD(p, n, j);
+    for (int j = 0; j < t->box.known; j++) t->box.constant[j] = LOAD(known, 1, j * u->motors);
+    t->size = LOAD(current_a, 1, 0), t->noise = LOAD(noise, 1, 0), t->gain = LOAD(gain, 1, 0);
+    for (int i = 0; i < m; i++) for (int j = 0; j < m; j++) t->covariance[i][j] = LOAD(covariance, m * m, i * m + j);
+    for (int i = 0; i < n; i++) t->sensitivity[i] = LOAD(sensitivity, n, i);
+    t->state = LOAD(state, 1, 0);
+}
+
+/* Settle where every interval is linearised, and in how many steps: blocks.py, _outset; flow.py, flow. */
+CLONES void set_out(const Update *u, Tile *t)
+{
+    const Real reach = u->credible * t->size;
+    Real stiffness = all(0.0);
+    t->about[0] = t->state;
+    for (int j = 0; j <= t->k; j++) {
+        t->measured[j] /= t->box.torque_constant;
+        if (j > 0) t->about[j] = between(t->measured[j], -reach, reach);
+    }
+    for (int j = 0; j < t->k; j++) {
+        const Rate rate = rate_of(&t->box, t->n, t->about[j], t->voltage[j + 1], t->speed[j]);
+        const Real stiff = absolute(rate.slope) * t->interval[j + 1];
+        t->fine &= (t->interval[j + 1] > 0.0) & (stiff < INFINITY);
+        stiffness = larger(stiffness, stiff);
+    }
+    t->fine &= stiffness <= u->most_steps * u->largest_step;
+    t->steps = all(1.0), t->most = 1;
+    for (int l = 0; l < LANES; l++)
+        if (t->fine[l] && stiffness[l] > u->largest_step) {
+            t->steps[l] = ceil(stiffness[l] / u->largest_step);
+            t->most = t->steps[l] > t->most ? (int)t->steps[l] : t->most;
+        }
+}
+
+/* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, predict. */
+INLINE void follow(const Update *u, Tile *t, const int n)
+{
+    const int k = t->k, m = n + 1;
+    const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise), kept = 1.0 - t->gain;
+    Real largest = all(0.0), x = t->state, by_start = all(1.0), squares = all(0.0), by_coordinate[MOST_COORDINATES];
+    Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS], twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
+    Mask fine = t->fine;
+    for (int j = 0; j <= k; j++) largest = larger(largest, absolute(t->measured[j]));
+    const Real limit = u->far_away * (largest + 1e-9);
+    UNROLL for (int i = 0; i < n; i++) by_coordinate[i] = all(0.0);
+    UNROLL for (int i = 0; i < m; i++) {
+        right[i] = all(0.0);
+        UNROLL for (int j = i; j < m; j++) {
+            info[i][j] = all(0.0);
+            twice[i][j] = i == j ? t->covariance[i][j] : t->covariance[i][j] + t->covariance[j][i];
+        }
+    }
+    for (int j = 0; j < k; j++) {
+        Moved to;
+        const Real about = t->about[j], voltage = t->voltage[j + 1], interval = t->interval[j + 1];
+        if (t->most == 1) {
+            const Rate here = rate_of(&t->box, n, about, voltage, t->speed[j]);
+            to = runge_kutta(&t->box, n, &here, about, voltage, t->speed[j], t->speed[j + 1], interval);
+        } else {
+            to = in_steps(&t->box, n, about, voltage, t->speed[j], t->speed[j + 1], interval, t->steps, t->most);
+        }
+        fine &= absolute(to.state) <= limit;
+        const Real decay = between(to.by_state, all(-1.0), all(1.0)), factor = decay * kept;
+        t->factor[j] = factor;
+        x = factor * x + (to.state - decay * about + decay * t->gain * t->measured[j]);
+        by_start = factor * by_start;
+        Real row[MOST_UNKNOWNS], variance = all(0.0);
+        row[0] = by_start * t->size;
+        UNROLL for (int i = 0; i < n; i++) {
+            by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[i];
+            row[i + 1] = by_coordinate[i] * t->box.p[i];
+        }
+        const Real error = t->measured[j + 1] - x;
+        UNROLL for (int i = 0; i < m; i++) {
+            right[i] += row[i] * error;
+            UNROLL for (int h = i; h < m; h++) {
+                const Real product = row[i] * row[h];
+                info[i][h] += product;
+                variance += twice[i][h] * product;
+            }
+        }
+        const Real spread = 1.0 + larger(variance, all(0.0)), square = error * error;
+        fine &= square <= outlier * spread;
+        squares += square / spread;
+    }
+    t->fine = fine, t->state = x, t->by_start = by_start, t->squares = squares;
+    for (int i = 0; i < n; i++) t->by_coordinate[i] = by_coordinate[i];
+    for (int i = 0; i < m; i++) {
+        t->right[i] = right[i];
+        for (int j = i; j < m; j++) t->info[i][j] = t->info[j][i] = info[i][j];
+    }
+}
+
+/* One for every number of coordinates, so that all that is known of a sample stays in registers. */
+CLONES void follow_1(const Update *u, Tile *t) { follow(u, t, 1); }
+CLONES void follow_2(const Update *u, Tile *t) { follow(u, t, 2); }
+CLONES void follow_3(const Update *u, Tile *t) { follow(u, t, 3); }
+CLONES void follow_4(const Update *u, Tile *t) { follow(u, t, 4); }
+CLONES void follow_5(const Update *u, Tile *t) { follow(u, t, 5); }
+
+/* Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take. */
+CLONES void examine(const Update *u, Tile *t)
+{
+    const int n = t->n, m = n + 1, memories = (int)u->memories;
+    const Real unit = 1.0 / (t->noise * t->noise);
+    Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], reached[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
+    for (int i = 0; i < m; i++) {
+        for (int j = 0; j < m; j++) {
+            Real sum = all(i == j ? 1.0 : 0.0);
+            for (int h = 0; h < m; h++) sum += t->info[i][h] * t->covariance[h][j];
+            matrix[i][j] = sum;
+            reached[i][j] = t->info[i][j];
+        }
+        reached[i][m] = t->right[i];
+    }
+    solve(m, m + 1, matrix, reached);
+    for (int i = 0; i < m; i++) t->fine &= reached[i][i] >= 0.0;
+    for (int q = 0; q < memories; q++) {
+        Real trace = all(0.0), statistic = all(0.0), solution[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
+        for (int i = 0; i < n; i++) {
+            const Real share = t->sensitivity[i], turned = share * reached[0][0] + reached[i + 1][0];
+            const Real score = (share * reached[0][m] + reached[i + 1][m]) * unit;
+            t->scores[q][i] = u->keep[q] * LOAD(score, memories * n, q * n + i) + score;
+            for (int j = 0; j < n; j++) {
+                const Real told = turned * t->sensitivity[j] + (share * reached[0][j + 1] + reached[i + 1][j + 1]);
+                const Real before = LOAD(information, memories * n * n, (q * n + i) * n + j);
+                matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * before + told * unit;
+            }
+            solution[i][0] = t->scores[q][i];
+            trace += t->tested[q][i][i];
+        }
+        for (int i = 0; i < n; i++) matrix[i][i] += 1e-6 * trace / (double)n + 1e-300;
+        solve(n, 1, matrix, solution);
+        for (int i = 0; i < n; i++) statistic += t->scores[q][i] * solution[i][0];
+        t->fine &= statistic <= u->threshold;
+    }
+    t->fine &= u->left_out_memory * LOAD(left_out, 1, 0) <= u->left_out_limit;
+}
+
+/* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
+CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
+{
+    const int n = t->n, k = t->k, m = n + 1, memories = (int)u->memories;
+    const Real noise = t->noise, unit = 1.0 / (noise * noise), *before = t->box.p;
+    Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], posterior[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
+    Real step[MOST_UNKNOWNS], moved[MOST_UNKNOWNS][MOST_UNKNOWNS];
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            Real sum = all(i == j ? 1.0 : 0.0);
+            for (int h = 0; h < m; h++) sum += t->covariance[i][h] * t->info[h][j];
+            matrix[i][j] = sum;
+            posterior[i][j] = t->covariance[i][j];
+        }
+    solve(m, m, matrix, posterior);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < i; j++) posterior[i][j] = posterior[j][i] = 0.5 * (posterior[i][j] + posterior[j][i]);
+    for (int i = 0; i < m; i++) {
+        step[i] = all(0.0);
+        for (int j = 0; j < m; j++) step[i] += posterior[i][j] * t->right[j];
+        if (i > 0) step[i] = between(step[i], all(-0.5), all(1.0));
+    }
+
+    Real p[MOST_COORDINATES], ratio[MOST_UNKNOWNS], transfer[MOST_UNKNOWNS];
+    const Real first = before[0] * (1.0 + step[1]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
+    p[0] = 1.0 / leading;
+    for (int i = 1; i < n; i++)
+        p[i] = between(before[i] * (1.0 + step[i + 1]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
+    ratio[0] = all(1.0);
+    transfer[0] = t->by_start;
+    for (int i = 0; i < n; i++) {
+        ratio[i + 1] = before[i] / p[i];
+        transfer[i + 1] = t->by_coordinate[i] * before[i] / t->size;
+    }
+    Real shift = all(0.0), passed = all(0.0);
+    for (int j = 1; j <= k; j++) passed += t->interval[j];
+    for (int i = 0; i < m; i++) shift += transfer[i] * step[i];
+    const Real state = t->state + shift * t->size, walk = LOAD(walk_rate, 1, 0);
+    for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
+        Real sum = all(0.0);
+        for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
+        moved[0][i] = sum;
+    }
+    Real corner = all(0.0), whole = state;
+    for (int h = 0; h < m; h++) corner += moved[0][h] * transfer[h];
+    moved[0][0] = corner;
+    for (int i = 1; i < m; i++) {
+        for (int j = 0; j < m; j++) moved[i][j] = j == 0 ? moved[0][i] : posterior[i][j];
+        moved[i][i] += u->heats[i - 1] * (walk * walk * passed * unit);
+    }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            moved[i][j] *= ratio[i] * ratio[j];
+            whole += moved[i][j];
+        }
+    for (int i = 0; i < n; i++) whole += p[i];
+    t->fine &= absolute(whole) < INFINITY;
+
+    Real count, low = t->voltage[1], high = low, slow = t->speed[1], fast = slow;
+    for (int l = 0; l < LANES; l++) {
+        const int64_t grown = u->noise_count[t->motor[l]] + k;
+        count[l] = (double)(grown < u->noise_memory ? grown : u->noise_memory);
+    }
+    const Real power = noise * noise + (double)k / count * (t->squares / (double)k - noise * noise);
+    const Real followed = larger(square_root(power), u->noise_floor * t->size);
+    t->fine &= followed < INFINITY;
+    for (int j = 2; j <= k; j++) {
+        low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
+        slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
+    }
+    const Real level = LOAD(hold_level, 1, 0), largest = larger(LOAD(hold_largest, 1, 0), larger(-low, high));
+    Mask same = larger(high - level, level - low) <= u->hold_tolerance * largest;
+    if (u->speed_measured) same &= fast - slow <= u->hold_tolerance * larger(-slow, fast);
+    const Real held = chosen(same, LOAD(hold_held_s, 1, 0) + passed, all(0.0));
+    Mask settled = same;
+    for (int l = 0; l < t->lanes; l++) {
+        if (!same[l] || !t->fine[l]) continue;
+        double rate = INFINITY;
+        for (int j = 0; j < k && rate == rate; j++) { /* what is not a number stays, and nothing settles */
+            const double decays = -log(t->factor[j][l]) / t->interval[j + 1][l];
+            rate = decays >= rate ? rate : decays;
+        }
+        settled[l] = held[l] * rate > u->hold_settled ? -1 : 0;
+    }
+
+    STORE(state, 1, 0, state);
+    STORE(noise, 1, 0, followed);
+    for (int i = 0; i < n; i++) {
+        STORE(p, n, i, p[i]);
+        STORE(sensitivity, n, i, (t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size)) / t->size);
+    }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) STORE(covariance, m * m, i * m + j, moved[i][j]);
+    for (int q = 0; q < memories; q++)
+        for (int i = 0; i < n; i++) {
+            STORE(score, memories * n, q * n + i, t->scores[q][i]);
+            for (int j = 0; j < n; j++) STORE(information, memories * n * n, (q * n + i) * n + j, t->tested[q][i][j]);
+        }
+    STORE(left_out, 1, 0, u->left_out_memory * LOAD(left_out, 1, 0));
+    STORE(suspicion, 1, 0, all(0.0));
+    STORE(hold_level, 1, 0, chosen(same, level, t->voltage[k]));
+    STORE(hold_largest, 1, 0, largest);
+    STORE(hold_held_s, 1, 0, held);
+    for (int l = 0; l < t->lanes; l++) {
+        const int64_t motor = t->motor[l];
+        ordinary[l] = t->fine[l] != 0;
+        if (!t->fine[l]) continue;
+        u->since[motor] = 0;
+        u->noise_count[motor] = (int64_t)count[l];
+        if (settled[l] && !u->hold_settled_now[motor]) /* from here on only what heats may move */
+            for (int i = 0; i < n; i++) {
+                u->hold_p[motor * n + i] = p[i][l];
+                for (int j = 0; j < n; j++)
+                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + 1][j + 1][l] * followed[l] * followed[l];
+            }
+        u->hold_settled_now[motor] = settled[l] != 0;
+    }
+}
+
+/* Size of Update, by which Python tells that it speaks of the same. */
+int64_t update_size(void) { return (int64_t)sizeof(Update); }
+
+/* Learn the newest blocks of `count` motors, given by their places; tell of each whether it was ordinary. */
+void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t *ordinary)
+{
+    Tile t;
+    for (int64_t begin = 0; begin < count; begin += LANES) {
+        t.n = (int)u->coordinates, t.k = (int)u->samples;
+        t.lanes = (int)(count - begin < LANES ? count - begin : LANES);
+        for (int l = 0; l < LANES; l++) t.motor[l] = motors[begin + (l < t.lanes ? l : 0)];
+        gather(u, &t);
+        set_out(u, &t);
+        switch (t.n) {
+        case 1: follow_1(u, &t); break;
+        case 2: follow_2(u, &t); break;
+        case 3: follow_3(u, &t); break;
+        case 4: follow_4(u, &t); break;
+        default: follow_5(u, &t);
+        }
+        examine(u, &t);
+        conclude(u, &t, ordinary + begin);
+    }
+}
+
+/* Basis function of a term and its derivatives, of one motor; for a test. Returns whether there is such a term here. */
+int64_t term_values(int64_t code, double current, double speed, double *values)
+{
+    const Term found = term(code, all(current), all(speed));
+    values[0] = found.value[0];
+    values[1] = found.by_current[0];
+    values[2] = found.by_speed[0];
+    return term_known(code);
+}

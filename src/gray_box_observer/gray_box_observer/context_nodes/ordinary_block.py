@@ -1,0 +1,207 @@
+"""Ordinary blocks by compiled code, `ordinary_block.c`; numpy (:mod:`blocks`, :mod:`learner`) stands behind it.
+
+A block is ordinary where nothing restarts, no sample is an outlier and nothing speaks for a change of the motor. Nearly
+all are, and these decide what an update costs. What is not ordinary is left to numpy, which can do either; so can a
+workspace that was built without a C compiler, only slower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sysconfig
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import drift
+from gray_box_observer.context_nodes.batch_fit import CREDIBLE
+from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
+from gray_box_observer.context_nodes.learnt import Learnt, copied
+from gray_box_observer.context_nodes.normal_equations import OUTLIER
+from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.trajectory import FAR
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box.base import WhiteBox, bounds
+from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
+from gray_box_observer.white_box.motor import MotorWhiteBox
+from gray_box_observer.white_box.terms import TERMS
+
+MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
+"""Room in `ordinary_block.c`."""
+
+_CODES = {name: code for code, name in enumerate(TERMS)}
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+_WRITTEN = {
+    'p': 'belief.p',
+    'state': 'belief.state',
+    'covariance': 'belief.covariance',
+    'noise': 'belief.noise',
+    'sensitivity': 'belief.sensitivity',
+    'score': 'score',
+    'information': 'information',
+    'noise_count': 'noise_count',
+    'since': 'since',
+    'suspicion': 'suspicion',
+    'left_out': 'left_out',
+    'hold_level': 'hold.level',
+    'hold_largest': 'hold.largest',
+    'hold_held_s': 'hold.held_s',
+    'hold_p': 'hold.p',
+    'hold_covariance': 'hold.covariance',
+    'hold_settled_now': 'hold.settled',
+}
+"""What the compiled code writes, and where that stands in :class:`~.learnt.Learnt`."""
+
+_READ = {
+    'at': 'at',
+    'current_a': 'belief.current_a',
+    'gain': 'belief.gain',
+    'walk_rate': 'walk_rate',
+    'hold_begun': 'hold.begun',
+}
+_of_learnt = attrgetter(*_READ.values(), *_WRITTEN.values())
+
+
+class _Update(ctypes.Structure):
+    """``Update`` of `ordinary_block.c`."""
+
+    _fields_ = (
+        *((name, _COUNT) for name in ('coordinates', 'samples', 'memories', 'known_terms', 'speed_measured')),
+        ('codes', _COUNT * (MOST_COORDINATES + MOST_KNOWN)),
+        *((name, _NUMBER * MOST_COORDINATES) for name in ('heats', 'lower', 'upper')),
+        ('known', _POINTER),
+        ('torque_constant', _POINTER),
+        ('motors', _COUNT),
+        ('keep', _NUMBER * MOST_MEMORIES),
+        *((name, _NUMBER) for name in ('outlier', 'credible', 'far_away', 'largest_step', 'most_steps', 'threshold')),
+        *((name, _NUMBER) for name in ('noise_floor', 'left_out_memory', 'left_out_limit')),
+        *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled')),
+        ('noise_memory', _COUNT),
+        ('data', _POINTER),
+        *((name, _COUNT) for name in ('signal_stride', 'motor_stride')),
+        ('gone', _POINTER),
+        *((name, _POINTER) for name in (*_READ, *_WRITTEN)),
+    )
+
+
+def library() -> ctypes.CDLL | None:
+    """Load the compiled code; None where the workspace was built without it, or with another version of it."""
+    path = Path(__file__).with_name(f'_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}')
+    try:
+        loaded = ctypes.CDLL(str(path))
+        loaded.update_size.restype = _COUNT
+        if loaded.update_size() != ctypes.sizeof(_Update):
+            return None
+    except (OSError, AttributeError):
+        return None
+    loaded.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
+    loaded.learn_blocks.restype = None
+    loaded.term_values.argtypes = (_COUNT, _NUMBER, _NUMBER, ctypes.POINTER(_NUMBER))
+    loaded.term_values.restype = _COUNT
+    return loaded
+
+
+class OrdinaryBlocks:
+    """Learns ordinary blocks in place.
+
+    Args:
+        white_box: of all motors.
+        rules: settings.
+        replay: samples of all motors.
+
+    Attributes:
+        compiled: whether there is compiled code that knows this physics; else no block counts as ordinary.
+    """
+
+    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+        self._replay, self._block = replay, rules.block
+        self._library = library() if _fits(white_box, rules) else None
+        self.compiled = self._library is not None
+        self._pointed: tuple[Any, ...] = ()
+        if self.compiled and isinstance(white_box, MotorWhiteBox):
+            self._describe(white_box, rules)
+
+    def _describe(self, white_box: MotorWhiteBox, rules: RecursiveRules) -> None:
+        """Write down what never changes."""
+        motors, told = self._replay.motors, [n for n in white_box.known if n not in white_box.context_nodes]
+        lower, upper = bounds(white_box.parameters)
+        keep = drift.keep()
+        data, gone = self._replay.streams
+        constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
+        self._kept = (  # what pointers point to
+            np.array(constants, dtype=float).reshape(len(told), motors),
+            np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
+            data,
+            gone,
+        )
+        places = [array.ctypes.data for array in self._kept]
+        self._update = _Update(
+            coordinates=len(white_box.parameters),
+            samples=self._block,
+            memories=keep.size,
+            known_terms=len(told),
+            speed_measured=int(white_box.speed_measured),
+            codes=tuple(_CODES[name] for name in (*white_box.context_nodes[1:], *told)),
+            heats=tuple(float(p.heats) for p in white_box.parameters),
+            lower=tuple(lower.tolist()),
+            upper=tuple(upper.tolist()),
+            known=places[0],
+            torque_constant=places[1],
+            motors=motors,
+            keep=tuple(keep.tolist()),
+            outlier=OUTLIER,
+            credible=CREDIBLE,
+            far_away=FAR,
+            largest_step=LARGEST_STEP,
+            most_steps=MAX_STEPS,
+            threshold=rules.drift_threshold,
+            noise_floor=rules.noise_floor,
+            left_out_memory=drift.LEFT_OUT_MEMORY,
+            left_out_limit=drift.LEFT_OUT,
+            hold_tolerance=HOLD_TOLERANCE,
+            hold_settled=SETTLED,
+            noise_memory=rules.noise_memory,
+            data=places[2],
+            signal_stride=data.strides[0] // data.itemsize,
+            motor_stride=data.strides[1] // data.itemsize,
+            gone=places[3],
+        )
+
+    def learn(self, known: Learnt, motors: NDArray[np.intp]) -> tuple[Learnt, NDArray[np.bool_]]:
+        """Learn a block of some motors where it is an ordinary one.
+
+        Args:
+            known: of all motors, ``at`` the last sample of their blocks; written to.
+            motors: their places, whose ``rules.block`` newest samples and the one before are remembered.
+
+        Returns:
+            What is known then, and whose block was ordinary, shape (place,); of the others nothing has changed.
+        """
+        ordinary = np.zeros(motors.size, dtype=np.bool_)
+        if self._library is None:
+            return known, ordinary
+        arrays = _of_learnt(known)
+        if len(arrays) != len(self._pointed) or any(a is not b for a, b in zip(arrays, self._pointed, strict=True)):
+            if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
+                known = copied(known)
+                arrays = _of_learnt(known)
+            for name, array in zip((*_READ, *_WRITTEN), arrays, strict=True):
+                setattr(self._update, name, array.ctypes.data)
+            self._pointed = arrays
+        motors = np.ascontiguousarray(motors, dtype=np.int64)
+        self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, ordinary.ctypes.data)
+        return known, ordinary
+
+
+def _fits(white_box: WhiteBox, rules: RecursiveRules) -> bool:
+    """Whether `ordinary_block.c` has room for it."""
+    return (
+        isinstance(white_box, MotorWhiteBox)
+        and len(white_box.parameters) <= MOST_COORDINATES
+        and len(white_box.known) <= MOST_KNOWN
+        and rules.block <= MOST_SAMPLES
+    )

@@ -1,0 +1,62 @@
+/* The terms of terms.py for compiled code, LANES motors at a time: the same formulas, compared with these by a test.
+ *
+ * The codes are the places of the terms in TERMS of terms.py. A term of terms.py that has no case here is not compiled:
+ * term_known() says so, and motors that have it are learnt without compiled code.
+ */
+#ifndef GRAY_BOX_OBSERVER_WHITE_BOX_TERMS_H
+#define GRAY_BOX_OBSERVER_WHITE_BOX_TERMS_H
+
+#include <stdint.h>
+
+#define LANES 8
+
+typedef double Real __attribute__((vector_size(8 * LANES)));
+typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
+
+#define INLINE static inline __attribute__((always_inline))
+
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF, BRUSH_DROP };
+
+static const double BRUSH_KNEE_A = 0.02;
+
+typedef struct {
+    Real value, by_current, by_speed;
+} Term;
+
+INLINE Real chosen(Mask which, Real yes, Real no) { return (Real)((which & (Mask)yes) | (~which & (Mask)no)); }
+INLINE Real absolute(Real x) { return (Real)((Mask)x & INT64_MAX); }
+INLINE Real all(double x) { return (Real){0} + x; }
+
+static inline int term_known(int64_t code) { return code >= RESISTANCE && code <= BRUSH_DROP; }
+
+/* Basis function of a term at currents in A and speeds in rad/s, and its partial derivatives. */
+INLINE Term term(int64_t code, Real current, Real speed)
+{
+    Term found = {{0}, {0}, {0}};
+    switch (code) {
+    case RESISTANCE:
+        found.value = current;
+        found.by_current = all(1.0);
+        break;
+    case HYSTERESIS:
+        found.value = absolute(speed) * current;
+        found.by_current = absolute(speed);
+        found.by_speed = speed / (absolute(speed) + 1e-300) * current;
+        break;
+    case BACK_EMF:
+        found.value = speed;
+        found.by_speed = all(1.0);
+        break;
+    case BRUSH_DROP: {
+        const Real reach = absolute(current) + BRUSH_KNEE_A;
+        found.value = current / reach;
+        found.by_current = BRUSH_KNEE_A / (reach * reach);
+        break;
+    }
+    default:
+        break;
+    }
+    return found;
+}
+
+#endif

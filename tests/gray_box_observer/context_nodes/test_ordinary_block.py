@@ -1,0 +1,227 @@
+"""Compiled code learns what numpy learns, of every block that it does not leave to numpy."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.context_nodes import RecursiveUpdate, ordinary_block
+from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.terms import TERMS
+
+START = np.array([[1.5, 3.0, 30.0]])
+THESIS = ('inductance', 'resistance', 'hysteresis')
+KNOWN = {'back_emf_constant': 0.01}
+
+needs_it = pytest.mark.skipif(ordinary_block.library() is None, reason='built without a C compiler')
+
+
+class Count:
+    """How many blocks compiled code was given, and how many it has learnt."""
+
+    given = learnt = 0
+
+    def watch(self, nodes: RecursiveUpdate) -> None:
+        """Count what these context nodes do."""
+        within = nodes._learner.update_ordinary
+
+        def update(*arguments):  # type: ignore[no-untyped-def]
+            known, ordinary = within(*arguments)
+            self.given, self.learnt = self.given + ordinary.size, self.learnt + int(ordinary.sum())
+            return known, ordinary
+
+        nodes._learner.update_ordinary = update  # type: ignore[method-assign]
+
+
+def both(
+    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, start: np.ndarray, samples: list[Sample], rules: RecursiveRules
+) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
+    """Learn samples by compiled code and by numpy; the estimates must agree whenever one changes."""
+    count = Count()
+    compiled = RecursiveUpdate(box, start, rules=rules)
+    count.watch(compiled)
+    monkeypatch.setattr(ordinary_block, 'library', lambda: None)
+    by_numpy = RecursiveUpdate(box, start, rules=rules)
+    for sample in samples:
+        assert compiled.learn(sample) == by_numpy.learn(sample)
+        np.testing.assert_array_equal(compiled.changed, by_numpy.changed)
+        np.testing.assert_allclose(compiled.theta, by_numpy.theta, rtol=1e-7)
+    one, other = compiled.estimate(), by_numpy.estimate()
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-30)
+    assert compiled.counters() == by_numpy.counters()
+    return compiled, by_numpy, count
+
+
+def simulated(
+    excitation: str, duration_s: float, *, motors: int = 1, speed: bool = False, noise: float = 0.005, **plant: float
+) -> list[Sample]:  # fmt: skip
+    """Samples at 100 Hz of motors that run alike, each with its own noise."""
+    r = Simulation({'m': PlantParameters(**plant)}, excitation, seed=2).record(duration_s)
+    random, torque = np.random.default_rng(3), r.torque_nm[0]
+    std, last = noise * float(np.abs(torque).max()), r.stamp_ns.size - 1
+    drawn = torque[:, None] + random.normal(0.0, std, (torque.size, motors))
+    measured = r.speed_rad_s[0] if speed else np.full(torque.size, np.nan)
+    return [
+        Sample(
+            int(r.stamp_ns[k]), np.full(motors, 0.01 if k else 0.0), np.full(motors, r.voltage_v[0, max(k - 1, 0)]),
+            drawn[k], np.full(motors, measured[k]),
+        )
+        for k in range(last)
+    ]  # fmt: skip
+
+
+def test_where_there_is_a_compiler_there_is_compiled_code() -> None:
+    if shutil.which('cc') is None and shutil.which('gcc') is None:
+        pytest.skip('no C compiler')
+    assert ordinary_block.library() is not None, 'ros_ws/setup.sh builds it'
+
+
+@needs_it
+def test_every_term_is_compiled_as_it_is_declared() -> None:
+    library = ordinary_block.library()
+    assert library is not None
+    values = (ctypes.c_double * 3)()
+    for code, (name, term) in enumerate(TERMS.items()):
+        assert bool(library.term_values(code, 1.0, 1.0, values)) == (term.value is not None), name
+        if term.value is None or term.by_current is None or term.by_speed is None:
+            continue
+        for current in (-3.0, -0.01, 0.0, 0.5):
+            for speed in (-20.0, 0.0, 7.0):
+                library.term_values(code, current, speed, values)
+                declared = [f(current, speed) for f in (term.value, term.by_current, term.by_speed)]
+                np.testing.assert_allclose(list(values), declared, rtol=1e-15, err_msg=name)
+
+
+@needs_it
+@pytest.mark.parametrize('motors', [1, 11])
+def test_ordinary_blocks_are_learnt_as_numpy_learns_them(monkeypatch: pytest.MonkeyPatch, motors: int) -> None:
+    box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
+    samples = simulated('R[5,15]D[0.2,3]', 30.0, motors=motors)
+    nodes, by_numpy, count = both(monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveRules())
+    assert count.given >= 80 * motors
+    assert count.learnt >= 0.98 * count.given
+    (_, ours), (_, theirs) = nodes.state(motors - 1), by_numpy.state(motors - 1)
+    for name, array in ours.items():
+        # between the two lies rounding; what tests for a change have added up is small against what went into it
+        scale = float(np.max(np.abs(theirs[name][np.isfinite(theirs[name])]), initial=0.0))
+        np.testing.assert_allclose(array, theirs[name], rtol=1e-5, atol=1e-7 * scale, err_msg=name)
+
+
+@needs_it
+@pytest.mark.parametrize(
+    'names', [THESIS[:2], (*THESIS, 'back_emf_constant'), (*THESIS, 'back_emf_constant', 'brush_drop')]
+)
+def test_so_are_those_of_other_physics_with_measured_speed(
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
+) -> None:  # fmt: skip
+    known = {'back_emf_constant': 0.01, 'brush_drop': 0.1}
+    known = {name: value for name, value in known.items() if name not in names}
+    box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
+    start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
+    samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    assert count.learnt > 0.5 * count.given > 30
+
+
+@needs_it
+def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    box = MotorWhiteBox(THESIS, 0.01, KNOWN)
+    samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
+    nodes, _, count = both(monkeypatch, box, START, samples, RecursiveRules())
+    assert count.learnt > 0.9 * count.given > 40
+    np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
+
+
+@needs_it
+def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    box, rules = MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(long_hold_s=5.0, replay_capacity=512)
+    moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
+    _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
+    assert count.learnt > 0.9 * count.given
+    plant = PlantParameters()
+    warm = Simulation({'m': plant}, 'R[5,15]D[0.2,3]', seed=4, schedule=('m.resistance=1..1.3@0..60',)).record(60.0)
+    samples = [
+        Sample(int(stamp), *(np.array([value]) for value in (0.01 if k else 0.0, voltage, torque, np.nan)))
+        for k, (stamp, voltage, torque) in enumerate(
+            zip(warm.stamp_ns, np.roll(warm.voltage_v[0], 1), warm.torque_nm[0], strict=True)
+        )
+    ]
+    nodes, _, _ = both(monkeypatch, box, START, samples, rules)
+    assert nodes.counters()['motors that drift'] + nodes.counters()['motor changes'] > 0
+
+
+@pytest.fixture
+def disturbed(record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]) -> list[Sample]:
+    """A motor that changes, with outliers, wrong voltages and pauses, each now and then at the end of a block."""
+    recording = record(
+        'R[5,15]D[0.2,3]', 40.0, torque_noise_relative=0.01, schedule=('motor.resistance=1.5@25',), sample_rate_hz=100.0
+    )
+    random, made = np.random.default_rng(5), []
+    for k, sample in enumerate(samples_of(recording)):
+        torque, voltage = (1.5 if random.random() < 0.01 else 1.0), (4.0 if random.random() < 0.01 else 0.0)
+        taken = Sample(
+            sample.stamp_ns, sample.interval_s, sample.voltage_v + voltage, sample.torque_nm * torque,
+            sample.speed_rad_s,
+        )  # fmt: skip
+        made.append(taken.beginning() if k and random.random() < 0.01 else taken)
+    return made
+
+
+@needs_it
+def test_what_is_out_of_the_ordinary_is_left_to_numpy(
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, disturbed: list[Sample]
+) -> None:
+    nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveRules())
+    assert 0 < count.learnt < count.given
+    told = nodes.counters()
+    assert told['torque outliers'] > 10
+    assert told['state kicks'] > 10
+    assert told['motor changes'] > 0
+
+
+def test_a_state_that_was_saved_is_not_written_to(thesis_box: MotorWhiteBox, disturbed: list[Sample]) -> None:
+    begun, fresh = (RecursiveUpdate(thesis_box, START) for _ in range(2))
+    for sample in disturbed[:1000]:
+        begun.learn(sample)
+    saved = begun.state()
+    before = {name: array.tobytes() for name, array in saved[1].items()}
+    for sample in disturbed[1000:1500]:
+        begun.learn(sample)
+    assert {name: array.tobytes() for name, array in saved[1].items()} == before
+    for nodes in (begun, fresh):
+        nodes.restore(*saved)
+        for sample in disturbed[1000:1200]:
+            nodes.learn(sample)
+    np.testing.assert_array_equal(begun.estimate().covariance, fresh.estimate().covariance)
+
+
+def test_without_compiled_code_numpy_learns_everything(
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox
+) -> None:  # fmt: skip
+    monkeypatch.setattr(ordinary_block.sysconfig, 'get_config_var', lambda name: '.is-not-there')
+    assert ordinary_block.library() is None
+    nodes, count = RecursiveUpdate(thesis_box, START), Count()
+    count.watch(nodes)
+    for sample in simulated('R[5,15]D[0.2,3]', 20.0):
+        nodes.learn(sample)
+    assert count.learnt == 0 < count.given
+    np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.05)
+
+
+@pytest.mark.filterwarnings('error')
+def test_blocks_of_nothing_but_restarts_are_met_without_a_warning(
+    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
+) -> None:
+    samples = samples_of(record('R[5,15]D[0.2,0.4]', 9.0, torque_noise_std=1e-4))
+    nodes = RecursiveUpdate(thesis_box, START)
+    for k, sample in enumerate(samples):
+        nodes.learn(sample if k < 700 else sample.beginning())
+    np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.01)
