@@ -1,8 +1,8 @@
 /* One block of samples learnt in which nothing is out of the ordinary, for LANES motors at a time.
  *
  * What blocks.py, drift.py, holds.py and learner.py do with numpy arrays for any block, this does for the usual one: no
- * restart, no outlier, no doubt about the motor. A motor whose block turns out to be another is left as it was and said
- * to be so; numpy then learns it. Formulas and symbols are those of these modules and of docs/METHOD.md.
+ * restart, no kick of the state, outliers at most here and there, no doubt about the motor. A motor whose block turns out
+ * to be another is left as it was and said to be so; numpy then learns it. Formulas and symbols are those of these modules and of docs/METHOD.md.
  *
  * Lanes never mix, products are not fused with sums, and every lane does what it would do alone: results do not depend
  * on which motors are learnt together, nor on the processor.
@@ -31,7 +31,7 @@ typedef struct {
     int64_t motors;
     /* settings */
     double keep[MOST_MEMORIES];
-    double outlier, credible, far_away, largest_step, most_steps, threshold, noise_floor;
+    double outlier, kick, credible, far_away, largest_step, most_steps, threshold, noise_floor;
     double left_out_memory, left_out_limit, hold_tolerance, hold_settled;
     int64_t noise_memory;
     /* samples: interval, voltage, torque, speed, each of shape (motor, column) */
@@ -43,7 +43,7 @@ typedef struct {
     const uint8_t *hold_begun;
     double *p, *state, *covariance, *noise, *sensitivity;
     double *score, *information;
-    int64_t *noise_count, *since;
+    int64_t *noise_count, *since, *outliers;
     double *suspicion, *left_out;
     double *hold_level, *hold_largest, *hold_held_s, *hold_p, *hold_covariance;
     uint8_t *hold_settled_now;
@@ -72,8 +72,10 @@ typedef struct {
     Real size, noise, gain, steps;
     Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
+    Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; those that are no outliers */
+    Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
-    Real state, by_start, by_coordinate[MOST_COORDINATES], squares; /* where the trajectory ends */
+    Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS];
     Real scores[MOST_MEMORIES][MOST_COORDINATES], tested[MOST_MEMORIES][MOST_COORDINATES][MOST_COORDINATES];
 } Tile;
@@ -116,7 +118,7 @@ INLINE Rate rate_of(const Physics *box, const int n, Real state, Real voltage, R
 /* One classical Runge-Kutta step of the state and its variational equation: flow.py, _runge_kutta_step. */
 INLINE Moved runge_kutta(const Physics *box, const int n, const Rate *first, Real start, Real voltage, Real begin, Real end, Real step)
 {
-    const Real half = 0.5 * step, middle = 0.5 * (begin + end), sixth = step / 6.0;
+    const Real half = 0.5 * step, middle = 0.5 * (begin + end), sixth = step * (1.0 / 6.0);
     const Rate r2 = rate_of(box, n, start + half * first->value, voltage, middle);
     const Rate r3 = rate_of(box, n, start + half * r2.value, voltage, middle);
     const Rate r4 = rate_of(box, n, start + step * r3.value, voltage, end);
@@ -221,20 +223,27 @@ CLONES void gather(const Update *u, Tile *t)
     t->state = LOAD(state, 1, 0);
 }
 
-/* Settle where every interval is linearised, and in how many steps: blocks.py, _outset; flow.py, flow. */
+/* Settle where every interval is linearised: blocks.py, _outset. */
 CLONES void set_out(const Update *u, Tile *t)
 {
     const Real reach = u->credible * t->size;
-    Real stiffness = all(0.0);
-    t->about[0] = t->state;
     for (int j = 0; j <= t->k; j++) {
         t->measured[j] /= t->box.torque_constant;
-        if (j > 0) t->about[j] = between(t->measured[j], -reach, reach);
+        t->about[j] = j > 0 ? between(t->measured[j], -reach, reach) : t->state;
+        t->near[j] = all(0.0) == all(0.0);
+        if (j > 0) t->fine &= t->interval[j] > 0.0;
     }
+    t->error[0] = all(0.0);
+}
+
+/* Settle in how many steps an interval is gone through: flow.py, flow. */
+CLONES void count_steps(const Update *u, Tile *t)
+{
+    Real stiffness = all(0.0);
     for (int j = 0; j < t->k; j++) {
         const Rate rate = rate_of(&t->box, t->n, t->about[j], t->voltage[j + 1], t->speed[j]);
         const Real stiff = absolute(rate.slope) * t->interval[j + 1];
-        t->fine &= (t->interval[j + 1] > 0.0) & (stiff < INFINITY);
+        t->fine &= stiff < INFINITY;
         stiffness = larger(stiffness, stiff);
     }
     t->fine &= stiffness <= u->most_steps * u->largest_step;
@@ -246,11 +255,12 @@ CLONES void set_out(const Update *u, Tile *t)
         }
 }
 
-/* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, predict. */
+/* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, _from. */
 INLINE void follow(const Update *u, Tile *t, const int n)
 {
     const int k = t->k, m = n + 1;
-    const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise), kept = 1.0 - t->gain;
+    const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
+    Real used = all(0.0);
     Real largest = all(0.0), x = t->state, by_start = all(1.0), squares = all(0.0), by_coordinate[MOST_COORDINATES];
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS], twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
     Mask fine = t->fine;
@@ -274,9 +284,10 @@ INLINE void follow(const Update *u, Tile *t, const int n)
             to = in_steps(&t->box, n, about, voltage, t->speed[j], t->speed[j + 1], interval, t->steps, t->most);
         }
         fine &= absolute(to.state) <= limit;
-        const Real decay = between(to.by_state, all(-1.0), all(1.0)), factor = decay * kept;
+        const Real decay = between(to.by_state, all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
+        const Real factor = decay * (1.0 - gain);
         t->factor[j] = factor;
-        x = factor * x + (to.state - decay * about + decay * t->gain * t->measured[j]);
+        t->path[j + 1] = x = factor * x + (to.state - decay * about + decay * gain * t->measured[j]);
         by_start = factor * by_start;
         Real row[MOST_UNKNOWNS], variance = all(0.0);
         row[0] = by_start * t->size;
@@ -284,20 +295,20 @@ INLINE void follow(const Update *u, Tile *t, const int n)
             by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[i];
             row[i + 1] = by_coordinate[i] * t->box.p[i];
         }
-        const Real error = t->measured[j + 1] - x;
+        UNROLL for (int i = 0; i < m; i++)
+            UNROLL for (int h = i; h < m; h++) variance += twice[i][h] * (row[i] * row[h]);
+        const Real error = t->measured[j + 1] - x, spread = 1.0 + larger(variance, all(0.0)), square = error * error;
+        const Mask kept = square <= outlier * spread;
+        t->error[j + 1] = error, t->kept[j + 1] = kept;
+        squares += chosen(kept, square / spread, all(0.0));
+        used += chosen(kept, all(1.0), all(0.0));
         UNROLL for (int i = 0; i < m; i++) {
-            right[i] += row[i] * error;
-            UNROLL for (int h = i; h < m; h++) {
-                const Real product = row[i] * row[h];
-                info[i][h] += product;
-                variance += twice[i][h] * product;
-            }
+            const Real counts = chosen(kept, row[i], all(0.0));
+            right[i] += counts * error;
+            UNROLL for (int h = i; h < m; h++) info[i][h] += counts * row[h];
         }
-        const Real spread = 1.0 + larger(variance, all(0.0)), square = error * error;
-        fine &= square <= outlier * spread;
-        squares += square / spread;
     }
-    t->fine = fine, t->state = x, t->by_start = by_start, t->squares = squares;
+    t->fine = fine, t->end = x, t->by_start = by_start, t->squares = squares, t->used = used;
     for (int i = 0; i < n; i++) t->by_coordinate[i] = by_coordinate[i];
     for (int i = 0; i < m; i++) {
         t->right[i] = right[i];
@@ -311,6 +322,59 @@ CLONES void follow_2(const Update *u, Tile *t) { follow(u, t, 2); }
 CLONES void follow_3(const Update *u, Tile *t) { follow(u, t, 3); }
 CLONES void follow_4(const Update *u, Tile *t) { follow(u, t, 4); }
 CLONES void follow_5(const Update *u, Tile *t) { follow(u, t, 5); }
+
+static void follow_any(const Update *u, Tile *t)
+{
+    switch (t->n) {
+    case 1: follow_1(u, t); break;
+    case 2: follow_2(u, t); break;
+    case 3: follow_3(u, t); break;
+    case 4: follow_4(u, t); break;
+    default: follow_5(u, t);
+    }
+}
+
+/* Rule out the lanes whose state was kicked: trajectory.py, find_kicks. */
+CLONES void look_for_kicks(const Update *u, Tile *t)
+{
+    const int k = t->k;
+    const Real limit = u->kick * t->noise, end = all(INFINITY);
+    Real change[MOST_SAMPLES], jump[MOST_SAMPLES];
+    Mask kicked = all(0.0) != all(0.0), large = kicked;
+    for (int j = 0; j < k; j++) {
+        jump[j] = t->error[j + 1] - t->factor[j] * t->error[j];
+        change[j] = absolute(jump[j]);
+        large |= change[j] > limit;
+    }
+    for (int j = 0; j < k; j++) {
+        const Real earlier = j > 1 ? change[j - 2] : all(0.0), before = j > 0 ? change[j - 1] : all(0.0);
+        const Real after = j + 1 < k ? change[j + 1] : end, both = absolute(jump[j] + t->factor[j] * (j > 0 ? jump[j - 1] : all(0.0)));
+        kicked |= (change[j] > limit) & (before < 0.5 * change[j]) & (after < 0.5 * change[j]);
+        kicked |= (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0);
+    }
+    t->fine &= ~(large & kicked);
+}
+
+/* Predict the block, and tell its good samples from the others: blocks.py, predict. */
+static void predict(const Update *u, Tile *t)
+{
+    Mask outliers = all(0.0) != all(0.0);
+    set_out(u, t);
+    count_steps(u, t);
+    follow_any(u, t);
+    for (int j = 1; j <= t->k; j++) outliers |= ~t->kept[j];
+    outliers &= t->fine;
+    int any = 0;
+    for (int l = 0; l < LANES; l++) any |= outliers[l] != 0;
+    if (!any) return;
+    look_for_kicks(u, t);
+    for (int j = 1; j <= t->k; j++) t->near[j] = t->kept[j];
+    follow_any(u, t);
+    for (int j = 1; j <= t->k; j++) /* the motor never stood where an outlier says */
+        t->about[j] = chosen(t->kept[j], t->about[j], t->path[j]);
+    count_steps(u, t);
+    follow_any(u, t);
+}
 
 /* Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take. */
 CLONES void examine(const Update *u, Tile *t)
@@ -348,7 +412,8 @@ CLONES void examine(const Update *u, Tile *t)
         for (int i = 0; i < n; i++) statistic += t->scores[q][i] * solution[i][0];
         t->fine &= statistic <= u->threshold;
     }
-    t->fine &= u->left_out_memory * LOAD(left_out, 1, 0) <= u->left_out_limit;
+    const Real samples = all((double)t->k), missing = (samples - t->used) / samples;
+    t->fine &= (t->used >= 0.5 * samples) & (u->left_out_memory * LOAD(left_out, 1, 0) + missing <= u->left_out_limit);
 }
 
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
@@ -388,7 +453,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
     Real shift = all(0.0), passed = all(0.0);
     for (int j = 1; j <= k; j++) passed += t->interval[j];
     for (int i = 0; i < m; i++) shift += transfer[i] * step[i];
-    const Real state = t->state + shift * t->size, walk = LOAD(walk_rate, 1, 0);
+    const Real state = t->end + shift * t->size, walk = LOAD(walk_rate, 1, 0);
     for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
         Real sum = all(0.0);
         for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
@@ -414,7 +479,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
         const int64_t grown = u->noise_count[t->motor[l]] + k;
         count[l] = (double)(grown < u->noise_memory ? grown : u->noise_memory);
     }
-    const Real power = noise * noise + (double)k / count * (t->squares / (double)k - noise * noise);
+    const Real power = noise * noise + (double)k / count * (t->squares / t->used - noise * noise);
     const Real followed = larger(square_root(power), u->noise_floor * t->size);
     t->fine &= followed < INFINITY;
     for (int j = 2; j <= k; j++) {
@@ -449,7 +514,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
             STORE(score, memories * n, q * n + i, t->scores[q][i]);
             for (int j = 0; j < n; j++) STORE(information, memories * n * n, (q * n + i) * n + j, t->tested[q][i][j]);
         }
-    STORE(left_out, 1, 0, u->left_out_memory * LOAD(left_out, 1, 0));
+    STORE(left_out, 1, 0, u->left_out_memory * LOAD(left_out, 1, 0) + ((double)k - t->used) / (double)k);
     STORE(suspicion, 1, 0, all(0.0));
     STORE(hold_level, 1, 0, chosen(same, level, t->voltage[k]));
     STORE(hold_largest, 1, 0, largest);
@@ -459,6 +524,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
         ordinary[l] = t->fine[l] != 0;
         if (!t->fine[l]) continue;
         u->since[motor] = 0;
+        u->outliers[motor] += k - (int64_t)t->used[l];
         u->noise_count[motor] = (int64_t)count[l];
         if (settled[l] && !u->hold_settled_now[motor]) /* from here on only what heats may move */
             for (int i = 0; i < n; i++) {
@@ -482,14 +548,7 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         t.lanes = (int)(count - begin < LANES ? count - begin : LANES);
         for (int l = 0; l < LANES; l++) t.motor[l] = motors[begin + (l < t.lanes ? l : 0)];
         gather(u, &t);
-        set_out(u, &t);
-        switch (t.n) {
-        case 1: follow_1(u, &t); break;
-        case 2: follow_2(u, &t); break;
-        case 3: follow_3(u, &t); break;
-        case 4: follow_4(u, &t); break;
-        default: follow_5(u, &t);
-        }
+        predict(u, &t);
         examine(u, &t);
         conclude(u, &t, ordinary + begin);
     }

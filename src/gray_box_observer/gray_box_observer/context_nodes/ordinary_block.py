@@ -1,8 +1,8 @@
 """Ordinary blocks by compiled code, `ordinary_block.c`; numpy (:mod:`blocks`, :mod:`learner`) stands behind it.
 
-A block is ordinary where nothing restarts, no sample is an outlier and nothing speaks for a change of the motor. Nearly
-all are, and these decide what an update costs. What is not ordinary is left to numpy, which can do either; so can a
-workspace that was built without a C compiler, only slower.
+A block is ordinary where nothing restarts, the state is not kicked, outliers are few and nothing speaks for a change of
+the motor. Nearly all are, and these decide what an update costs. What is not ordinary is left to numpy, which can do
+either; so can a workspace that was built without a C compiler, only slower.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.learnt import Learnt, copied
 from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import FAR
+from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import WhiteBox, bounds
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
@@ -45,6 +45,7 @@ _WRITTEN = {
     'information': 'information',
     'noise_count': 'noise_count',
     'since': 'since',
+    'outliers': 'outliers',
     'suspicion': 'suspicion',
     'left_out': 'left_out',
     'hold_level': 'hold.level',
@@ -77,8 +78,8 @@ class _Update(ctypes.Structure):
         ('torque_constant', _POINTER),
         ('motors', _COUNT),
         ('keep', _NUMBER * MOST_MEMORIES),
-        *((name, _NUMBER) for name in ('outlier', 'credible', 'far_away', 'largest_step', 'most_steps', 'threshold')),
-        *((name, _NUMBER) for name in ('noise_floor', 'left_out_memory', 'left_out_limit')),
+        *((name, _NUMBER) for name in ('outlier', 'kick', 'credible', 'far_away', 'largest_step', 'most_steps')),
+        *((name, _NUMBER) for name in ('threshold', 'noise_floor', 'left_out_memory', 'left_out_limit')),
         *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled')),
         ('noise_memory', _COUNT),
         ('data', _POINTER),
@@ -154,6 +155,7 @@ class OrdinaryBlocks:
             motors=motors,
             keep=tuple(keep.tolist()),
             outlier=OUTLIER,
+            kick=KICK,
             credible=CREDIBLE,
             far_away=FAR,
             largest_step=LARGEST_STEP,

@@ -212,13 +212,15 @@ def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], nois
     """
     signed = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
     limit, change = KICK * noise[:, None], np.abs(signed)
-    if not (change > limit).any():
+    large = (change > limit).any(axis=1, keepdims=True)
+    if not large.any():
         return change > limit
     earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
     one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
     both = np.abs(signed + path.factor * _shifted(signed, 1))
     two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
-    return one | two
+    kicks: NDArray[np.bool_] = (one | two) & large
+    return kicks
 
 
 def _shifted(values: Array, by: int) -> Array:

@@ -41,7 +41,7 @@ INLINE Term term(int64_t code, Real current, Real speed)
     case HYSTERESIS:
         found.value = absolute(speed) * current;
         found.by_current = absolute(speed);
-        found.by_speed = speed / (absolute(speed) + 1e-300) * current;
+        found.by_speed = chosen(speed > 0.0, current, chosen(speed < 0.0, -current, all(0.0)));
         break;
     case BACK_EMF:
         found.value = speed;
