@@ -14,6 +14,7 @@ from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.dask_engine import DaskEngine
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.configuration import read_parameter_file
+from gray_box_observer.context_nodes import ordinary_block
 from gray_box_observer.errors import GrayBoxError
 
 Run = Callable[..., tuple[int, str, str]]
@@ -119,8 +120,17 @@ def test_workers_that_run_another_program_are_refused(
 ) -> None:
     monkeypatch.setattr(np, '__version__', '0.1')
     engine = DaskEngine(scheduler)
-    with pytest.raises(GrayBoxError, match=r'with numpy .*, this is .* with 0\.1: install the same there'):
+    with pytest.raises(GrayBoxError, match=r'with numpy .*, this is .* with 0\.1 and .*: install the same there'):
         next(engine.run(BagWork(read_parameter_file(params)), [archive / 'bare.mcap']))
+
+
+def test_so_are_workers_without_the_compiled_code_that_there_is_here(
+    archive: Path, params: Path, scheduler: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    had = ordinary_block.library() is not None
+    monkeypatch.setattr(ordinary_block, 'library', lambda: None if had else object())
+    with pytest.raises(GrayBoxError, match=r'compiled code, this is .*: install the same there'):
+        next(DaskEngine(scheduler).run(BagWork(read_parameter_file(params)), [archive / 'bare.mcap']))
 
 
 def test_a_scheduler_that_does_not_answer_is_one_clear_line(

@@ -25,6 +25,7 @@ from gray_box_observer.archive import worker_setup
 from gray_box_observer.archive.bag_work import BagResult
 from gray_box_observer.archive.options import DEFAULT_RETRIES
 from gray_box_observer.archive.serial_engine import Work
+from gray_box_observer.context_nodes import ordinary_block
 from gray_box_observer.errors import GrayBoxError
 
 if TYPE_CHECKING:
@@ -156,20 +157,20 @@ def _spread(
             yield index, BagResult(str(bags[index]), error=_LOST)
 
 
-def program() -> tuple[str, str]:
-    """Return what decides the bits of a result: a digest of this package's sources, and numpy's version."""
+def program() -> tuple[str, str, str]:
+    """Return what decides the bits of a result: digest of the sources, numpy's version, compiled code or none."""
     root = Path(gray_box_observer.__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(root.rglob('*.py')):
+    for path in sorted(path for path in root.rglob('*.*') if path.suffix in {'.py', '.c', '.h'}):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return digest.hexdigest()[:12], np.__version__
+    return digest.hexdigest()[:12], np.__version__, 'without' if ordinary_block.library() is None else 'with'
 
 
 def _check_workers(client: Client) -> None:
     """Refuse workers that would give other results than this process.
 
     Raises:
-        GrayBoxError: a worker lacks the package, or has it or numpy in another version.
+        GrayBoxError: a worker lacks the package, or has it, numpy or its compiled code in another version.
     """
     own = program()
     try:
@@ -182,6 +183,7 @@ def _check_workers(client: Client) -> None:
     for worker, theirs in found.items():
         if theirs != own:
             raise GrayBoxError(
-                f'the Dask worker {worker} runs gray_box_observer {theirs[0]} with numpy {theirs[1]}, '
-                f'this is {own[0]} with {own[1]}: install the same there, or the digests would differ'
+                f'the Dask worker {worker} runs gray_box_observer {theirs[0]} with numpy {theirs[1]} and {theirs[2]} '
+                f'compiled code, this is {own[0]} with {own[1]} and {own[2]}: install the same there, or the digests '
+                'would differ'
             )

@@ -18,6 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 from gray_box_observer.checkpoint_folder import CheckpointFolder, default_folder
 from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.configuration import NODE_NAME, Configuration
+from gray_box_observer.context_nodes import ordinary_block
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.intake import Intake
@@ -176,6 +177,8 @@ class ObserverNode(LifecycleNode):
                 self.get_logger().info(f'continuing from {self._keeper.file}')
             else:
                 self.get_logger().info(f'starting from the initial values: no checkpoint yet at {self._keeper.file}')
+        if self._configuration['context_update'] == 'recursive' and ordinary_block.library() is None:
+            self.get_logger().info('built without a C compiler: every block is learnt by numpy, at ten times the cost')
         if self._outputs is None:
             self._outputs = Outputs(self, self._configuration)
 
