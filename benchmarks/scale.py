@@ -39,6 +39,9 @@ KEPT = 64
 MOST_FILTERS = 100
 """Copies of filterpy's filter that are really run: they share nothing, so more cost as many times more."""
 
+ROWS = 8224
+"""Samples after which their memory is used again: its pages are handed out at the first touch, once and for all."""
+
 OUTLIERS = 0.01
 """Share of torques that are half too large, where it is asked what they cost."""
 
@@ -175,6 +178,8 @@ def update(
     plain, arrays = one.state()
     arrays = {**arrays, 'replay': arrays['replay'][:, :, -KEPT:]}
     nodes = rule(motors)
+    for _ in range(ROWS):
+        nodes.replay.append(sample(0, np.zeros(motors), np.zeros(motors)))
     for motor in range(motors):
         nodes.restore(plain, arrays, motor)
     count = 4 * BLOCK if motors > 100 else 16 * BLOCK

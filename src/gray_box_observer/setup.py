@@ -11,8 +11,8 @@ ORDINARY_BLOCK = Extension(
     f'{PACKAGE}.context_nodes._ordinary_block',
     [f'{PACKAGE}/context_nodes/ordinary_block.c'],
     include_dirs=[PACKAGE],
-    depends=[f'{PACKAGE}/white_box/terms.h'],
-    # Contraction would make results depend on the processor; vectors are passed by value inside one file only.
+    depends=[str(path) for path in sorted(Path(PACKAGE, 'white_box').glob('*.h'))],
+    # Products fused with sums would make results depend on the processor; vectors are passed inside one file only.
     extra_compile_args=['-O2', '-std=gnu11', '-ffp-contract=off', '-fno-math-errno', '-Wno-psabi'],
     libraries=['m'],
     optional=True,

@@ -1,25 +1,18 @@
 /* One block of samples learnt in which nothing is out of the ordinary, for LANES motors at a time.
  *
  * What blocks.py, drift.py, holds.py and learner.py do with numpy arrays for any block, this does for the usual one: no
- * restart, no kick of the state, outliers at most here and there, no doubt about the motor. A motor whose block turns out
- * to be another is left as it was and said to be so; numpy then learns it. Formulas and symbols are those of these modules and of docs/METHOD.md.
- *
- * Lanes never mix, products are not fused with sums, and every lane does what it would do alone: results do not depend
- * on which motors are learnt together, nor on the processor.
+ * restart, no kick of the state, outliers at most here and there, no doubt about the motor. A motor whose block turns
+ * out to be another is left as it was and said to be so; numpy then learns it. Formulas and symbols are those of these
+ * modules and of docs/METHOD.md.
  */
-#include <math.h>
 #include <stddef.h>
 #include <string.h>
 
-#include "white_box/terms.h"
+#include "white_box/flow.h"
 
-#define MOST_COORDINATES 5
 #define MOST_UNKNOWNS (MOST_COORDINATES + 1)
-#define MOST_KNOWN 8
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
-
-#define UNROLL _Pragma("GCC unroll 8")
 
 /* Everything a call needs; ordinary_block.py holds the same list. Arrays are contiguous, the motor axis first. */
 typedef struct {
@@ -34,9 +27,9 @@ typedef struct {
     double outlier, kick, credible, far_away, largest_step, most_steps, threshold, noise_floor;
     double left_out_memory, left_out_limit, hold_tolerance, hold_settled;
     int64_t noise_memory;
-    /* samples: interval, voltage, torque, speed, each of shape (motor, column) */
+    /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
     const double *data;
-    int64_t signal_stride, motor_stride;
+    int64_t signal_stride, column_stride;
     const int64_t *gone, *at;
     /* what is believed of the motors; written to */
     const double *current_a, *gain, *walk_rate;
@@ -49,21 +42,7 @@ typedef struct {
     uint8_t *hold_settled_now;
 } Update;
 
-typedef struct {
-    int64_t unknown, known, speed_measured;
-    const int64_t *codes;
-    Real torque_constant, p[MOST_COORDINATES], constant[MOST_KNOWN];
-} Physics;
-
-typedef struct {
-    Real value, slope, by_coordinate[MOST_COORDINATES];
-} Rate;
-
-typedef struct {
-    Real state, by_state, by_coordinate[MOST_COORDINATES];
-} Moved;
-
-/* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is the one before a block. */
+/* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is that before a block. */
 typedef struct {
     int n, k, lanes, most;
     int64_t motor[LANES];
@@ -72,98 +51,14 @@ typedef struct {
     Real size, noise, gain, steps;
     Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
-    Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; those that are no outliers */
+    Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
+    Rate here[MOST_SAMPLES]; /* where an interval begins */
     Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
     Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS];
     Real scores[MOST_MEMORIES][MOST_COORDINATES], tested[MOST_MEMORIES][MOST_COORDINATES][MOST_COORDINATES];
 } Tile;
-
-INLINE Real smaller(Real a, Real b) { return chosen(b < a, b, a); }
-INLINE Real larger(Real a, Real b) { return chosen(b > a, b, a); }
-INLINE Real between(Real x, Real low, Real high) { return smaller(larger(x, low), high); }
-
-INLINE Real square_root(Real x)
-{
-    Real found;
-    for (int l = 0; l < LANES; l++) found[l] = sqrt(x[l]);
-    return found;
-}
-
-/* Rate of the current and its derivatives: flow.py, _rate. */
-INLINE Rate rate_of(const Physics *box, const int n, Real state, Real voltage, Real measured)
-{
-    const Real speed = box->speed_measured ? measured : box->torque_constant * state;
-    const Real follows = box->speed_measured ? all(0.0) : box->torque_constant;
-    Rate rate;
-    Real drive = voltage, slope = all(0.0);
-    for (int j = 0; j < box->known; j++) {
-        const Term t = term(box->codes[n - 1 + j], state, speed);
-        drive -= box->constant[j] * t.value;
-        slope -= box->constant[j] * (t.by_current + follows * t.by_speed);
-    }
-    rate.value = box->p[0] * drive;
-    rate.slope = box->p[0] * slope;
-    rate.by_coordinate[0] = drive;
-    for (int j = 1; j < n; j++) {
-        const Term t = term(box->codes[j - 1], state, speed);
-        rate.value -= box->p[j] * t.value;
-        rate.slope -= box->p[j] * (t.by_current + follows * t.by_speed);
-        rate.by_coordinate[j] = -t.value;
-    }
-    return rate;
-}
-
-/* One classical Runge-Kutta step of the state and its variational equation: flow.py, _runge_kutta_step. */
-INLINE Moved runge_kutta(const Physics *box, const int n, const Rate *first, Real start, Real voltage, Real begin, Real end, Real step)
-{
-    const Real half = 0.5 * step, middle = 0.5 * (begin + end), sixth = step * (1.0 / 6.0);
-    const Rate r2 = rate_of(box, n, start + half * first->value, voltage, middle);
-    const Rate r3 = rate_of(box, n, start + half * r2.value, voltage, middle);
-    const Rate r4 = rate_of(box, n, start + step * r3.value, voltage, end);
-    const Real l2 = r2.slope * (1.0 + half * first->slope);
-    const Real l3 = r3.slope * (1.0 + half * l2);
-    const Real l4 = r4.slope * (1.0 + step * l3);
-    Moved moved;
-    moved.state = start + sixth * (first->value + 2.0 * (r2.value + r3.value) + r4.value);
-    moved.by_state = 1.0 + sixth * (first->slope + 2.0 * (l2 + l3) + l4);
-    for (int j = 0; j < n; j++) {
-        const Real m1 = first->by_coordinate[j];
-        const Real m2 = r2.slope * (half * m1) + r2.by_coordinate[j];
-        const Real m3 = r3.slope * (half * m2) + r3.by_coordinate[j];
-        const Real m4 = r4.slope * (step * m3) + r4.by_coordinate[j];
-        moved.by_coordinate[j] = sixth * (m1 + 2.0 * (m2 + m3) + m4);
-    }
-    return moved;
-}
-
-/* Equal steps, as many as each lane asks for; at most `most` of any lane: flow.py, _in_steps. */
-INLINE Moved in_steps(const Physics *box, const int n, Real start, Real voltage, Real begin, Real end, Real interval, Real steps, int most)
-{
-    const Real slope = (end - begin) / steps, length = interval / steps;
-    Moved whole = {start, all(1.0), {{0}}};
-    for (int s = 0; s < most; s++) {
-        const Mask on = all(s) < steps;
-        const Real from = begin + (double)s * slope;
-        const Rate here = rate_of(box, n, whole.state, voltage, from);
-        const Moved part = runge_kutta(box, n, &here, whole.state, voltage, from, begin + (double)(s + 1) * slope, length);
-        whole.state = chosen(on, part.state, whole.state);
-        for (int j = 0; j < n; j++) {
-            const Real grown = part.by_state * whole.by_coordinate[j] + part.by_coordinate[j];
-            whole.by_coordinate[j] = chosen(on, grown, whole.by_coordinate[j]);
-        }
-        whole.by_state = chosen(on, part.by_state * whole.by_state, whole.by_state);
-    }
-    return whole;
-}
-
-/* Processors differ in how many lanes they work on at once; the results do not. */
-#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
-#define CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default"), noinline)) static
-#else
-#define CLONES __attribute__((noinline)) static
-#endif
 
 /* Solve a system of `size` unknowns with `columns` right-hand sides, with pivots; what was given is overwritten. */
 CLONES void solve(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
@@ -196,31 +91,61 @@ CLONES void solve(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real righ
         }
 }
 
-#define LOAD(name, width, i) ({ Real x_; for (int l_ = 0; l_ < LANES; l_++) x_[l_] = u->name[t->motor[l_] * (width) + (i)]; x_; })
-#define STORE(name, width, i, x) do { const Real x_ = (x); for (int l_ = 0; l_ < t->lanes; l_++) if (t->fine[l_]) u->name[t->motor[l_] * (width) + (i)] = x_[l_]; } while (0)
+/* Entry i of an array of shape (motor, width), lane by lane; written for the motors whose block is ordinary. */
+INLINE Real load(const Tile *t, const double *array, int64_t width, int64_t i)
+{
+    Real x;
+    for (int l = 0; l < LANES; l++) x[l] = array[t->motor[l] * width + i];
+    return x;
+}
+
+INLINE void store(const Tile *t, double *array, int64_t width, int64_t i, Real x)
+{
+    for (int l = 0; l < t->lanes; l++)
+        if (t->fine[l]) array[t->motor[l] * width + i] = x[l];
+}
 
 /* Bring samples and belief of the motors in, lane by lane. */
 CLONES void gather(const Update *u, Tile *t)
 {
     const int k = t->k, n = t->n, m = n + 1;
     const int64_t stride = u->signal_stride;
-    t->fine = all(0.0) == all(0.0);
+    t->fine = everywhere();
+    const int64_t column = u->at[t->motor[0]] - u->gone[t->motor[0]] - k - 1;
+    int beside = 1; /* whether one load brings the sample of every lane */
     for (int l = 0; l < LANES; l++) {
         const int64_t motor = t->motor[l];
-        const double *first = u->data + motor * u->motor_stride + (u->at[motor] - u->gone[motor] - k - 1);
-        for (int j = 0; j <= k; j++) t->interval[j][l] = first[j];
-        for (int j = 0; j <= k; j++) t->voltage[j][l] = first[stride + j];
-        for (int j = 0; j <= k; j++) t->measured[j][l] = first[2 * stride + j];
-        for (int j = 0; j <= k; j++) t->speed[j][l] = u->speed_measured ? first[3 * stride + j] : 0.0;
+        beside &= motor == t->motor[0] + l && u->at[motor] - u->gone[motor] - k - 1 == column;
         if (!u->hold_begun[motor]) t->fine[l] = 0;
     }
-    t->box = (Physics){n - 1, u->known_terms, u->speed_measured, u->codes, LOAD(torque_constant, 1, 0), {{0}}, {{0}}};
-    for (int j = 0; j < n; j++) t->box.p[j] = LOAD(p, n, j);
-    for (int j = 0; j < t->box.known; j++) t->box.constant[j] = LOAD(known, 1, j * u->motors);
-    t->size = LOAD(current_a, 1, 0), t->noise = LOAD(noise, 1, 0), t->gain = LOAD(gain, 1, 0);
-    for (int i = 0; i < m; i++) for (int j = 0; j < m; j++) t->covariance[i][j] = LOAD(covariance, m * m, i * m + j);
-    for (int i = 0; i < n; i++) t->sensitivity[i] = LOAD(sensitivity, n, i);
-    t->state = LOAD(state, 1, 0);
+    for (int l = 0; l < (beside ? 1 : LANES); l++) {
+        const int64_t motor = t->motor[l];
+        const double *first = u->data + motor + (u->at[motor] - u->gone[motor] - k - 1) * u->column_stride;
+        for (int j = 0; j <= k; j++, first += u->column_stride)
+            if (beside) {
+                memcpy(&t->interval[j], first, sizeof(Real));
+                memcpy(&t->voltage[j], first + stride, sizeof(Real));
+                memcpy(&t->measured[j], first + 2 * stride, sizeof(Real));
+                memcpy(&t->speed[j], first + 3 * stride, sizeof(Real));
+            } else {
+                t->interval[j][l] = first[0];
+                t->voltage[j][l] = first[stride];
+                t->measured[j][l] = first[2 * stride];
+                t->speed[j][l] = first[3 * stride];
+            }
+    }
+    if (!u->speed_measured) /* nothing is known of it, perhaps not even a number */
+        for (int j = 0; j <= k; j++) t->speed[j] = all(0.0);
+    t->box = (Physics){.unknown = n - 1, .known = u->known_terms, .speed_measured = u->speed_measured};
+    t->box.codes = u->codes;
+    t->box.torque_constant = load(t, u->torque_constant, 1, 0);
+    for (int j = 0; j < n; j++) t->box.p[j] = load(t, u->p, n, j);
+    for (int j = 0; j < t->box.known; j++) t->box.constant[j] = load(t, u->known, 1, j * u->motors);
+    t->size = load(t, u->current_a, 1, 0), t->noise = load(t, u->noise, 1, 0), t->gain = load(t, u->gain, 1, 0);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) t->covariance[i][j] = load(t, u->covariance, m * m, i * m + j);
+    for (int i = 0; i < n; i++) t->sensitivity[i] = load(t, u->sensitivity, n, i);
+    t->state = load(t, u->state, 1, 0);
 }
 
 /* Settle where every interval is linearised: blocks.py, _outset. */
@@ -230,19 +155,19 @@ CLONES void set_out(const Update *u, Tile *t)
     for (int j = 0; j <= t->k; j++) {
         t->measured[j] /= t->box.torque_constant;
         t->about[j] = j > 0 ? between(t->measured[j], -reach, reach) : t->state;
-        t->near[j] = all(0.0) == all(0.0);
+        t->near[j] = everywhere();
         if (j > 0) t->fine &= t->interval[j] > 0.0;
     }
     t->error[0] = all(0.0);
 }
 
 /* Settle in how many steps an interval is gone through: flow.py, flow. */
-CLONES void count_steps(const Update *u, Tile *t)
+INLINE void count_steps(const Update *u, Tile *t, const int n)
 {
     Real stiffness = all(0.0);
     for (int j = 0; j < t->k; j++) {
-        const Rate rate = rate_of(&t->box, t->n, t->about[j], t->voltage[j + 1], t->speed[j]);
-        const Real stiff = absolute(rate.slope) * t->interval[j + 1];
+        t->here[j] = rate_of(&t->box, n, t->about[j], t->voltage[j + 1], t->speed[j]);
+        const Real stiff = absolute(t->here[j].slope) * t->interval[j + 1];
         t->fine &= stiff < INFINITY;
         stiffness = larger(stiffness, stiff);
     }
@@ -260,8 +185,8 @@ INLINE void follow(const Update *u, Tile *t, const int n)
 {
     const int k = t->k, m = n + 1;
     const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
-    Real used = all(0.0);
-    Real largest = all(0.0), x = t->state, by_start = all(1.0), squares = all(0.0), by_coordinate[MOST_COORDINATES];
+    Real largest = all(0.0), x = t->state, by_start = all(1.0), by_coordinate[MOST_COORDINATES];
+    Real squares = all(0.0), used = all(0.0);
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS], twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
     Mask fine = t->fine;
     for (int j = 0; j <= k; j++) largest = larger(largest, absolute(t->measured[j]));
@@ -276,13 +201,12 @@ INLINE void follow(const Update *u, Tile *t, const int n)
     }
     for (int j = 0; j < k; j++) {
         Moved to;
-        const Real about = t->about[j], voltage = t->voltage[j + 1], interval = t->interval[j + 1];
-        if (t->most == 1) {
-            const Rate here = rate_of(&t->box, n, about, voltage, t->speed[j]);
-            to = runge_kutta(&t->box, n, &here, about, voltage, t->speed[j], t->speed[j + 1], interval);
-        } else {
-            to = in_steps(&t->box, n, about, voltage, t->speed[j], t->speed[j + 1], interval, t->steps, t->most);
-        }
+        const Real about = t->about[j];
+        const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
+        if (t->most == 1)
+            to = runge_kutta(&t->box, n, &t->here[j], about, &over);
+        else
+            to = in_steps(&t->box, n, about, &over, t->steps, t->most);
         fine &= absolute(to.state) <= limit;
         const Real decay = between(to.by_state, all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
         const Real factor = decay * (1.0 - gain);
@@ -317,11 +241,11 @@ INLINE void follow(const Update *u, Tile *t, const int n)
 }
 
 /* One for every number of coordinates, so that all that is known of a sample stays in registers. */
-CLONES void follow_1(const Update *u, Tile *t) { follow(u, t, 1); }
-CLONES void follow_2(const Update *u, Tile *t) { follow(u, t, 2); }
-CLONES void follow_3(const Update *u, Tile *t) { follow(u, t, 3); }
-CLONES void follow_4(const Update *u, Tile *t) { follow(u, t, 4); }
-CLONES void follow_5(const Update *u, Tile *t) { follow(u, t, 5); }
+CLONES void follow_1(const Update *u, Tile *t) { count_steps(u, t, 1), follow(u, t, 1); }
+CLONES void follow_2(const Update *u, Tile *t) { count_steps(u, t, 2), follow(u, t, 2); }
+CLONES void follow_3(const Update *u, Tile *t) { count_steps(u, t, 3), follow(u, t, 3); }
+CLONES void follow_4(const Update *u, Tile *t) { count_steps(u, t, 4), follow(u, t, 4); }
+CLONES void follow_5(const Update *u, Tile *t) { count_steps(u, t, 5), follow(u, t, 5); }
 
 static void follow_any(const Update *u, Tile *t)
 {
@@ -340,7 +264,7 @@ CLONES void look_for_kicks(const Update *u, Tile *t)
     const int k = t->k;
     const Real limit = u->kick * t->noise, end = all(INFINITY);
     Real change[MOST_SAMPLES], jump[MOST_SAMPLES];
-    Mask kicked = all(0.0) != all(0.0), large = kicked;
+    Mask kicked = ~everywhere(), large = kicked;
     for (int j = 0; j < k; j++) {
         jump[j] = t->error[j + 1] - t->factor[j] * t->error[j];
         change[j] = absolute(jump[j]);
@@ -348,7 +272,8 @@ CLONES void look_for_kicks(const Update *u, Tile *t)
     }
     for (int j = 0; j < k; j++) {
         const Real earlier = j > 1 ? change[j - 2] : all(0.0), before = j > 0 ? change[j - 1] : all(0.0);
-        const Real after = j + 1 < k ? change[j + 1] : end, both = absolute(jump[j] + t->factor[j] * (j > 0 ? jump[j - 1] : all(0.0)));
+        const Real after = j + 1 < k ? change[j + 1] : end, last = j > 0 ? jump[j - 1] : all(0.0);
+        const Real both = absolute(jump[j] + t->factor[j] * last);
         kicked |= (change[j] > limit) & (before < 0.5 * change[j]) & (after < 0.5 * change[j]);
         kicked |= (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0);
     }
@@ -358,21 +283,17 @@ CLONES void look_for_kicks(const Update *u, Tile *t)
 /* Predict the block, and tell its good samples from the others: blocks.py, predict. */
 static void predict(const Update *u, Tile *t)
 {
-    Mask outliers = all(0.0) != all(0.0);
+    Mask outliers = ~everywhere();
     set_out(u, t);
-    count_steps(u, t);
     follow_any(u, t);
     for (int j = 1; j <= t->k; j++) outliers |= ~t->kept[j];
     outliers &= t->fine;
-    int any = 0;
-    for (int l = 0; l < LANES; l++) any |= outliers[l] != 0;
-    if (!any) return;
+    if (!anywhere(outliers)) return;
     look_for_kicks(u, t);
     for (int j = 1; j <= t->k; j++) t->near[j] = t->kept[j];
     follow_any(u, t);
     for (int j = 1; j <= t->k; j++) /* the motor never stood where an outlier says */
         t->about[j] = chosen(t->kept[j], t->about[j], t->path[j]);
-    count_steps(u, t);
     follow_any(u, t);
 }
 
@@ -398,10 +319,10 @@ CLONES void examine(const Update *u, Tile *t)
         for (int i = 0; i < n; i++) {
             const Real share = t->sensitivity[i], turned = share * reached[0][0] + reached[i + 1][0];
             const Real score = (share * reached[0][m] + reached[i + 1][m]) * unit;
-            t->scores[q][i] = u->keep[q] * LOAD(score, memories * n, q * n + i) + score;
+            t->scores[q][i] = u->keep[q] * load(t, u->score, memories * n, q * n + i) + score;
             for (int j = 0; j < n; j++) {
                 const Real told = turned * t->sensitivity[j] + (share * reached[0][j + 1] + reached[i + 1][j + 1]);
-                const Real before = LOAD(information, memories * n * n, (q * n + i) * n + j);
+                const Real before = load(t, u->information, memories * n * n, (q * n + i) * n + j);
                 matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * before + told * unit;
             }
             solution[i][0] = t->scores[q][i];
@@ -413,7 +334,8 @@ CLONES void examine(const Update *u, Tile *t)
         t->fine &= statistic <= u->threshold;
     }
     const Real samples = all((double)t->k), missing = (samples - t->used) / samples;
-    t->fine &= (t->used >= 0.5 * samples) & (u->left_out_memory * LOAD(left_out, 1, 0) + missing <= u->left_out_limit);
+    const Real left_out = u->left_out_memory * load(t, u->left_out, 1, 0) + missing;
+    t->fine &= (t->used >= 0.5 * samples) & (left_out <= u->left_out_limit);
 }
 
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
@@ -453,7 +375,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
     Real shift = all(0.0), passed = all(0.0);
     for (int j = 1; j <= k; j++) passed += t->interval[j];
     for (int i = 0; i < m; i++) shift += transfer[i] * step[i];
-    const Real state = t->end + shift * t->size, walk = LOAD(walk_rate, 1, 0);
+    const Real state = t->end + shift * t->size, walk = load(t, u->walk_rate, 1, 0);
     for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
         Real sum = all(0.0);
         for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
@@ -486,10 +408,11 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
         low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
         slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
     }
-    const Real level = LOAD(hold_level, 1, 0), largest = larger(LOAD(hold_largest, 1, 0), larger(-low, high));
+    const Real level = load(t, u->hold_level, 1, 0);
+    const Real largest = larger(load(t, u->hold_largest, 1, 0), larger(-low, high));
     Mask same = larger(high - level, level - low) <= u->hold_tolerance * largest;
     if (u->speed_measured) same &= fast - slow <= u->hold_tolerance * larger(-slow, fast);
-    const Real held = chosen(same, LOAD(hold_held_s, 1, 0) + passed, all(0.0));
+    const Real held = chosen(same, load(t, u->hold_held_s, 1, 0) + passed, all(0.0));
     Mask settled = same;
     for (int l = 0; l < t->lanes; l++) {
         if (!same[l] || !t->fine[l]) continue;
@@ -501,24 +424,26 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
         settled[l] = held[l] * rate > u->hold_settled ? -1 : 0;
     }
 
-    STORE(state, 1, 0, state);
-    STORE(noise, 1, 0, followed);
+    store(t, u->state, 1, 0, state);
+    store(t, u->noise, 1, 0, followed);
     for (int i = 0; i < n; i++) {
-        STORE(p, n, i, p[i]);
-        STORE(sensitivity, n, i, (t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size)) / t->size);
+        store(t, u->p, n, i, p[i]);
+        const Real reached = t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size);
+        store(t, u->sensitivity, n, i, reached / t->size);
     }
     for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) STORE(covariance, m * m, i * m + j, moved[i][j]);
+        for (int j = 0; j < m; j++) store(t, u->covariance, m * m, i * m + j, moved[i][j]);
     for (int q = 0; q < memories; q++)
         for (int i = 0; i < n; i++) {
-            STORE(score, memories * n, q * n + i, t->scores[q][i]);
-            for (int j = 0; j < n; j++) STORE(information, memories * n * n, (q * n + i) * n + j, t->tested[q][i][j]);
+            store(t, u->score, memories * n, q * n + i, t->scores[q][i]);
+            for (int j = 0; j < n; j++)
+                store(t, u->information, memories * n * n, (q * n + i) * n + j, t->tested[q][i][j]);
         }
-    STORE(left_out, 1, 0, u->left_out_memory * LOAD(left_out, 1, 0) + ((double)k - t->used) / (double)k);
-    STORE(suspicion, 1, 0, all(0.0));
-    STORE(hold_level, 1, 0, chosen(same, level, t->voltage[k]));
-    STORE(hold_largest, 1, 0, largest);
-    STORE(hold_held_s, 1, 0, held);
+    store(t, u->left_out, 1, 0, u->left_out_memory * load(t, u->left_out, 1, 0) + ((double)k - t->used) / (double)k);
+    store(t, u->suspicion, 1, 0, all(0.0));
+    store(t, u->hold_level, 1, 0, chosen(same, level, t->voltage[k]));
+    store(t, u->hold_largest, 1, 0, largest);
+    store(t, u->hold_held_s, 1, 0, held);
     for (int l = 0; l < t->lanes; l++) {
         const int64_t motor = t->motor[l];
         ordinary[l] = t->fine[l] != 0;

@@ -83,7 +83,7 @@ class _Update(ctypes.Structure):
         *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled')),
         ('noise_memory', _COUNT),
         ('data', _POINTER),
-        *((name, _COUNT) for name in ('signal_stride', 'motor_stride')),
+        *((name, _COUNT) for name in ('signal_stride', 'column_stride')),
         ('gone', _POINTER),
         *((name, _POINTER) for name in (*_READ, *_WRITTEN)),
     )
@@ -169,7 +169,7 @@ class OrdinaryBlocks:
             noise_memory=rules.noise_memory,
             data=places[2],
             signal_stride=data.strides[0] // data.itemsize,
-            motor_stride=data.strides[1] // data.itemsize,
+            column_stride=data.strides[2] // data.itemsize,
             gone=places[3],
         )
 

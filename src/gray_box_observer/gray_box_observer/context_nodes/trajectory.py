@@ -99,7 +99,7 @@ class Stretch:
             until: place of the last one in each motor's stream; None: the newest.
         """
         samples = min(samples, int(replay.remembered(which, until).min()))
-        interval, voltage, torque, speed = replay.newest(samples, which, until)
+        interval, voltage, torque, speed = np.ascontiguousarray(replay.newest(samples, which, until))
         interval = interval[:, 1:]
         restart = interval <= 0.0
         return cls(white_box.state(torque), np.where(restart, 0.0, voltage[:, 1:]), interval, speed, restart)

@@ -1,4 +1,4 @@
-"""The newest samples of a group of motors, each motor's in order, as contiguous arrays."""
+"""The newest samples of a group of motors, each motor's in order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gray_box_observer.white_box.base import Array
 _INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
 
 STAGE = 32
-"""Samples gathered as they come, motor beside motor, before each motor's are put behind those it has."""
+"""Samples gathered as they come before it is settled which of them are whose."""
 
 
 class ReplayBuffer:
@@ -42,10 +42,11 @@ class ReplayBuffer:
             raise ConfigurationError(f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}')
         self.motors = motors
         self.capacity = capacity
-        self._data = np.zeros((4, motors, 2 * capacity))
         stage = max(1, min(STAGE, capacity // 2))
-        self._stage = np.zeros((stage, 4, motors))
+        self._rows = np.zeros((2 * capacity + stage, 4, motors))
+        self._data = self._rows.transpose(1, 2, 0)
         self._present = np.ones((stage, motors), dtype=bool)
+        self._top = 0  # row behind the newest sample of any motor, where what is staged begins
         self._staged = 0
         self._gaps = False
         self._end = np.zeros(motors, dtype=int)  # column behind the newest sample
@@ -59,7 +60,7 @@ class ReplayBuffer:
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
         """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s`` replaces its speed."""
-        row = self._stage[self._staged]
+        row = self._rows[self._top + self._staged]
         row[_INTERVAL] = sample.interval_s
         row[_VOLTAGE] = sample.voltage_v
         row[_TORQUE] = sample.torque_nm
@@ -68,48 +69,51 @@ class ReplayBuffer:
             self._present[self._staged], self._gaps = sample.present, True
         self._staged += 1
         self.total += 1
-        if self._staged == self._stage.shape[0]:
+        if self._staged == self._present.shape[0]:
             self._settle()
 
     def _settle(self) -> None:
-        """Put what is staged behind what every motor has."""
+        """Count what is staged to those motors that were there."""
         count, self._staged = self._staged, 0
         if count == 0:
             return
-        if int(self._end.max()) + count > self._data.shape[2]:
-            self._move_to_front()
-        if self._gaps:
-            self._scatter(count)
-        elif self._even:
-            end = int(self._end[0])
-            self._data[:, :, end : end + count] = self._stage[:count].transpose(1, 2, 0)
+        if self._even and not self._gaps:
             self._end += count
+            self._top += count
         else:
-            columns = self._end[:, None] + np.arange(count)
-            self._data[:, np.arange(self._end.size)[:, None], columns] = self._stage[:count].transpose(1, 2, 0)
-            self._end += count
+            self._scatter(count)
+        self._make_room()
 
     def _scatter(self, count: int) -> None:
         """Put what is staged behind what those motors have that were there."""
-        present = self._present[:count]
+        staged, present = self._rows[self._top : self._top + count].copy(), self._present[:count]
         columns = self._end + np.cumsum(present, axis=0) - 1
         row, motor = np.nonzero(present)
-        self._data[:, motor, columns[row, motor]] = self._stage[row, :, motor].T
+        self._data[:, motor, columns[row, motor]] = staged[row, :, motor].T
         self._end += np.sum(present, axis=0)
-        self._even = bool(np.all(self._end == self._end[0]))
+        self._find_top()
         self._present[:count], self._gaps = True, False
 
-    def _move_to_front(self) -> None:
+    def _find_top(self) -> None:
+        self._top = int(self._end.max())
+        self._even = bool(np.all(self._end == self._top))
+
+    def _make_room(self) -> None:
+        """Move the newest part to the front where what is staged next would find no room."""
+        if self._top + self._present.shape[0] <= self._rows.shape[0]:
+            return
         keep = np.minimum(self._end, self.capacity + self.capacity // 2)
         most = int(keep.max())
         if self._even:
-            end = int(self._end[0])
-            self._data[:, :, :most] = self._data[:, :, end - most : end]
+            by = self._top - most
+            for begin in range(0, most, by):  # piece by piece, so that none is written over before it is read
+                self._rows[begin : min(begin + by, most)] = self._rows[begin + by : min(begin + 2 * by, self._top)]
         else:  # from behind, so that the newest of each stand where the next will follow
-            columns = np.minimum((self._end - keep)[:, None] + np.arange(most), self._data.shape[2] - 1)
+            columns = np.minimum((self._end - keep)[:, None] + np.arange(most), self._rows.shape[0] - 1)
             self._data[:, :, :most] = self._data[:, np.arange(self._end.size)[:, None], columns]
         self._gone += self._end - keep
         self._end = keep
+        self._find_top()
 
     @property
     def received(self) -> NDArray[np.int_]:
@@ -197,7 +201,8 @@ class ReplayBuffer:
         cut = content.shape[2] - keep
         self._data[:, which, :keep] = content[:, :, cut:]
         self._end[which], self._gone[which], self._begin[which] = keep, gone + cut, begin
-        self._even = bool(np.all(self._end == self._end[0]))
+        self._find_top()
+        self._make_room()
 
     def _row(self, row: int, count: int | None) -> Array:
         length = int(self.remembered().min())

@@ -6,14 +6,7 @@
 #ifndef GRAY_BOX_OBSERVER_WHITE_BOX_TERMS_H
 #define GRAY_BOX_OBSERVER_WHITE_BOX_TERMS_H
 
-#include <stdint.h>
-
-#define LANES 8
-
-typedef double Real __attribute__((vector_size(8 * LANES)));
-typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
-
-#define INLINE static inline __attribute__((always_inline))
+#include "white_box/lanes.h"
 
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF, BRUSH_DROP };
 
@@ -22,10 +15,6 @@ static const double BRUSH_KNEE_A = 0.02;
 typedef struct {
     Real value, by_current, by_speed;
 } Term;
-
-INLINE Real chosen(Mask which, Real yes, Real no) { return (Real)((which & (Mask)yes) | (~which & (Mask)no)); }
-INLINE Real absolute(Real x) { return (Real)((Mask)x & INT64_MAX); }
-INLINE Real all(double x) { return (Real){0} + x; }
 
 static inline int term_known(int64_t code) { return code >= RESISTANCE && code <= BRUSH_DROP; }
 
