@@ -187,6 +187,37 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     assert told['motor changes'] > 0
 
 
+@needs_it
+@pytest.mark.parametrize('seed', [14, 20])
+def test_so_is_a_group_in_which_nearly_everything_goes_wrong(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    random, motors = np.random.default_rng(seed), 9
+    box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, bool(seed % 4))
+    current, voltage, samples = np.zeros(motors), np.zeros(motors), []
+    for k in range(700):
+        if random.random() < 0.05:
+            voltage = random.uniform(-15.0, 15.0, motors)
+        speed = 0.01 * current
+        current = current + 0.02 * (voltage - current - 10.0 * np.abs(speed) * current - 0.01 * speed)
+        signals = voltage.copy(), 0.01 * current + random.normal(0.0, 1e-4, motors), 0.01 * current
+        for signal in signals:
+            bad = random.random(motors) < 0.003
+            signal[bad] = random.choice([1e-320, 0.0, 1e-30, 5.0, -5.0, 0.5, -0.1, 30.0], int(bad.sum()))
+        interval = np.where(random.random(motors) < 0.003, random.choice([0.0, 0.02, 0.03]), 0.01)
+        present = None if random.random() < 0.9 else random.random(motors) < 0.9
+        samples.append(Sample(k * 10_000_000, interval, *signals, present))
+    start = np.tile(START, (motors, 1))
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    assert 0 < count.learnt < count.given
+
+
+def test_a_motor_of_which_nothing_can_be_solved_ends_nobody(thesis_box: MotorWhiteBox) -> None:
+    random, nodes = np.random.default_rng(2), RecursiveUpdate(thesis_box, START)
+    for k in range(400):
+        values = np.array([[0.01], [random.choice([1e300, 0.0, 5.0])], [random.choice([1e300, -1e300, 0.0])]])
+        nodes.learn(Sample(k * 10_000_000, *values, np.array([np.nan])))
+    assert np.isfinite(nodes.theta).all()
+
+
 def test_a_state_that_was_saved_is_not_written_to(thesis_box: MotorWhiteBox, disturbed: list[Sample]) -> None:
     begun, fresh = (RecursiveUpdate(thesis_box, START) for _ in range(2))
     for sample in disturbed[:1000]:

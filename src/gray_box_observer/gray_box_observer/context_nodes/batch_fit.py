@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
+from gray_box_observer.context_nodes.normal_equations import (
+    OUTLIER,
+    Frame,
+    inverted,
+    robust_std,
+    solved,
+    weighted,
+)
 from gray_box_observer.context_nodes.trajectory import (
     Linearised,
     Stretch,
@@ -102,7 +109,7 @@ class _Search:
         self.motors: NDArray[np.intp] = np.arange(start.shape[0])
         self._white_box = white_box
         self._prior = prior
-        self._precision = np.linalg.inv(prior.covariance)
+        self._precision = inverted(prior.covariance)
         self._stretch = stretch
         self._restarts = np.sum(stretch.restart, axis=1)
         measured = stretch.state
@@ -225,7 +232,7 @@ class _Search:
         pull[:, 1:, 1:] = self._precision * noise[:, None, None] ** 2
         pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2) + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
-        covariance = np.asarray(np.linalg.inv(information + pull), dtype=float)
+        covariance = inverted(information + pull)
         step = self._damping[:, None] * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
@@ -287,7 +294,7 @@ class _Search:
         information, right = weighted(jacobian, self._weights, drift)
         n = information.shape[1]
         ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] / n + 1e-300
-        inside = np.linalg.solve(information + ridge * np.eye(n), right[..., None])
+        inside = solved(information + ridge * np.eye(n), right[..., None])
         left = (drift - (jacobian @ inside)[..., 0]) * self._weights
         size = np.sum(left**2, axis=1)
         statistic = np.sum(left * self._residual, axis=1) ** 2 / np.maximum(size * self._noise**2, 1e-300)

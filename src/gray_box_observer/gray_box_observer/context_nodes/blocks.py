@@ -87,8 +87,9 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     path, residual, jacobian, spread, loose = _from(white_box, belief, stretch, about, near)
     limit = OUTLIER * belief.noise[:, None] * spread
     kicked = np.zeros(belief.state.size, dtype=bool)
-    if (np.abs(residual) > limit).any():
-        kicks = find_kicks(path, residual, ~stretch.restart, belief.noise)
+    if (off := np.abs(residual) > limit).any():
+        odd = off.any(axis=1, keepdims=True)  # whoever has no outlier is asked nothing, as it would be alone
+        kicks = find_kicks(path, residual, ~stretch.restart, belief.noise) & odd
         kicked = np.any(kicks, axis=1)
         stretch = stretch.restarted(kicks)
         near = np.abs(residual) <= limit

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import Fit
-from gray_box_observer.context_nodes.normal_equations import OUTLIER
+from gray_box_observer.context_nodes.normal_equations import OUTLIER, solved
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, Parameter
 
@@ -82,7 +82,7 @@ class DriftTest:
         all_information = self._keep[..., None] ** 2 * before[1] + information[:, None]
         n = scores.shape[-1]
         ridge = 1e-6 * np.trace(all_information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
-        reached = np.linalg.solve(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
+        reached = solved(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
         over = (scores * reached).sum(axis=-1) > self._threshold
         alarm: NDArray[np.bool_] = over.any(axis=1)
         return (scores, all_information), alarm, _MEMORIES[over.argmax(axis=1)]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief
+from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, Parameter
 
@@ -143,7 +144,7 @@ class Holds:
         order = np.argsort(~self._free, kind='stable')  # what is free first
         back, kept = np.argsort(order), order[f:] - 1
         covariance = belief.covariance[:, order][:, :, order]
-        a = np.swapaxes(np.linalg.solve(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
+        a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
         marginal = held.covariance[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
         joint = np.zeros_like(covariance)
         joint[:, f:, f:] = marginal

@@ -1,4 +1,4 @@
-"""What the recursive rule does to a group of motors when a piece of work is due: fit, update, examine, walk again.
+"""What the recursive rule does to motors when a piece of work is due: fit everything, or learn a block.
 
 Every motor of the group goes its own way: which of its samples are read is settled by its place in its own stream
 (``Learnt.at``), and nothing that is decided for one depends on another.
@@ -6,30 +6,28 @@ Every motor of the group goes its own way: which of its samples are read is sett
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import blocks, walk
-from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, Fit, batch_fit
+from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, batch_fit
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.blocks import Block
 from gray_box_observer.context_nodes.drift import (
-    CHANGE_EVIDENCE,
     LEFT_OUT,
     LEFT_OUT_MEMORY,
     MEMORIES_BLOCKS,
     SUSPICIOUS_BLOCKS,
-    UNCHANGED,
     DriftTest,
-    changes,
-    evidence_for,
 )
+from gray_box_observer.context_nodes.following import Following
 from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
+from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
@@ -46,15 +44,6 @@ LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""
 
 
-@dataclass(slots=True)
-class Group:
-    """Some motors: their physics, their place on the motor axis, and what is known of them."""
-
-    white_box: WhiteBox
-    which: Any
-    learnt: Learnt
-
-
 class Learner:
     """The recursion.
 
@@ -62,34 +51,36 @@ class Learner:
         white_box: of all motors.
         rules: settings.
         replay: samples of all motors.
+        following: examines those that seem to have changed.
     """
 
-    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+    def __init__(
+        self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer, following: Following
+    ) -> None:  # fmt: skip
         self._rules = rules
         self._replay = replay
-        self._parameters = white_box.parameters
+        self._following = following
         self._holds = Holds(white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured)
         self._drift = DriftTest(rules.drift_threshold)
-        self._changes = changes(white_box.parameters, rules.drift_relative_std)
         self._heats = np.array([float(p.heats) for p in white_box.parameters])
         self._ordinary = OrdinaryBlocks(white_box, rules, replay)
 
-    def fit(self, group: Group, samples: int) -> None:
+    def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
-        known = group.learnt
-        stretch, start = self._newest(group, samples), known.belief.p
+        known = motors.learnt
+        stretch, start = motors.newest(samples), known.belief.p
         fresh = ~known.started
         if np.any(fresh):
             window = min(LINEAR_WINDOW, samples // 4)
-            start = np.where(fresh[:, None], linear_start(group.white_box, known.prior.p, stretch, window), start)
-        fit = batch_fit(group.white_box, stretch, start, known.prior, self._rules.noise_floor)
+            start = np.where(fresh[:, None], linear_start(motors.white_box, known.prior.p, stretch, window), start)
+        fit = batch_fit(motors.white_box, stretch, start, known.prior, self._rules.noise_floor)
         known.started = np.ones_like(known.started)
-        self._take(group, fit.belief, np.ones_like(fresh))
+        motors.take(fit.belief, np.ones_like(fresh))
         known.anchor = copied(self._open(fit.belief, known.prior, stretch))
         known.anchored = known.at - stretch.restart.shape[1]
         known.hold = self._holds.fitted(known.hold, known.belief, stretch)
         if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun):
-            self._drifts(group, drifting)
+            self._following.drifting(motors, drifting)
         known.belief = self._holds.cut(known.hold, known.belief)
 
     @staticmethod
@@ -113,12 +104,11 @@ class Learner:
         Returns:
             What is known then, and whose block has been learnt, shape (place,).
         """
-        enough = self._replay.remembered(motors, at) > self._rules.block
-        if not (self._ordinary.compiled and enough.all()):
-            return known, np.zeros(motors.size, dtype=bool)
-        before = known.at[motors]
-        known.at[motors] = at
-        known, learnt = self._ordinary.learn(known, motors)
+        learnt = self._replay.remembered(motors, at) > self._rules.block
+        if not (self._ordinary.compiled and learnt.any()):
+            return known, np.zeros_like(learnt)
+        before, known.at[motors] = known.at[motors], at
+        known, learnt[learnt] = self._ordinary.learn(known, motors[learnt])
         if not learnt.all():
             known.at[motors] = np.where(learnt, at, before)
             motors = motors[learnt]
@@ -129,50 +119,49 @@ class Learner:
         self._move_anchors(known, motors)
         return known, learnt
 
-    def update(self, group: Group, samples: int) -> None:
+    def update(self, motors: Motors, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""
-        known = group.learnt
-        stretch, fresh, expected = self._newest(group, samples + 1), ~known.hold.begun, known.belief
+        known = motors.learnt
+        stretch, fresh, expected = motors.newest(samples + 1), ~known.hold.begun, known.belief
         if fresh.any():  # what is vague must not make everything seem possible
             expected = replace(expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance))
-        block = blocks.predict(group.white_box, expected, stretch)
+        block = blocks.predict(motors.white_box, expected, stretch)
         if fresh.any():
             block = block.silenced(fresh)
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
         if fresh.any():
-            self._look_at_rest(group, fresh, block)
+            self._look_at_rest(motors, fresh, block)
         calm = known.asked == 0
         if calm.all():
-            self._learn(group, block)
+            self._learn(motors, block)
         elif calm.any():
             index = np.flatnonzero(calm)
-            part = self._part(group, index)
+            part = motors.part(index)
             self._learn(part, block.of(index))
             put(known, index, part.learnt)
         if (begun := fresh & known.hold.begun).any():
-            self._begin_again(group, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
+            self._begin_again(motors, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
 
-    def _look_at_rest(self, group: Group, fresh: NDArray[np.bool_], block: Block) -> None:
+    def _look_at_rest(self, motors: Motors, fresh: NDArray[np.bool_], block: Block) -> None:
         """Ask of motors that have only been at rest whether they rest elsewhere now, at the same voltage."""
-        known = group.learnt
+        known = motors.learnt
         sudden = fresh & (known.suspicion >= SUSPICIOUS_BLOCKS)
         if np.any(elsewhere := sudden & self._holds.same(known.hold, block.stretch)):
             known.alarms = known.alarms + elsewhere
-            self._begin_again(group, elsewhere, self._rules.first_fit, 0)
+            self._begin_again(motors, elsewhere, self._rules.first_fit, 0)
         known.asked = np.where(fresh, 0, known.asked)
 
-    def _begin_again(self, group: Group, which: NDArray[np.bool_], keep: int, more: int) -> None:
+    def _begin_again(self, motors: Motors, which: NDArray[np.bool_], keep: int, more: int) -> None:
         """Let some motors start anew from their newest samples, with a fit of these and so many more.
 
         A motor that has only been at rest is too far from what it will prove to be for the recursion to get there.
         """
-        known, index = group.learnt, np.flatnonzero(which)
-        self._replay.forget(keep, np.arange(self._replay.motors)[group.which][index], known.at[index])
+        known = motors.learnt
+        motors.forget(keep, which)
         known.started = known.started & ~which
-        remembered = self._replay.remembered(group.which, known.at)
-        known.next_fit = np.where(which, remembered + more, known.next_fit)
+        known.next_fit = np.where(which, motors.remembered + more, known.next_fit)
         known.suspicion, known.left_out = np.where(which, 0.0, known.suspicion), np.where(which, 0.0, known.left_out)
 
     def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
@@ -206,14 +195,14 @@ class Learner:
         fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
         return suspicion, np.where(lost, known.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0)
 
-    def _learn(self, group: Group, block: Block) -> None:
+    def _learn(self, motors: Motors, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
-        known = group.learnt
+        known = motors.learnt
         walking = known.walk_rate > 0.0
         passed_s, walked = block.stretch.interval_s.sum(axis=1), None
         if walking.any():
             walked = walk.Walk(self._heats, known.walk_rate).spread(passed_s)
-        known.belief = blocks.learn(group.white_box, known.belief, block, walked)
+        known.belief = blocks.learn(motors.white_box, known.belief, block, walked)
         self._follow_noise(known, block)
         known.hold, known.belief = self._holds.take(known.hold, known.belief, block.stretch, block.path.factor)
         self._move_anchors(known, slice(None))
@@ -228,121 +217,12 @@ class Learner:
         everyone[which] = due & walking
         known.asked = np.where(everyone, WALK_AGAIN, known.asked)
         everyone[which] = due & ~walking
-        self._anchor_here(known, everyone)
-
-    def examine(self, group: Group, samples: int) -> None:
-        """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
-        known, belief = group.learnt, group.learnt.belief
-        stretch = self._newest(group, samples)
-        before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
-        held = self._fit_from(group, stretch, before)
-        self._calm(known)
-        priors = [before.loosened(change.directions) for change in self._changes]
-        fits = [self._fit_from(group, stretch, prior) for prior in priors]
-        penalties = [change.penalty for change in self._changes]
-        pairs = zip(fits, penalties, strict=True)
-        evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
-        best = np.argmax(evidence, axis=0)
-        changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
-        known.belief = self._back_on_track(belief, held.belief, ~changed)
-        if not np.any(changed):
-            return
-        jumped = changed & ~self._drifts(group, changed, samples)
-        if not np.any(jumped):
-            return
-        known.alarms = known.alarms + jumped
-        index = np.flatnonzero(jumped)
-        self._replay.forget(samples, np.arange(self._replay.motors)[group.which][index], known.at[index])
-        found, freedom = fits[0].belief, priors[0].covariance
-        for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
-            found = found.overwritten(fit.belief, best == j)
-            freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
-        one = jumped[:, None]
-        p = np.where(one, before.p, known.prior.p)
-        known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
-        self._take(group, found, jumped)
-        self._anchor_here(known, jumped)
-
-    def walk_again(self, group: Group) -> None:
-        """Ask motors that drift how fast they do."""
-        known = group.learnt
-        known.asked = np.zeros_like(known.asked)
-        self._drifts(group, np.ones_like(known.started))
-        self._anchor_here(known, np.ones_like(known.started))
-
-    @staticmethod
-    def _calm(known: Learnt) -> None:
-        """Forget what has led to an examination."""
-        known.asked, known.since = 0 * known.asked, 0 * known.since
-        known.suspicion, known.left_out = 0.0 * known.suspicion, 0.0 * known.left_out
-        known.score, known.information = np.zeros_like(known.score), np.zeros_like(known.information)
-
-    @staticmethod
-    def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
-        """Go on with unchanged parameters from the state that a fit under them has found, for some of the motors."""
-        usable = which & held.finite
-        units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
-        covariance = belief.covariance.copy()
-        covariance[:, 0, 0] += np.where(usable, units * held.covariance[:, 0, 0], 0.0)
-        return replace(belief, state=np.where(usable, held.state, belief.state), covariance=covariance)
-
-    def _fit_from(self, group: Group, stretch: Stretch, prior: Prior) -> Fit:
-        start, floor = group.learnt.belief.p, self._rules.noise_floor
-        return batch_fit(group.white_box, stretch, start, prior, floor, trusting=5)
-
-    def _drifts(self, group: Group, which: NDArray[np.bool_], jumped_before: int | None = None) -> NDArray[np.bool_]:
-        """Find which motors drift, by the samples since the anchor; these go on as is likeliest, and walk.
-
-        Args:
-            group: the motors.
-            which: shape (motor,): those that are asked about.
-            jumped_before: so many samples ago they may have changed suddenly instead.
-        """
-        known, walking = group.learnt, np.zeros_like(which)
-        length = known.at - known.anchored + 1
-        for samples in np.unique(length[which]).tolist():
-            index = np.flatnonzero(which & (length == samples))
-            part = self._part(group, index)
-            walking[index] = self._walk(part, self._newest(part, samples), jumped_before)
-            put(known, index, part.learnt)
-        return walking
-
-    def _walk(self, group: Group, stretch: Stretch, jumped_before: int | None) -> NDArray[np.bool_]:
-        """The same for motors whose anchor lies equally far back."""
-        known, jump = group.learnt, None
-        if jumped_before is not None:
-            freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
-            jump = walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
-        still = walk.Walk(self._heats, known.walk_rate)
-        rate, after = walk.likeliest(group.white_box, known.anchor, stretch, still, self._rules.block, jump)
-        walking: NDArray[np.bool_] = rate > 0.0
-        known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
-        known.walk_rate = rate
-        if np.any(walking):
-            self._take(group, after, walking)
-            self._anchor_here(known, walking)
-        return walking
-
-    def _take(self, group: Group, found: Belief, which: NDArray[np.bool_]) -> None:
-        """Go on from a fit of everything remembered, for some of the motors; never from one that is not finite."""
-        known = group.learnt
-        known.belief = known.belief.overwritten(found, which & found.finite)
-        remembered = self._replay.remembered(group.which, known.at)
-        known.noise_count = np.where(which, remembered, known.noise_count)
-        known.next_fit = np.where(which, 2 * (known.at - self._replay.begin(group.which)), known.next_fit)
-        known.score = np.where(which[:, None, None], 0.0, known.score)
-        known.information = np.where(which[:, None, None, None], 0.0, known.information)
-
-    @staticmethod
-    def _anchor_here(known: Learnt, which: NDArray[np.bool_]) -> None:
-        """Reckon the likelihood of a drift from the present belief on."""
-        known.anchor = copied(known.anchor.overwritten(known.belief, which))
-        known.anchored = np.where(which, known.at, known.anchored)
+        known.anchor_here(everyone)
 
     def _follow_noise(self, known: Learnt, block: Block) -> None:
         count = block.residual.shape[1]
         known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
-        seen = (block.kept * (block.residual / block.spread) ** 2).sum(axis=1)
+        seen = (np.where(block.kept, block.residual / block.spread, 0.0) ** 2).sum(axis=1)
         seen = seen / np.maximum(block.used, 1)
         share = np.where(block.used > 0, count / known.noise_count, 0.0)
         before = known.belief.noise
@@ -350,18 +230,3 @@ class Learner:
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)
         followed = known.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
         known.belief = replace(known.belief, noise=np.where(followed, noise, before))
-
-    def _newest(self, group: Group, samples: int) -> Stretch:
-        return Stretch.newest(group.white_box, self._replay, samples, group.which, group.learnt.at)
-
-    def part_of(self, white_box: WhiteBox, learnt: Learnt, index: NDArray[np.intp]) -> Group:
-        """Return some of all motors, by their places in order; a run of neighbours is not copied."""
-        run = bool(index[-1] - index[0] + 1 == index.size)
-        which: Any = slice(int(index[0]), int(index[-1]) + 1) if run else index
-        return Group(white_box.of_motors(which), which, chosen(learnt, which))
-
-    def _part(self, group: Group, index: NDArray[np.intp]) -> Group:
-        if index.size == group.learnt.motors:
-            return group
-        which = np.arange(self._replay.motors)[group.which][index]
-        return Group(group.white_box.of_motors(index), which, chosen(group.learnt, index))

@@ -80,6 +80,11 @@ class Learnt:
         """How many motors it is about."""
         return int(self.at.size)
 
+    def anchor_here(self, which: NDArray[np.bool_]) -> None:
+        """Reckon the likelihood of a drift from the present belief on, for some of the motors."""
+        self.anchor = copied(self.anchor.overwritten(self.belief, which))
+        self.anchored = np.where(which, self.at, self.anchored)
+
 
 def chosen(state: _T, index: Any) -> _T:
     """Return the entries of some motors of an array, or of everything in a dataclass of such."""

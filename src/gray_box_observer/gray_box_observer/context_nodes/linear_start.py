@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.dynamics import integrated_regressors
@@ -41,7 +42,7 @@ def linear_start(white_box: WhiteBox, initial: Array, stretch: Stretch, window: 
     n = initial.shape[1]
     pull = RIDGE * np.trace(information, axis1=1, axis2=2)[:, None] / n + 1e-300
     right = np.einsum('mka,mk->ma', regressors, change * whole) + pull
-    ratio = np.linalg.solve(information + pull[..., None] * np.eye(n), right[..., None])[..., 0]
+    ratio = solved(information + pull[..., None] * np.eye(n), right[..., None])[..., 0]
     start: Array = initial * np.clip(np.nan_to_num(ratio, nan=1.0), 1.0 / 30.0, 30.0)
     return start
 

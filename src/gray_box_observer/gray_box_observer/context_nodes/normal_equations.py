@@ -80,6 +80,11 @@ def solved(matrix: Array, right: Array) -> Array:
         return np.concatenate([solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])])
 
 
+def inverted(matrix: Array) -> Array:
+    """Inverse of one matrix a motor; NaN for a motor whose matrix is singular."""
+    return solved(matrix, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
+
+
 def semidefinite(matrix: Array) -> Array:
     """The nearest symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))

@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules, spread_of_values
+from gray_box_observer.context_nodes.following import Following
 from gray_box_observer.context_nodes.holds import HoldState
-from gray_box_observer.context_nodes.learner import WALK_AGAIN, Group, Learner
-from gray_box_observer.context_nodes.learnt import Learnt, copied, put
+from gray_box_observer.context_nodes.learner import WALK_AGAIN, Learner
+from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
+from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -78,7 +80,8 @@ class RecursiveUpdate:
         prior = Prior.of_parameters(to_coordinates(theta), np.where(told > 0.0, told, vague))
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
-        self._learner = Learner(white_box, self._rules, self.replay)
+        self._following = Following(white_box.parameters, self._rules)
+        self._learner = Learner(white_box, self._rules, self.replay, self._following)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
         self._due, self._fits = np.zeros(motors, dtype=int), self._nobody.copy()
@@ -203,13 +206,13 @@ class RecursiveUpdate:
         samples = np.where(asked[motors] > 0, np.minimum(asked[motors], remembered), remembered)
         kind = np.sign(asked[motors])
         alike = (samples == samples[0]) & (kind == kind[0])
-        chosen = np.sort(motors[alike][: max(1, HEAVY // int(samples[0]))])
-        work = {0: self._learner.fit, 1: self._learner.examine, WALK_AGAIN: self._walk_again}[int(kind[0])]
-        self._work(chosen, np.full(chosen.size, samples[0]), work)
+        motors = np.sort(motors[alike][: max(1, HEAVY // int(samples[0]))])
+        work = {0: self._learner.fit, 1: self._following.examine, WALK_AGAIN: self._walk_again}[int(kind[0])]
+        self._work(motors, np.full(motors.size, samples[0]), work)
         return int(np.max(received - self._due))
 
-    def _walk_again(self, group: Group, samples: int) -> None:
-        self._learner.walk_again(group)
+    def _walk_again(self, motors: Motors, samples: int) -> None:
+        self._following.walk_again(motors)
 
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
         """Do a piece of work for some motors, in order, those with equally many samples together."""
@@ -218,13 +221,13 @@ class RecursiveUpdate:
         for count in counts.tolist():
             alike = motors if counts.size == 1 else motors[samples == count]
             if alike.size == self._due.size:
-                work(Group(self._white_box, slice(None), self._learnt), count)
+                work(Motors(self._white_box, self.replay, slice(None), self._learnt), count)
                 if alike.size > 1:  # nothing that is written to later may be shared
                     self._learnt = copied(self._learnt)
             else:
-                group = self._learner.part_of(self._white_box, self._learnt, alike)
-                work(group, count)
-                put(self._learnt, group.which, group.learnt)
+                part = Motors.of(self._white_box, self.replay, self._learnt, alike)
+                work(part, count)
+                put(self._learnt, part.which, part.learnt)
         self._conclude(motors)
 
     def _conclude(self, motors: NDArray[np.intp]) -> None:
@@ -248,7 +251,7 @@ class RecursiveUpdate:
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
         which = slice(motor, motor + 1)
-        known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
+        known = chosen(self._learnt, which)
         received = int(self.replay.received[motor])
         content = self.replay.content(which, more=received - int(known.at[0]))
         plain: dict[str, Any] = {
@@ -292,7 +295,7 @@ class RecursiveUpdate:
         received = self.replay.received[which]
         counts: dict[str, Any] = {name: np.array([plain[name]]) for name in ('next_fit', 'started', 'noise_count')}
         counts |= {name: arrays[name] for name in _ARRAYS}
-        known = self._learner.part_of(self._white_box, self._learnt, np.array([motor])).learnt
+        known = chosen(self._learnt, which)
         part = Learnt(
             Belief(**_below('belief', arrays)),
             Prior(arrays['prior_p'], arrays['prior_covariance']),

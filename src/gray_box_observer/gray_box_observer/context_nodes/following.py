@@ -1,0 +1,128 @@
+"""Following a motor that has changed: which change it was, and whether it goes on.
+
+A sudden change is told from the others by the evidence of fits under each kind of it (:mod:`drift`), a winding that
+heats by the likelihood of a walk (:mod:`walk`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import walk
+from gray_box_observer.context_nodes.batch_fit import Fit, batch_fit
+from gray_box_observer.context_nodes.belief import Belief, Prior
+from gray_box_observer.context_nodes.drift import CHANGE_EVIDENCE, UNCHANGED, changes, evidence_for
+from gray_box_observer.context_nodes.learnt import Learnt, put
+from gray_box_observer.context_nodes.motors import Motors
+from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.white_box.base import Parameter
+
+
+class Following:
+    """Examines motors that seem to have changed.
+
+    Args:
+        parameters: of the white box.
+        rules: settings.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], rules: RecursiveRules) -> None:
+        self._rules = rules
+        self._changes = changes(parameters, rules.drift_relative_std)
+        self._heats = np.array([float(p.heats) for p in parameters])
+
+    def examine(self, motors: Motors, samples: int) -> None:
+        """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""
+        known, belief = motors.learnt, motors.learnt.belief
+        stretch = motors.newest(samples)
+        before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
+        held = self._fit_from(motors, stretch, before)
+        self._calm(known)
+        priors = [before.loosened(change.directions) for change in self._changes]
+        fits = [self._fit_from(motors, stretch, prior) for prior in priors]
+        penalties = [change.penalty for change in self._changes]
+        pairs = zip(fits, penalties, strict=True)
+        evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
+        best = np.argmax(evidence, axis=0)
+        changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
+        known.belief = self._back_on_track(belief, held.belief, ~changed)
+        if not np.any(changed):
+            return
+        jumped = changed & ~self.drifting(motors, changed, samples)
+        if not np.any(jumped):
+            return
+        known.alarms = known.alarms + jumped
+        motors.forget(samples, jumped)
+        found, freedom = fits[0].belief, priors[0].covariance
+        for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
+            found = found.overwritten(fit.belief, best == j)
+            freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
+        one = jumped[:, None]
+        p = np.where(one, before.p, known.prior.p)
+        known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
+        motors.take(found, jumped)
+        known.anchor_here(jumped)
+
+    def walk_again(self, motors: Motors) -> None:
+        """Ask motors that drift how fast they do."""
+        known = motors.learnt
+        known.asked = np.zeros_like(known.asked)
+        self.drifting(motors, np.ones_like(known.started))
+        known.anchor_here(np.ones_like(known.started))
+
+    def drifting(self, motors: Motors, which: NDArray[np.bool_], jumped_before: int | None = None) -> NDArray[np.bool_]:
+        """Find which motors drift, by the samples since the anchor; these go on as is likeliest, and walk.
+
+        Args:
+            motors: those motors.
+            which: shape (motor,): those that are asked about.
+            jumped_before: so many samples ago they may have changed suddenly instead.
+        """
+        known, walking = motors.learnt, np.zeros_like(which)
+        length = known.at - known.anchored + 1
+        for samples in np.unique(length[which]).tolist():
+            index = np.flatnonzero(which & (length == samples))
+            part = motors.part(index)
+            walking[index] = self._walk(part, part.newest(samples), jumped_before)
+            put(known, index, part.learnt)
+        return walking
+
+    def _walk(self, motors: Motors, stretch: Stretch, jumped_before: int | None) -> NDArray[np.bool_]:
+        """The same for motors whose anchor lies equally far back."""
+        known, jump = motors.learnt, None
+        if jumped_before is not None:
+            freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
+            jump = walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
+        still = walk.Walk(self._heats, known.walk_rate)
+        rate, after = walk.likeliest(motors.white_box, known.anchor, stretch, still, self._rules.block, jump)
+        walking: NDArray[np.bool_] = rate > 0.0
+        known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
+        known.walk_rate = rate
+        if np.any(walking):
+            motors.take(after, walking)
+            known.anchor_here(walking)
+        return walking
+
+    @staticmethod
+    def _calm(known: Learnt) -> None:
+        """Forget what has led to an examination."""
+        known.asked, known.since = 0 * known.asked, 0 * known.since
+        known.suspicion, known.left_out = 0.0 * known.suspicion, 0.0 * known.left_out
+        known.score, known.information = np.zeros_like(known.score), np.zeros_like(known.information)
+
+    @staticmethod
+    def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
+        """Go on with unchanged parameters from the state that a fit under them has found, for some of the motors."""
+        usable = which & held.finite
+        units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
+        covariance = belief.covariance.copy()
+        covariance[:, 0, 0] += np.where(usable, units * held.covariance[:, 0, 0], 0.0)
+        return replace(belief, state=np.where(usable, held.state, belief.state), covariance=covariance)
+
+    def _fit_from(self, motors: Motors, stretch: Stretch, prior: Prior) -> Fit:
+        start, floor = motors.learnt.belief.p, self._rules.noise_floor
+        return batch_fit(motors.white_box, stretch, start, prior, floor, trusting=5)
