@@ -55,7 +55,7 @@ class ObserverNode(LifecycleNode):
         self._state = 'unconfigured'
         self._reason = ''
         self._configuration = declare(self)
-        self._inputs = Inputs(self, self._configuration, self._take)
+        self._inputs = Inputs(self, self._configuration, self._take, self._refuse)
         self._keeper = self._make_keeper(self._configuration)
         self._observer: Observer | None = None
         self._intake: Intake | None = None
@@ -211,6 +211,11 @@ class ObserverNode(LifecycleNode):
         if all(result.estimate is None for result in taken.groups):
             self._settle()  # else the next prediction comes first: an update has taken its time
         self._meter.worked(since_s)
+
+    def _refuse(self, name: str) -> None:
+        if self._intake is not None:
+            self._intake.received[name] += 1
+            self._intake.malformed(name)
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
