@@ -206,6 +206,8 @@ class ObserverNode(LifecycleNode):
         if name == 'voltage' and taken.names:
             for group in self._observer.groups(taken.names):
                 self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+        for result in taken.groups:
+            self._observer.foresee(result.group)
         self._meter.take(taken.groups)
         self._unsettled += taken.groups
         if all(result.estimate is None for result in taken.groups):
