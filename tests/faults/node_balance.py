@@ -13,10 +13,9 @@ class Account:
 
     Attributes:
         delivered: messages handed to the middleware.
-        undecodable: bytes that were no message any more; the middleware throws them away before anybody can count.
         used: samples used.
         refused: messages of the motor that were refused, by reason.
-        unreadable: messages that held no value that could be read.
+        unreadable: messages that held no value that could be read, and bytes that were no message any more.
         strangers: messages that spoke of no motor that was asked for.
         taken: voltages that came into force.
         waiting: torques that waited for their voltage at the end.
@@ -24,7 +23,6 @@ class Account:
     """
 
     delivered: int = 0
-    undecodable: int = 0
     used: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     unreadable: int = 0
@@ -33,19 +31,15 @@ class Account:
     waiting: int = 0
     unexplained: int = 0
 
-    def close(self, delivered: int, damaged: int, facts: Mapping[str, str]) -> None:
+    def close(self, delivered: int, facts: Mapping[str, str]) -> None:
         """Add the account of one observer, from the last diagnostics of its life.
 
         Args:
             delivered: messages handed to the middleware for it.
-            damaged: how many of them were damaged bytes; some of these can be read all the same.
             facts: the diagnostics.
         """
-        missing = delivered - received(facts)
-        undecodable = min(max(missing, 0), damaged)
         self.delivered += delivered
-        self.undecodable += undecodable
-        self.unexplained += abs(missing - undecodable)
+        self.unexplained += abs(delivered - received(facts))
         for signal in ('voltage', 'torque'):
             arrived = int(facts[f'{signal} topic: messages'])
             unreadable = int(facts[f'{signal} topic: unreadable'])

@@ -49,9 +49,6 @@ class Proxy:
         bench: feeds the observer.
         faults: what happens on the way.
         seed: of the simulators.
-
-    Attributes:
-        damaged: bytes that were no message any more, sent to the present observer.
     """
 
     def __init__(self, bench: Bench, faults: StreamFaults, seed: int) -> None:
@@ -63,7 +60,6 @@ class Proxy:
         self._simulators = 0
         self._decode = JointStateDecoder()
         self._paused = False
-        self.damaged = 0
         self.start_simulator()
 
     def start_simulator(self) -> None:
@@ -99,11 +95,8 @@ class Proxy:
         self.start_simulator()
 
     def pump(self, most: int, *, clean: bool = False) -> int:
-        """Pass on messages as long as few are on their way; return how many were taken from the simulator.
-
-        Damaged bytes never arrive; counted as on their way they would close the window before a million messages.
-        """
-        on_the_way = self._bench.sent - self.damaged - received(self._bench.facts)
+        """Pass on messages as long as few are on their way; return how many were taken from the simulator."""
+        on_the_way = self._bench.sent - received(self._bench.facts)
         room = min(most, WINDOW - on_the_way)
         taken = 0
         while taken < room and (sample := self._sample()) is not None:
@@ -113,7 +106,7 @@ class Proxy:
                     self._bench.send(name, message)
                     continue
                 for delivery in self._faults.take(name, message):
-                    self.send(*delivery)
+                    self._bench.send(*delivery)
         self._throttle()
         return taken
 
@@ -131,11 +124,6 @@ class Proxy:
             if all(message.stamp_ns == oldest_ns for _, message in heads):
                 return heads
         return None
-
-    def send(self, name: str, message: JointStateView | bytes) -> None:
-        """Send one message, and count those that are none any more."""
-        self.damaged += isinstance(message, bytes)
-        self._bench.send(name, message)
 
     def _throttle(self) -> None:
         crowd = len(self._waiting['torque'])
@@ -191,8 +179,8 @@ class Campaign:
                     sampled_s = time.monotonic()
                     self.memory_mb.append(self._bench.memory_mb())
         for delivery in self.faults.flush():
-            self._proxy.send(*delivery)
-        self._bench.settle(self._proxy.damaged)
+            self._bench.send(*delivery)
+        self._bench.settle()
 
     def clean_minute(self) -> None:
         """Send a minute of samples without any fault."""
@@ -201,16 +189,15 @@ class Campaign:
             left -= self._proxy.pump(min(CHUNK, left), clean=True)
             self._bench.spin(0.002)
             self._bench.check_alive()
-        self._bench.settle(self._proxy.damaged)
+        self._bench.settle()
 
     def close_account(self) -> None:
         """Count what this observer was sent and what it says of it."""
-        self.account.close(self._bench.sent, self._proxy.damaged, self._bench.facts)
-        self._proxy.damaged = 0
+        self.account.close(self._bench.sent, self._bench.facts)
 
     def _restart(self) -> None:
         """Kill both sides; the observer once it has told where every message went."""
-        self._bench.settle(self._proxy.damaged)
+        self._bench.settle()
         self.close_account()
         self._bench.kill_observer()
         self._proxy.restart_simulator()
@@ -267,7 +254,6 @@ def _report(
         'waiting for voltage': account.waiting,
         'unreadable': account.unreadable,
         'of no motor asked for': account.strangers,
-        'bytes that were no message': account.undecodable,
         **{f'refused: {reason}': count for reason, count in account.refused.most_common()},
         'unexplained': account.unexplained,
     }

@@ -97,9 +97,9 @@ class Bench:
         self.rest()
         self.sent = received(self.facts)
 
-    def settle(self, missing: int) -> None:
-        """Wait until the observer has told of all it was sent, but for so many that may never come."""
-        self.wait(lambda: self.sent - received(self.facts) <= missing, 'the observer to catch up')
+    def settle(self) -> None:
+        """Wait until the observer has told of all it was sent."""
+        self.wait(lambda: received(self.facts) >= self.sent, 'the observer to catch up')
         self.rest()
 
     def rest(self) -> None:

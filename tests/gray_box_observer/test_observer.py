@@ -12,7 +12,7 @@ from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer, Result
-from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor import InlineTraining, Predictor
 from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.relaxation import course, flow
 from gray_box_observer.white_box import MotorWhiteBox
@@ -86,6 +86,54 @@ def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
         assert plain == states[0][0]
         for name, array in arrays.items():
             np.testing.assert_array_equal(array, states[0][1][name], err_msg=name)
+
+
+@pytest.mark.parametrize('variant', ['physics', 'main'])
+def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
+    record: Callable[..., Recording], variant: str
+) -> None:
+    recording = record('R[5,15]D[0.05,0.5]', 12.0, torque_noise_relative=0.01)
+    stamps, draw = recording.stamp_ns.copy(), np.random.default_rng(1)
+    stamps[400:600] += draw.integers(-1_000_000, 1_000_000, 200)  # uneven: nothing can be foreseen
+    stamps[800:] += 2_000_000_000  # a gap
+    told, states = [], []
+    for foreseen in (False, True):
+        one, results = observer(InlineTraining, variant=variant), []
+        for k, stamp in enumerate(stamps.tolist()):
+            results += one.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            one.forecast('motor', stamp)
+            results += one.take('torque', ('motor',), stamp, [float(recording.torque_nm[0, k])])
+            if foreseen:
+                one.foresee(one.group_of('motor'))
+        told.append([trace(list(result))[0] for result in results])
+        states.append(one.motors['motor'].observer.state())
+    assert len(told[0]) == len(stamps)
+    assert told[0] == told[1]
+    plain, arrays = zip(*states, strict=True)
+    assert plain[0] == plain[1]
+    assert all(np.array_equal(array, arrays[1][name], equal_nan=True) for name, array in arrays[0].items())
+
+
+def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_voltage_comes(
+    record: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, asked = record('R[5,15]D[0.05,0.5]', 1.0), []
+    predict = Predictor.predict
+
+    def counted(self: Predictor, *question: Any) -> Any:
+        asked.append(question)
+        return predict(self, *question)
+
+    monkeypatch.setattr(Predictor, 'predict', counted)
+    one, late = observer(InlineTraining), []
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        one.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        before = len(asked)
+        one.forecast('motor', stamp)
+        one.torque('motor', stamp, float(recording.torque_nm[0, k]))
+        late += [k] if len(asked) > before else []
+        one.foresee(one.group_of('motor'))
+    assert late == [0, 1, 2], 'the first two intervals have to be seen'
 
 
 def test_another_seed_trains_another_network(record: Callable[..., Recording]) -> None:

@@ -72,6 +72,7 @@ class MotorObserver:
         self._aftermath: Aftermath | None = None
         self._frozen = False
         self._foreseen: tuple[bytes, Prediction] | None = None
+        self._interval_s, self._evenly = np.empty(0), False
         self.motors = context_nodes.theta.shape[0]
         self._identified = np.zeros(self.motors, dtype=bool)
         self.changed: NDArray[np.intp] = _NOBODY
@@ -88,6 +89,18 @@ class MotorObserver:
         if self._foreseen is None or self._foreseen[0] != question:
             self._foreseen = question, self._predictor.predict(interval_s, voltage_v, self._theta)
         return self._foreseen[1]
+
+    def foresee(self, voltage_v: Any) -> None:
+        """Work out the next prediction while nobody waits for it; changes nothing but when it is done.
+
+        What will be asked is known where samples come evenly: the interval is that of the last two once more. Where it
+        is not, this does nothing.
+
+        Args:
+            voltage_v: voltage in force from the last sample on.
+        """
+        if self._evenly:
+            self.predict(self._interval_s, np.atleast_1d(voltage_v))
 
     def forecast_held(self, ahead: tuple[Any, Any] | None, horizon_s: float, voltage_v: Any) -> Array | None:
         """Forecast the torque after a voltage has been held for a while; changes nothing.
@@ -154,6 +167,8 @@ class MotorObserver:
         """Learn a sample, which has been predicted and scored; return the estimates that have changed."""
         changed = self.context_nodes.learn(sample)
         self._foreseen = None
+        self._evenly = np.array_equal(sample.interval_s, self._interval_s)
+        self._interval_s = sample.interval_s
         if not changed:
             self.changed = _NOBODY
             return None

@@ -122,6 +122,15 @@ class Observer:
         prediction = group.observer.predict(*(np.atleast_1d(value) for value in ahead))
         return None if prediction is None else prediction.torque_nm
 
+    def foresee(self, group: Group) -> None:
+        """Work out the next prediction of a group before it is asked for, where it can be told what will be asked.
+
+        Changes nothing but when it is done: for whoever has time now and none when the next voltage has come.
+        """
+        newest, pairing = group.pairing.newest_voltage, group.pairing
+        if group.observer is not None and newest is not None and newest[0] == pairing.newest_sample_ns:
+            group.observer.foresee(newest[1])
+
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
         """Predict the torque at a stamp whose voltage is known and whose torque is still to come; changes nothing."""
         group, place = self._grouping.place(motor)

@@ -116,3 +116,16 @@ def test_the_threshold_grows_with_the_logarithm_of_the_time_between_false_alarms
 def test_rules_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ConfigurationError, match='false_a_day > 0'):
         AlarmRules(false_a_day=0.0)
+
+
+def test_a_motor_alone_is_watched_as_it_is_among_others() -> None:
+    residuals = noise(6000, 3, seed=5)
+    residuals[4000:4300, 1] += 3.0 * SPREAD_NM
+    residuals[::700, 2] = np.nan
+    together, alone = ResidualAlarm(3, rules(500.0)), [ResidualAlarm(1, rules(500.0)) for _ in range(3)]
+    stands = watch(together, residuals)
+    for motor, one in enumerate(alone):
+        np.testing.assert_array_equal(watch(one, residuals[:, motor : motor + 1])[:, 0], stands[:, motor])
+        state = together.state(motor)
+        assert all(state[name].tobytes() == array.tobytes() for name, array in one.state().items())
+    assert together.count[1] > 0

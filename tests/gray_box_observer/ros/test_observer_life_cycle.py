@@ -17,7 +17,8 @@ import rclpy
 from lifecycle_msgs.msg import State, Transition
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Float64, Float64MultiArray
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer.ros.observer_node import ObserverNode
@@ -148,7 +149,7 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     one.trigger_configure()
     one.trigger_activate()
     told: list[bool] = []
-    monkeypatch.setitem(one._outputs._alarm, 'motor', lambda message: told.append(message.data))
+    monkeypatch.setitem(one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data))
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
     one._unsettled = [SimpleNamespace(group=SimpleNamespace(names=('motor',)), alarm=np.array([True]))]
     assert one._load(Trigger.Request(), Trigger.Response()).success

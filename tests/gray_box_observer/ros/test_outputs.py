@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from array import array
 from types import SimpleNamespace
 
 import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.group import GroupResult
-from gray_box_observer.ros.outputs import Outputs, TorqueMessages
+from gray_box_observer.ros.forms import TorqueMessages
+from gray_box_observer.ros.outputs import Outputs
+from gray_box_observer.white_box import MotorWhiteBox
 
 
 class Node:
@@ -26,8 +29,14 @@ class Node:
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:
-    messages = [deserialize_message(data, JointState) for _, data in node.sent if isinstance(data, bytes)]
+    messages = [
+        deserialize_message(data, JointState) for topic, data in node.sent if topic.endswith('predicted_torque')
+    ]
     return [(m.header.stamp.nanosec, m.effort[0]) for m in messages]
+
+
+def alarms(node: Node) -> list[bool]:
+    return [deserialize_message(data, Bool).data for topic, data in node.sent if topic.endswith('alarm')]
 
 
 def result(stamp_ns: int, torque_nm: float, interval_s: float = 0.01):
@@ -94,6 +103,31 @@ def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None
         assert not message.velocity
 
 
+def test_an_estimate_goes_out_as_the_messages_that_would_be_built() -> None:
+    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters
+    outputs = Outputs(node, Configuration.from_flat({}))
+    n, size = len(parameters), len(parameters) ** 2
+    for scale in (1.0, -2e-300):
+        node.sent.clear()
+        value, covariance = scale * np.arange(1.0, n + 1.0), scale * np.arange(float(size))
+        estimate = SimpleNamespace(
+            parameters=parameters,
+            value=value[None],
+            covariance=covariance.reshape(1, n, n),
+            identified=lambda motor, scale=scale: scale > 0.0,
+        )
+        outputs.estimate('motor', estimate)
+        wanted = Float64MultiArray(data=array('d', covariance))
+        label = ','.join(p.name for p in parameters)
+        wanted.layout.dim = [MultiArrayDimension(label=label, size=n, stride=stride) for stride in (size, n)]
+        messages = [Float64(data=one) for one in value.tolist()] + [wanted, Bool(data=scale > 0.0)]
+        assert [topic for topic, _ in node.sent] == [
+            *(f'~/motor/{p.name}' for p in parameters), '~/motor/covariance', '~/motor/identified'
+        ]  # fmt: skip
+        sent = [deserialize_message(data, type(m)) for (_, data), m in zip(node.sent, messages, strict=True)]
+        assert sent == messages
+
+
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:
     torques = TorqueMessages()
     message = deserialize_message(torques.told(('a', 'b', 'c'), 1, np.array([0.1, np.nan, 0.3])), JointState)
@@ -108,7 +142,7 @@ def test_an_alarm_goes_out_when_it_changes_and_only_then():
         one = result(1, 1.0)
         one.aftermath.alarm = np.array([raised])
         outputs.alarms([one])
-    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [False, True, False]
+    assert alarms(node) == [False, True, False]
 
 
 def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_otherwise():
@@ -121,7 +155,7 @@ def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_
     outputs.alarms([one])
     outputs.alarm('motor', True)
     outputs.alarms([one])
-    assert [m.data for _, m in node.sent if isinstance(m, Bool)] == [True, False, True, True]
+    assert alarms(node) == [True, False, True, True]
 
 
 def test_of_a_time_beyond_what_a_stamp_can_tell_nothing_goes_out_and_nobody_falls():

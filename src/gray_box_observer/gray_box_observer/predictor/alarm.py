@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.white_box.base import Array
 
 REFERENCE = 0.5
@@ -68,39 +69,52 @@ class ResidualAlarm:
 
     def __init__(self, motors: int, rules: AlarmRules | None = None) -> None:
         self.rules = rules or AlarmRules()
-        self.count = np.zeros(motors, dtype=int)
+        self._axis = Axis(motors)
+        self._count: Any = self._all(0)
         self.relearn()
+
+    def _all(self, value: Any) -> Any:
+        """Return a value for every motor: plain for a single one, an array for several."""
+        return self._axis.take(np.full(self._axis.motors, value))
 
     def relearn(self) -> None:
         """Forget what is known of the residual, and let the alarm fall; what was counted stays."""
-        motors = self.count.size
-        self._sums = np.zeros((2, motors))
-        self._variance, self._product = np.zeros(motors), np.zeros(motors)
-        self._previous = np.zeros(motors)
-        self._interval_s = np.zeros(motors)
-        self._learnt = np.zeros(motors, dtype=int)
+        self._up, self._down = self._all(0.0), self._all(0.0)
+        self._variance, self._product = self._all(0.0), self._all(0.0)
+        self._previous = self._all(0.0)
+        self._interval_s = self._all(0.0)
+        self._learnt = self._all(0)
         self._taken = 0
-        self._scale, self._limit = np.zeros(motors), np.full(motors, np.inf)
-        self._threshold = np.full(motors, np.inf)
-        self.raised = np.zeros(motors, dtype=bool)
+        self._scale, self._limit = self._all(0.0), self._all(np.inf)
+        self._threshold = self._all(np.inf)
+        self._raised = self._all(False)
+
+    @property
+    def raised(self) -> NDArray[np.bool_]:
+        """For which motors the alarm stands, shape (motor,)."""
+        return self._axis.give(self._raised)
+
+    @property
+    def count(self) -> NDArray[np.int_]:
+        """How often it was raised, shape (motor,)."""
+        return self._axis.give(self._count)
 
     @property
     def armed(self) -> NDArray[np.bool_]:
         """Whether enough is known of the residual to judge it, shape (motor,)."""
-        armed: NDArray[np.bool_] = self._learnt >= self.rules.learn
-        return armed
+        return self._axis.give(self._learnt >= self.rules.learn)
 
     @property
     def spread(self) -> Array:
         """Standard deviation of the residual in N m, shape (motor,); NaN while nothing is known."""
-        spread: Array = np.sqrt(np.where(self._learnt > 0, self._variance, np.nan))
+        learnt, variance = self._axis.give(self._learnt), self._axis.give(self._variance)
+        spread: Array = np.sqrt(np.where(learnt > 0, variance, np.nan))
         return spread
 
     @property
     def level(self) -> Array:
         """How far the larger sum has come to the threshold, shape (motor,); at 1 the alarm is raised."""
-        level: Array = np.max(self._sums, axis=0) / self._threshold
-        return level
+        return self._axis.give(self._axis.ops.maximum(self._up, self._down) / self._threshold)
 
     def take(self, residual_nm: Array, interval_s: Array, identified: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Take one sample's residuals; return for which motors the alarm stands.
@@ -113,71 +127,76 @@ class ResidualAlarm:
             interval_s: shape (motor,).
             identified: shape (motor,): whether every parameter was identified before the sample.
         """
-        usable = np.isfinite(residual_nm) & (interval_s > 0.0)
-        residual = np.where(usable, residual_nm, 0.0)
-        judged = usable & self.armed & (identified | self.raised)
-        scaled = _between(residual * self._scale, -CLIP, CLIP)
-        moved = self._sums + scaled * _BOTH_SIGNS - REFERENCE
+        axis, ops = self._axis, self._axis.ops
+        told, interval, known = axis.take(residual_nm), axis.take(interval_s), axis.take(identified)
+        usable = ops.isfinite(told) & (interval > 0.0)
+        residual = ops.where(usable, told, 0.0)
+        before, threshold = self._raised, self._threshold
+        judged = usable & (self._learnt >= self.rules.learn) & (known | before)
+        scaled = self._between(residual * self._scale, -CLIP, CLIP)
         # capped, so that the sums come down again when the fault has gone
-        self._sums = np.where(judged, _between(moved, 0.0, 2.0 * self._threshold), self._sums)
-        over = self._sums.max(axis=0)
-        before = self.raised
-        self.raised = (over >= self._threshold) | (before & (over > 0.0))
-        self.count += self.raised & ~before
-        calm = usable & identified & ~self.raised & (over < 0.5 * self._threshold)
-        self._follow(residual, interval_s, calm)
+        self._up = ops.where(judged, self._between(self._up + scaled - REFERENCE, 0.0, 2.0 * threshold), self._up)
+        self._down = ops.where(judged, self._between(self._down - scaled - REFERENCE, 0.0, 2.0 * threshold), self._down)
+        over = ops.maximum(self._up, self._down)
+        self._raised = (over >= threshold) | (before & (over > 0.0))
+        calm = ops.logical_not(self._raised)
+        self._count = self._count + (self._raised & ops.logical_not(before))
+        self._follow(residual, interval, usable & known & calm & (over < 0.5 * threshold))
         if self._taken % REFRESH == 0:
-            self._refresh(identified)
+            self._refresh(known)
         self._taken += 1
         return self.raised
 
-    def _follow(self, residual: Array, interval_s: Array, which: NDArray[np.bool_]) -> None:
+    def _follow(self, residual: Any, interval_s: Any, which: Any) -> None:
         """Follow the residual's spread and correlation while all is well."""
-        self._learnt += which
-        share = which / _between(self._learnt, 1, self.rules.memory)
-        kept = np.where(self.armed, _between(residual, -self._limit, self._limit), residual)
-        self._variance += share * (kept * kept - self._variance)
-        self._product += share * (kept * self._previous - self._product)
-        self._interval_s += share * (interval_s - self._interval_s)
-        self._previous = np.where(which, kept, 0.0)
+        ops = self._axis.ops
+        self._learnt = self._learnt + which
+        share = which / self._between(self._learnt, 1, self.rules.memory)
+        bounded = self._between(residual, -self._limit, self._limit)
+        kept = ops.where(self._learnt >= self.rules.learn, bounded, residual)
+        self._variance = self._variance + share * (kept * kept - self._variance)
+        self._product = self._product + share * (kept * self._previous - self._product)
+        self._interval_s = self._interval_s + share * (interval_s - self._interval_s)
+        self._previous = ops.where(which, kept, 0.0)
 
-    def _refresh(self, identified: NDArray[np.bool_]) -> None:
+    def _refresh(self, identified: Any) -> None:
         """Work out again what changes slowly; forget what was summed up before the parameters were identified."""
-        correlation = np.clip(self._product / np.maximum(self._variance, 1e-300), 0.0, 0.99)
+        ops, armed, counts = self._axis.ops, self._learnt >= self.rules.learn, identified | self._raised
+        correlation = ops.clip(self._product / ops.maximum(self._variance, 1e-300), 0.0, 0.99)
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
-        self._scale = 1.0 / np.sqrt(np.maximum(self._variance * inflation, 1e-300))
-        self._limit = CLIP * np.sqrt(self._variance)
-        samples = SECONDS_A_DAY / self.rules.false_a_day / np.maximum(self._interval_s, 1e-9)
-        self._threshold = np.where(self.armed, thresholds_for(samples), np.inf)
-        self._sums = np.where(identified | self.raised, self._sums, 0.0)
+        self._scale = 1.0 / ops.sqrt(ops.maximum(self._variance * inflation, 1e-300))
+        self._limit = CLIP * ops.sqrt(self._variance)
+        samples = SECONDS_A_DAY / self.rules.false_a_day / ops.maximum(self._interval_s, 1e-9)
+        thresholds = threshold_for(samples) if self._axis.single else thresholds_for(samples)
+        self._threshold = ops.where(armed, thresholds, np.inf)
+        self._up, self._down = ops.where(counts, self._up, 0.0), ops.where(counts, self._down, 0.0)
+
+    def _between(self, values: Any, low: Any, high: Any) -> Any:
+        """As ``np.clip``, which takes several times as long over few motors."""
+        ops = self._axis.ops
+        return ops.minimum(ops.maximum(values, low), high)
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """Everything learnt of one motor, for a checkpoint."""
         which = slice(motor, motor + 1)
-        arrays = {name: getattr(self, f'_{name}')[..., which].copy() for name in _ARRAYS}
-        counts = {'raised': self.raised[which].copy(), 'count': self.count[which].copy()}
-        return arrays | counts | {'taken': np.array(self._taken)}
+        told = {name: self._axis.give(getattr(self, f'_{name}'))[which].copy() for name in _ARRAYS}
+        sums = np.stack([told.pop('up'), told.pop('down')])
+        return {'sums': sums, **told, 'taken': np.array(self._taken)}
 
     def restore(self, arrays: dict[str, Any], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor."""
-        which = slice(motor, motor + 1)
+        told = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
         for name in _ARRAYS:
-            getattr(self, f'_{name}')[..., which] = arrays[name]
-        self.raised, self.count = self.raised.copy(), self.count.copy()
-        self.raised[which], self.count[which] = arrays['raised'], arrays['count']
+            all_told = self._axis.give(getattr(self, f'_{name}')).copy()
+            all_told[motor] = told[name][0]
+            setattr(self, f'_{name}', self._axis.take(all_told))
         self._taken = int(arrays['taken'])
 
 
-_ARRAYS = ('sums', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold')
-
-
-_BOTH_SIGNS = np.array([[1.0], [-1.0]])
-
-
-def _between(values: Array, low: Any, high: Any) -> Array:
-    """As ``np.clip``, which takes several times as long over one motor."""
-    between: Array = np.minimum(np.maximum(values, low), high)
-    return between
+_ARRAYS = (
+    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold', 'raised',
+    'count',
+)  # fmt: skip
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:
@@ -201,9 +220,7 @@ def threshold_for(samples: float) -> float:
 
 
 def thresholds_for(samples: Array) -> Array:
-    """The same of many motors; of one in plain floats, which take a tenth of the time."""
-    if samples.size == 1:
-        return np.array([threshold_for(float(samples[0]))])
+    """The same of many motors."""
     low, high = np.zeros_like(samples), np.full_like(samples, 100.0)
     for _ in range(60):
         middle = 0.5 * (low + high)

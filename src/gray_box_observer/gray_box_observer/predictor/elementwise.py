@@ -1,4 +1,4 @@
-"""The few functions that the relaxation needs, for plain floats; numpy and torch offer the same names for arrays.
+"""The few functions that relaxation and alarm need, for plain floats; numpy and torch offer the same names for arrays.
 
 A single motor streams in plain floats: an array of one costs ten times as much an operation.
 """
@@ -6,9 +6,11 @@ A single motor streams in plain floats: an array of one costs ten times as much 
 from __future__ import annotations
 
 import math
+import operator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.white_box.base import Array
 
@@ -20,6 +22,7 @@ class Floats:
     expm1 = staticmethod(math.expm1)
     log = staticmethod(math.log)
     log1p = staticmethod(math.log1p)
+    sqrt = staticmethod(math.sqrt)
     tanh = staticmethod(math.tanh)
     isfinite = staticmethod(math.isfinite)
     maximum = staticmethod(max)
@@ -27,6 +30,7 @@ class Floats:
     max = staticmethod(float)
     all = staticmethod(bool)
     any = staticmethod(bool)
+    logical_not = staticmethod(operator.not_)
 
     @staticmethod
     def where(condition: bool, then: Any, otherwise: Any) -> Any:
@@ -46,18 +50,21 @@ class Axis:
         motors: number of motors.
 
     Attributes:
+        motors: as given.
+        single: whether it is one.
         ops: the functions to use, :class:`Floats` or numpy.
     """
 
     def __init__(self, motors: int) -> None:
+        self.motors = motors
         self.single = motors == 1
         self.ops: Any = Floats if self.single else np
 
-    def take(self, signal: Array) -> Any:
+    def take(self, signal: NDArray[Any]) -> Any:
         """Turn shape (motor,) into what is computed with."""
         return signal[0].item() if self.single else signal
 
-    def give(self, value: Any) -> Array:
+    def give(self, value: Any) -> NDArray[Any]:
         """Turn it back into shape (motor,)."""
         return np.array([value]) if self.single else value
 

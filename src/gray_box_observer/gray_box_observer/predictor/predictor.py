@@ -181,7 +181,8 @@ class Predictor:
         anew = sample.interval_s <= 0.0
         physics_nm = _physics_of(prediction)
         self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
-        self.residual.remember(prediction.torque_nm - physics_nm, anew, prediction.residual_memory)
+        added_nm = None if prediction.physics_nm is None else prediction.torque_nm - physics_nm
+        self.residual.remember(added_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
         rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way

@@ -211,12 +211,14 @@ class ResidualForecaster:
         intervals = question.interval_s / learnt.interval_s
         return traces.followed(memory.traces, question.voltage_v, question.speed_rad_s, intervals)
 
-    def remember(self, correction_nm: Array, anew: Mask, memory: Recollection | None) -> None:
-        """Go on to the next sample, with a blank memory where the signal history starts."""
+    def remember(self, correction_nm: Array | None, anew: Mask, memory: Recollection | None) -> None:
+        """Go on to the next sample, with a blank memory where the signal history starts; None: nothing was added."""
         memory = self._memory if memory is None else memory  # a history begins without a forecast
         if memory is not None:
             self._memory = memory.cleared(anew)
-        added = np.nan_to_num(correction_nm)
+        if correction_nm is None and not self._square_nm2.any():
+            return
+        added = np.zeros(self._motors) if correction_nm is None else np.nan_to_num(correction_nm)
         self._square_nm2 += (added * added - self._square_nm2) / SIZE_MEMORY
 
     @property

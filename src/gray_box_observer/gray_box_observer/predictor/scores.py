@@ -44,32 +44,30 @@ class Scores:
 
     def __init__(self, motors: int, window: int = 6000) -> None:
         # time first, for rows are written; and what is not written yet takes no memory
-        self._errors = {rival: np.zeros((window, motors)) for rival in RIVALS}
+        self._said = {rival: np.zeros((window, motors)) for rival in RIVALS}
         self._torque = np.zeros((window, motors))
-        self._scored = np.zeros((window, motors), dtype=bool)
         self._window = window
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
         """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN is not scored."""
         row = self._count % self._window
-        scored = np.ones(torque_nm.shape, dtype=bool)
-        for rival in RIVALS:
-            error = np.abs(predictions[rival] - torque_nm)
-            self._errors[rival][row] = error
-            scored &= np.isfinite(error)
+        for rival, said in self._said.items():
+            said[row] = predictions[rival]
         self._torque[row] = torque_nm
-        self._scored[row] = scored
         self._count += 1
 
     def skill(self, motor: int) -> Skill:
         """Return the scores of one motor over the samples that every rival predicted."""
-        scored = self._scored[:, motor]
+        rows = slice(min(self._count, self._window))
+        torque_nm = self._torque[rows, motor].copy()
+        errors = {rival: np.abs(said[rows, motor] - torque_nm) for rival, said in self._said.items()}
+        scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
         count = int(scored.sum())
         if count < 2:
             return Skill(count, None, None, None)
-        mae = {rival: float(np.mean(self._errors[rival][scored, motor])) for rival in RIVALS}
-        spread = float(np.nanstd(self._torque[: min(self._count, self._window), motor].copy()))
+        mae = {rival: float(np.mean(error[scored])) for rival, error in errors.items()}
+        spread = float(np.nanstd(torque_nm))
         return Skill(
             count,
             mae['predictor'] / spread if spread > 0.0 else None,

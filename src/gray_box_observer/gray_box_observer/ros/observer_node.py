@@ -55,7 +55,7 @@ class ObserverNode(LifecycleNode):
         self._state = 'unconfigured'
         self._reason = ''
         self._configuration = declare(self)
-        self._inputs = Inputs(self, self._configuration, self._take)
+        self._inputs = Inputs(self, self._configuration, self._take, self._refuse)
         self._keeper = self._make_keeper(self._configuration)
         self._observer: Observer | None = None
         self._intake: Intake | None = None
@@ -65,13 +65,12 @@ class ObserverNode(LifecycleNode):
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._checkpoint_timer: Timer | None = None
-        self._checkpoint: Chore | None = None
         motors = list(self._configuration.motors)
         self._diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
-        self._diagnose = Chore(DIAGNOSTICS_PERIOD_S, self._tell)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._diagnose.do, clock=self._steady)
+        self._chores: dict[str, Chore] = {}
+        self._time('diagnostics', DIAGNOSTICS_PERIOD_S, self._tell)
         if self._configuration['estimates_period_s'] > 0.0:
-            self.create_timer(self._configuration['estimates_period_s'], self._tell_estimates, clock=self._steady)
+            self._time('estimates', self._configuration['estimates_period_s'], self._tell_estimates)
         survive_impossible_transitions(self)
         self.create_service(Trigger, '~/reset', self._reset)
         self.create_service(Trigger, '~/save', self._save)
@@ -193,9 +192,6 @@ class ObserverNode(LifecycleNode):
     def _take(self, name: str, message: Any, arrival_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None or self._stop.requested:
             return  # the end does not wait for messages that have queued up
-        self._diagnose.catch_up()
-        if self._checkpoint is not None:
-            self._checkpoint.catch_up()
         since_s = time.perf_counter()
         try:
             taken = self._intake.take(name, message, arrival_ns)
@@ -206,11 +202,20 @@ class ObserverNode(LifecycleNode):
         if name == 'voltage' and taken.names:
             for group in self._observer.groups(taken.names):
                 self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+        for result in taken.groups:
+            self._observer.foresee(result.group)
         self._meter.take(taken.groups)
         self._unsettled += taken.groups
         if all(result.estimate is None for result in taken.groups):
             self._settle()  # else the next prediction comes first: an update has taken its time
         self._meter.worked(since_s)
+        quiet = bool(taken.groups) and not self._unsettled
+        any(chore.meet(quiet=quiet) for chore in self._chores.values())  # one of them is enough beside a message
+
+    def _refuse(self, name: str) -> None:
+        if self._intake is not None:
+            self._intake.received[name] += 1
+            self._intake.malformed(name)
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
@@ -291,11 +296,16 @@ class ObserverNode(LifecycleNode):
         """Have a checkpoint taken every so often while there is something to learn."""
         if self._checkpoint_timer is not None:
             self.destroy_timer(self._checkpoint_timer)
-            self._checkpoint_timer = self._checkpoint = None
+            self._checkpoint_timer = None
+            del self._chores['checkpoint']
         period_s = self._configuration['checkpoint.period_s']
         if self._keeper.automatic and self._state == 'active' and period_s > 0.0:
-            self._checkpoint = Chore(period_s, self._keep)
-            self._checkpoint_timer = self.create_timer(period_s, self._checkpoint.do, clock=self._steady)
+            self._checkpoint_timer = self._time('checkpoint', period_s, self._keep)
+
+    def _time(self, name: str, period_s: float, action: Callable[[], None]) -> Timer:
+        """Have something done every so often."""
+        chore = self._chores[name] = Chore(period_s, action)
+        return self.create_timer(period_s, chore.ring, clock=self._steady)
 
     def _keep(self) -> None:
         self._keeper.keep(self._observer)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -10,31 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
+from gray_box_observer.ros.forms import Form, TorqueMessages, covariance_form, value_form, yes_and_no
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
-from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
-from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
 Publish = Callable[[Any], None]
-
-MOST_FORMS = 64
-"""Lists of names of which a serialised message is kept."""
-
-_STAMP = struct.Struct('=iI')
-_SECONDS = range(-(2**31), 2**31)
-"""What a stamp can tell, which has 32 bits for them."""
-
-_STAMP_AT = 4
-"""Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
 
 
 class Outputs:
@@ -50,7 +36,8 @@ class Outputs:
         self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in told}
         self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in told}
         self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in told}
-        self._covariances: dict[str, Float64MultiArray] = {}
+        self._covariances: dict[str, Form] = {}
+        self._value, self._is = value_form(), yes_and_no()
         self._parameters = {
             (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
             for m, motor in told.items()
@@ -159,72 +146,16 @@ class Outputs:
         if motor not in self._covariance:
             return
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
-            self._parameters[motor, parameter.name](Float64(data=float(value)))
-        message = self._covariances.get(motor)
-        if message is None:  # but for its values it is always the same
-            message = self._covariances[motor] = covariance_message(estimate.parameters)
-        message.data = array('d', estimate.covariance[0].tobytes())
-        self._covariance[motor](message)
-        self._identified[motor](Bool(data=estimate.identified(0) if identified is None else identified))
+            self._parameters[motor, parameter.name](self._value.told(value))
+        form = self._covariances.get(motor)
+        if form is None:
+            form = self._covariances[motor] = covariance_form(estimate.parameters)
+        self._covariance[motor](form.told(estimate.covariance[0]))
+        self._identified[motor](self._is[estimate.identified(0) if identified is None else identified])
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the alarm on the prediction's residual stands, whatever was published before."""
         self._alarmed.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
             self._told[motor] = raised
-            self._alarm[motor](Bool(data=raised))
-
-
-class TorqueMessages:
-    """Torques in N m at their stamp as serialised JointState messages.
-
-    One is built and serialised for every list of names; from then on stamp and values are written into its bytes,
-    which takes half the time of building and converting a message for every sample.
-    """
-
-    def __init__(self) -> None:
-        self._forms: dict[tuple[str, ...], tuple[bytearray, slice]] = {}
-
-    def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
-        """Return the message of those motors of which there is a torque; None of none, or of a time beyond all stamps.
-
-        Args:
-            names: of the motors.
-            stamp_ns: the stamp.
-            torque_nm: shape (motor,).
-        """
-        known = np.isfinite(torque_nm)
-        if not known.all():
-            names = tuple(name for name, is_known in zip(names, known.tolist(), strict=True) if is_known)
-            torque_nm = torque_nm[known]
-        seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
-        if not names or seconds not in _SECONDS:
-            return None
-        form = self._forms.get(names)
-        if form is None:
-            if len(self._forms) >= MOST_FORMS:
-                self._forms.clear()
-            form = self._forms[names] = _form(names)
-        data, values = form
-        _STAMP.pack_into(data, _STAMP_AT, seconds, nanoseconds)
-        data[values] = torque_nm.tobytes()
-        return bytes(data)
-
-
-def _form(names: tuple[str, ...]) -> tuple[bytearray, slice]:
-    """Serialise a message with these names; return it and where its values stand."""
-    marks = np.arange(len(names)) + 1234.5678
-    data = bytearray(serialize_message(JointState(name=names, effort=array('d', marks.tobytes()))))
-    at = data.index(marks.tobytes())
-    return data, slice(at, at + marks.nbytes)
-
-
-def covariance_message(parameters: tuple[Parameter, ...]) -> Float64MultiArray:
-    """Build the covariance, still empty: square, row-major, both dimensions labelled with the parameter names."""
-    message = Float64MultiArray()
-    label, n = ','.join(p.name for p in parameters), len(parameters)
-    message.layout.dim = [
-        MultiArrayDimension(label=label, size=n, stride=n * n),
-        MultiArrayDimension(label=label, size=n, stride=n),
-    ]
-    return message
+            self._alarm[motor](self._is[raised])

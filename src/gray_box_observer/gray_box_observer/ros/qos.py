@@ -43,15 +43,32 @@ def subscribe(
     callback: Callable[..., None],
     qos: QoSProfile,
     events: SubscriptionEventCallbacks | None = None,
+    *,
+    raw: bool = False,
 ) -> Subscription:
     """Create a subscription.
+
+    Args:
+        node: who listens.
+        kind: message type.
+        topic: its name.
+        callback: gets every message.
+        qos: unless overridden.
+        events: what else is told of.
+        raw: give the callback serialised messages.
 
     Raises:
         ConfigurationError: an override that cannot be used.
     """
     return _with_overrides(
         lambda own: node.create_subscription(
-            kind, topic, callback, own, event_callbacks=events, qos_overriding_options=QoSOverridingOptions(POLICIES)
+            kind,
+            topic,
+            callback,
+            own,
+            event_callbacks=events,
+            qos_overriding_options=QoSOverridingOptions(POLICIES),
+            raw=raw,
         ),
         topic,
         qos,
