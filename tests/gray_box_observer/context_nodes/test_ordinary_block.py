@@ -35,7 +35,7 @@ class Count:
 
         def update(*arguments):  # type: ignore[no-untyped-def]
             known, ordinary = within(*arguments)
-            self.given, self.learnt = self.given + ordinary.size, self.learnt + int(ordinary.sum())
+            self.given, self.learnt = self.given + ordinary.size, self.learnt + int((ordinary > 0).sum())
             return known, ordinary
 
         nodes._learner.update_ordinary = update  # type: ignore[method-assign]

@@ -55,11 +55,14 @@ def test_coordinates_turn_into_parameters_and_back() -> None:
     np.testing.assert_allclose(flow_module.to_parameters(flow_module.to_coordinates(THETA)), THETA, rtol=1e-15)
 
 
-def test_the_jacobian_of_the_parameters_is_a_finite_difference() -> None:
-    p = flow_module.to_coordinates(THETA)
-    jacobian = flow_module.parameter_jacobian(p)
+def test_the_covariance_of_the_parameters_follows_from_finite_differences() -> None:
+    p, random = flow_module.to_coordinates(THETA), np.random.default_rng(0)
+    root = random.normal(size=(*p.shape, p.shape[1]))
+    relative = root @ root.swapaxes(1, 2)
+    jacobian = np.empty_like(relative)
     for j in range(p.shape[1]):
-        bump = np.zeros_like(p)
-        bump[:, j] = 1e-6 * p[:, j]
-        slope = (flow_module.to_parameters(p + bump) - flow_module.to_parameters(p - bump)) / (2 * bump[:, j : j + 1])
-        np.testing.assert_allclose(jacobian[:, :, j], slope, rtol=1e-6, atol=1e-9)
+        bump = np.ones_like(p)
+        bump[:, j] += 1e-6
+        jacobian[:, :, j] = (flow_module.to_parameters(p * bump) - flow_module.to_parameters(p / bump)) / 2e-6
+    expected = jacobian @ relative @ jacobian.swapaxes(1, 2)
+    np.testing.assert_allclose(flow_module.parameter_covariance(THETA, relative), expected, rtol=1e-5)

@@ -80,9 +80,11 @@ def spread_of_values(value: Array, covariance: Array) -> Array:
         value: shape (motor, parameter).
         covariance: shape (motor, parameter, parameter): linearised, in the units of the values.
     """
-    wide = np.any(np.diagonal(covariance, axis1=1, axis2=2) > (LOG_NORMAL * value) ** 2, axis=1)
+    wide = (covariance.diagonal(0, 1, 2) > (LOG_NORMAL * value) ** 2).any(axis=1)
+    if not wide.any():
+        return covariance
     wide &= np.isfinite(covariance).all(axis=(1, 2))
-    if not np.any(wide):
+    if not wide.any():
         return covariance
     unit = value[wide, :, None] * value[wide, None, :]
     variance, axes = np.linalg.eigh(covariance[wide] / unit)

@@ -28,7 +28,7 @@ from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.motors import Motors
-from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
+from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -92,32 +92,27 @@ class Learner:
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
     def update_ordinary(
-        self, known: Learnt, motors: NDArray[np.intp], at: NDArray[np.int_]
-    ) -> tuple[Learnt, NDArray[np.bool_]]:  # fmt: skip
-        """Learn one block of samples of those motors in which nothing asks for more than that.
+        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
+    ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
+        """Learn the next block of those motors in which nothing asks for more than that.
 
         Args:
             known: of all motors; written to.
-            motors: their places.
-            at: shape (place,): the last sample of each block.
+            motors: their places; their samples reach to the end of the block.
+            due: shape (motor,): where in its stream the next work on a motor is due; written to.
+            plain: shape (motor,): whether that is a block; written to.
 
         Returns:
-            What is known then, and whose block has been learnt, shape (place,).
+            What is known then, and what became of every block, shape (place,): 0 where nothing has changed; beyond
+            LEARNT where it has to be reckoned again what is due.
         """
-        learnt = self._replay.remembered(motors, at) > self._rules.block
-        if not (self._ordinary.compiled and learnt.any()):
-            return known, np.zeros_like(learnt)
-        before, known.at[motors] = known.at[motors], at
-        known, learnt[learnt] = self._ordinary.learn(known, motors[learnt])
-        if not learnt.all():
-            known.at[motors] = np.where(learnt, at, before)
-            motors = motors[learnt]
-        hold = known.hold
-        long = motors[hold.settled[motors] & (hold.held_s[motors] > self._rules.long_hold_s)]
-        if long.size:
-            put(known.belief, long, self._holds.cut(chosen(hold, long), chosen(known.belief, long)))
-        self._move_anchors(known, motors)
-        return known, learnt
+        known, told = self._ordinary.learn(known, motors, due, plain)
+        if (told > LEARNT).any():
+            if (long := motors[told & LONG_HOLD > 0]).size:
+                put(known.belief, long, self._holds.cut(chosen(known.hold, long), chosen(known.belief, long)))
+            if (far := motors[told & ANCHOR_DUE > 0]).size:
+                self._move_anchors(known, far)
+        return known, told
 
     def update(self, motors: Motors, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""

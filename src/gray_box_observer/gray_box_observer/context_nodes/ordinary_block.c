@@ -14,6 +14,9 @@
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
 
+/* What is told of a motor: nothing where its block was not ordinary. */
+enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
+
 /* Everything a call needs; ordinary_block.py holds the same list. Arrays are contiguous, the motor axis first. */
 typedef struct {
     int64_t coordinates, samples, memories, known_terms, speed_measured;
@@ -25,21 +28,25 @@ typedef struct {
     /* settings */
     double keep[MOST_MEMORIES];
     double outlier, kick, credible, far_away, largest_step, most_steps, threshold, noise_floor;
-    double left_out_memory, left_out_limit, hold_tolerance, hold_settled;
-    int64_t noise_memory;
+    double left_out_memory, left_out_limit, hold_tolerance, hold_settled, long_hold_s;
+    int64_t noise_memory, replay_capacity;
     /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
     const double *data;
     int64_t signal_stride, column_stride;
-    const int64_t *gone, *at;
+    const int64_t *gone, *begin;
     /* what is believed of the motors; written to */
     const double *current_a, *gain, *walk_rate;
+    const int64_t *anchored, *next_fit;
     const uint8_t *hold_begun;
+    int64_t *at;
     double *p, *state, *covariance, *noise, *sensitivity;
     double *score, *information;
     int64_t *noise_count, *since, *outliers;
     double *suspicion, *left_out;
     double *hold_level, *hold_largest, *hold_held_s, *hold_p, *hold_covariance;
     uint8_t *hold_settled_now;
+    int64_t *due;
+    uint8_t *plain;
 } Update;
 
 /* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is that before a block. */
@@ -111,16 +118,16 @@ CLONES void gather(const Update *u, Tile *t)
     const int k = t->k, n = t->n, m = n + 1;
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
-    const int64_t column = u->at[t->motor[0]] - u->gone[t->motor[0]] - k - 1;
+    const int64_t column = u->at[t->motor[0]] - u->gone[t->motor[0]] - 1;
     int beside = 1; /* whether one load brings the sample of every lane */
     for (int l = 0; l < LANES; l++) {
         const int64_t motor = t->motor[l];
-        beside &= motor == t->motor[0] + l && u->at[motor] - u->gone[motor] - k - 1 == column;
-        if (!u->hold_begun[motor]) t->fine[l] = 0;
+        beside &= motor == t->motor[0] + l && u->at[motor] - u->gone[motor] - 1 == column;
+        if (!u->hold_begun[motor] || u->at[motor] <= u->begin[motor]) t->fine[l] = 0;
     }
     for (int l = 0; l < (beside ? 1 : LANES); l++) {
         const int64_t motor = t->motor[l];
-        const double *first = u->data + motor + (u->at[motor] - u->gone[motor] - k - 1) * u->column_stride;
+        const double *first = u->data + motor + (u->at[motor] - u->gone[motor] - 1) * u->column_stride;
         for (int j = 0; j <= k; j++, first += u->column_stride)
             if (beside) {
                 memcpy(&t->interval[j], first, sizeof(Real));
@@ -338,8 +345,26 @@ CLONES void examine(const Update *u, Tile *t)
     t->fine &= (t->used >= 0.5 * samples) & (left_out <= u->left_out_limit);
 }
 
+/* Settle what follows from a motor's block: recursive.py, _reckon; what rarely follows is left to Python and told of. */
+static uint8_t reckon(const Update *u, int64_t motor)
+{
+    const int walking = u->walk_rate[motor] != 0.0;
+    const int64_t at = u->at[motor] += u->samples, update = at + u->samples;
+    int64_t fit = INT64_MAX;
+    if (!walking && u->next_fit[motor] <= u->replay_capacity) {
+        fit = u->begin[motor] + u->next_fit[motor];
+        fit = fit > at ? fit : at + 1;
+    }
+    u->due[motor] = fit < update ? fit : update;
+    u->plain[motor] = fit > update;
+    uint8_t told = LEARNT;
+    if (u->hold_settled_now[motor] && u->hold_held_s[motor] > u->long_hold_s) told |= LONG_HOLD;
+    if (at - u->anchored[motor] >= u->replay_capacity / (walking ? 2 : 1)) told |= ANCHOR_DUE;
+    return told;
+}
+
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
-CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
+CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
 {
     const int n = t->n, k = t->k, m = n + 1, memories = (int)u->memories;
     const Real noise = t->noise, unit = 1.0 / (noise * noise), *before = t->box.p;
@@ -446,7 +471,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
     store(t, u->hold_held_s, 1, 0, held);
     for (int l = 0; l < t->lanes; l++) {
         const int64_t motor = t->motor[l];
-        ordinary[l] = t->fine[l] != 0;
+        told[l] = 0;
         if (!t->fine[l]) continue;
         u->since[motor] = 0;
         u->outliers[motor] += k - (int64_t)t->used[l];
@@ -458,14 +483,15 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *ordinary)
                     u->hold_covariance[(motor * n + i) * n + j] = moved[i + 1][j + 1][l] * followed[l] * followed[l];
             }
         u->hold_settled_now[motor] = settled[l] != 0;
+        told[l] = reckon(u, motor);
     }
 }
 
 /* Size of Update, by which Python tells that it speaks of the same. */
 int64_t update_size(void) { return (int64_t)sizeof(Update); }
 
-/* Learn the newest blocks of `count` motors, given by their places; tell of each whether it was ordinary. */
-void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t *ordinary)
+/* Learn the next blocks of `count` motors, given by their places; tell of each what became of it. */
+void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t *told)
 {
     Tile t;
     for (int64_t begin = 0; begin < count; begin += LANES) {
@@ -475,7 +501,7 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         gather(u, &t);
         predict(u, &t);
         examine(u, &t);
-        conclude(u, &t, ordinary + begin);
+        conclude(u, &t, told + begin);
     }
 }
 

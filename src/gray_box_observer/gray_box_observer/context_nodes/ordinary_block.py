@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import sysconfig
-from operator import attrgetter
+from operator import attrgetter, is_
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,14 @@ from gray_box_observer.white_box.terms import TERMS
 MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
 """Room in `ordinary_block.c`."""
 
+LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
+"""What is told of a motor, bit by bit: its block is learnt, it has been in a long hold, its anchor lies far back."""
+
 _CODES = {name: code for code, name in enumerate(TERMS)}
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 _WRITTEN = {
+    'at': 'at',
     'p': 'belief.p',
     'state': 'belief.state',
     'covariance': 'belief.covariance',
@@ -58,10 +62,11 @@ _WRITTEN = {
 """What the compiled code writes, and where that stands in :class:`~.learnt.Learnt`."""
 
 _READ = {
-    'at': 'at',
     'current_a': 'belief.current_a',
     'gain': 'belief.gain',
     'walk_rate': 'walk_rate',
+    'anchored': 'anchored',
+    'next_fit': 'next_fit',
     'hold_begun': 'hold.begun',
 }
 _of_learnt = attrgetter(*_READ.values(), *_WRITTEN.values())
@@ -80,12 +85,11 @@ class _Update(ctypes.Structure):
         ('keep', _NUMBER * MOST_MEMORIES),
         *((name, _NUMBER) for name in ('outlier', 'kick', 'credible', 'far_away', 'largest_step', 'most_steps')),
         *((name, _NUMBER) for name in ('threshold', 'noise_floor', 'left_out_memory', 'left_out_limit')),
-        *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled')),
-        ('noise_memory', _COUNT),
+        *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled', 'long_hold_s')),
+        *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
         *((name, _COUNT) for name in ('signal_stride', 'column_stride')),
-        ('gone', _POINTER),
-        *((name, _POINTER) for name in (*_READ, *_WRITTEN)),
+        *((name, _POINTER) for name in ('gone', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
     )
 
 
@@ -131,13 +135,14 @@ class OrdinaryBlocks:
         motors, told = self._replay.motors, [n for n in white_box.known if n not in white_box.context_nodes]
         lower, upper = bounds(white_box.parameters)
         keep = drift.keep()
-        data, gone = self._replay.streams
+        data, gone, begin = self._replay.streams
         constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
         self._kept = (  # what pointers point to
             np.array(constants, dtype=float).reshape(len(told), motors),
             np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
             data,
             gone,
+            begin,
         )
         places = [array.ctypes.data for array in self._kept]
         self._update = _Update(
@@ -166,37 +171,44 @@ class OrdinaryBlocks:
             left_out_limit=drift.LEFT_OUT,
             hold_tolerance=HOLD_TOLERANCE,
             hold_settled=SETTLED,
+            long_hold_s=rules.long_hold_s,
             noise_memory=rules.noise_memory,
+            replay_capacity=rules.replay_capacity,
             data=places[2],
             signal_stride=data.strides[0] // data.itemsize,
             column_stride=data.strides[2] // data.itemsize,
             gone=places[3],
+            begin=places[4],
         )
 
-    def learn(self, known: Learnt, motors: NDArray[np.intp]) -> tuple[Learnt, NDArray[np.bool_]]:
-        """Learn a block of some motors where it is an ordinary one.
+    def learn(
+        self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
+    ) -> tuple[Learnt, NDArray[np.uint8]]:
+        """Learn the next block of some motors where it is an ordinary one.
 
         Args:
-            known: of all motors, ``at`` the last sample of their blocks; written to.
-            motors: their places, whose ``rules.block`` newest samples and the one before are remembered.
+            known: of all motors; written to.
+            motors: their places; their samples reach to the end of the block.
+            due: shape (motor,): where in its stream the next work on a motor is due; written to.
+            plain: shape (motor,): whether that is a block; written to.
 
         Returns:
-            What is known then, and whose block was ordinary, shape (place,); of the others nothing has changed.
+            What is known then, and what became of every block, shape (place,): 0 where nothing has changed, else LEARNT
+            and what there is to do besides.
         """
-        ordinary = np.zeros(motors.size, dtype=np.bool_)
+        told = np.zeros(motors.size, dtype=np.uint8)
         if self._library is None:
-            return known, ordinary
-        arrays = _of_learnt(known)
-        if len(arrays) != len(self._pointed) or any(a is not b for a, b in zip(arrays, self._pointed, strict=True)):
+            return known, told
+        arrays = (*_of_learnt(known), due, plain)
+        if len(self._pointed) == 0 or not all(map(is_, arrays, self._pointed)):
             if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
                 known = copied(known)
-                arrays = _of_learnt(known)
-            for name, array in zip((*_READ, *_WRITTEN), arrays, strict=True):
+                arrays = (*_of_learnt(known), due, plain)
+            for name, array in zip((*_READ, *_WRITTEN, 'due', 'plain'), arrays, strict=True):
                 setattr(self._update, name, array.ctypes.data)
             self._pointed = arrays
-        motors = np.ascontiguousarray(motors, dtype=np.int64)
-        self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, ordinary.ctypes.data)
-        return known, ordinary
+        self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, told.ctypes.data)
+        return known, told
 
 
 def _fits(white_box: WhiteBox, rules: RecursiveRules) -> bool:

@@ -28,12 +28,13 @@ from gray_box_observer.context_nodes.holds import HoldState
 from gray_box_observer.context_nodes.learner import WALK_AGAIN, Learner
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.motors import Motors
+from gray_box_observer.context_nodes.ordinary_block import LEARNT
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
-from gray_box_observer.white_box.flow import parameter_jacobian, to_coordinates, to_parameters
+from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
 
 UPDATES = 1024
 """Motors, at least, whose blocks are looked at at one sample of the group; of many motors a sixteenth."""
@@ -84,7 +85,7 @@ class RecursiveUpdate:
         self._learner = Learner(white_box, self._rules, self.replay, self._following)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
-        self._due, self._fits = np.zeros(motors, dtype=int), self._nobody.copy()
+        self._due, self._plain = np.zeros(motors, dtype=int), self._nobody.copy()
         self._reckon(slice(None))
         self._wake = 0
         self._stamp_ns = 0
@@ -132,13 +133,11 @@ class RecursiveUpdate:
     def estimate(self, which: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief = self._learnt.belief
-        p = belief.p[which]
-        theta = to_parameters(p).clip(self._lower, self._upper)
-        by_relative = parameter_jacobian(p) * p[:, None, :]
+        theta = to_parameters(belief.p[which])
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
-        covariance = by_relative @ posterior @ by_relative.swapaxes(1, 2)
+        covariance, theta = parameter_covariance(theta, posterior), theta.clip(self._lower, self._upper)
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
-        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        std = np.sqrt(covariance.diagonal(0, 1, 2))
         verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
@@ -167,21 +166,22 @@ class RecursiveUpdate:
         self._update(received)
         while self._heavy(received) > self.replay.capacity // 4:  # what is to be read must still be remembered
             pass
-        missing = self._due - received
-        self._wake = self.replay.total + max(1, int(missing.min()))
+        self._wake = self.replay.total + max(1, int((self._due - received).min()))
         return bool(self._changed.any())
 
     def _update(self, received: NDArray[np.int_]) -> None:
         """Learn the blocks of motors that are due: by compiled code, or with care where one is not ordinary."""
-        due = np.flatnonzero((received >= self._due) & ~self._fits & (self._learnt.asked == 0))
-        motors = self._first_in_line(due, received, UPDATES)
-        if motors.size == 0:
+        due = ((received >= self._due) & self._plain).nonzero()[0]
+        if due.size == 0:
             return
-        self._learnt, ordinary = self._learner.update_ordinary(self._learnt, motors, self._due[motors])
-        if (learnt := motors[ordinary]).size:
-            self._conclude(learnt)
-        if learnt.size < motors.size:
-            careful = self._first_in_line(motors[~ordinary], received, CAREFUL)
+        motors = self._first_in_line(due, received, UPDATES)
+        self._learnt, told = self._learner.update_ordinary(self._learnt, motors, self._due, self._plain)
+        learnt = told > 0
+        self._changed[motors] = learnt
+        if (more := motors[told > LEARNT]).size:
+            self._reckon(more)
+        if not learnt.all():
+            careful = self._first_in_line(motors[~learnt], received, CAREFUL)
             self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
 
     def _first_in_line(
@@ -196,10 +196,10 @@ class RecursiveUpdate:
 
     def _heavy(self, received: NDArray[np.int_]) -> int:
         """Fit or examine the motors that have waited longest; return for how many samples others wait on."""
-        asked = self._learnt.asked
-        motors = np.flatnonzero((received >= self._due) & (self._fits | (asked != 0)))
+        motors = ((received >= self._due) & ~self._plain).nonzero()[0]
         if motors.size == 0:
             return 0
+        asked = self._learnt.asked
         waited = received[motors] - self._due[motors]
         motors = motors[np.argsort(-waited, kind='stable')]
         remembered = self.replay.remembered(motors, self._due[motors])
@@ -228,16 +228,12 @@ class RecursiveUpdate:
                 part = Motors.of(self._white_box, self.replay, self._learnt, alike)
                 work(part, count)
                 put(self._learnt, part.which, part.learnt)
-        self._conclude(motors)
-
-    def _conclude(self, motors: NDArray[np.intp]) -> None:
-        """Say that the estimates of some motors have changed, and reckon when they are due again."""
         which: Any = slice(None) if motors.size == self._due.size else motors
         self._changed[which] = True
         self._reckon(which)
 
     def _reckon(self, which: Any) -> None:
-        """Reckon at which place in the stream of some motors the next piece of work is due, and whether it is a fit."""
+        """Reckon at which place in its stream the next work on some motors is due, and whether that is a block."""
         known = self._learnt
         at, started = known.at[which], known.started[which]
         still = known.walk_rate[which] == 0.0  # a fit takes the parameters for constant
@@ -246,7 +242,7 @@ class RecursiveUpdate:
         update_at = np.where(started, at + self._rules.block, NEVER)
         asked = known.asked[which] != 0
         self._due[which] = np.where(asked, at, np.minimum(fit_at, update_at))
-        self._fits[which] = ~asked & (fit_at <= update_at)
+        self._plain[which] = ~asked & (fit_at > update_at)
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""

@@ -123,12 +123,13 @@ class ReplayBuffer:
         return received
 
     @property
-    def streams(self) -> tuple[Array, NDArray[np.int_]]:
-        """The storage, shape (signal, motor, column), and the place in each stream before column 0, shape (motor,).
+    def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_]]:
+        """The storage, shape (signal, motor, column), and two places in each stream, shape (motor,).
 
-        Both stay where they are as long as the buffer lives; for compiled code, after :attr:`received` has been asked.
+        The place before column 0, and that before the oldest sample that has not been told to be forgotten. All stay
+        where they are as long as the buffer lives; for compiled code, after :attr:`received` has been asked.
         """
-        return self._data, self._gone
+        return self._data, self._gone, self._begin
 
     def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
         """Return the place before the oldest sample that has not been told to be forgotten, shape (motor,)."""

@@ -39,6 +39,9 @@ class Parameter:
     description: str
     heats: bool = False
 
+    def __hash__(self) -> int:
+        return hash(self.name)
+
 
 @lru_cache(maxsize=64)
 def bounds(parameters: tuple[Parameter, ...]) -> tuple[Array, Array]:

@@ -46,14 +46,21 @@ def within_bounds(white_box: WhiteBox, p: Array) -> Array:
     return to_coordinates(to_parameters(p).clip(*bounds(white_box.parameters)))
 
 
-def parameter_jacobian(p: Array) -> Array:
-    """Derivative of the parameters by the coordinates, shape (motor, parameter, coordinate)."""
-    motors, n = p.shape
-    jacobian = np.zeros((motors, n, n))
-    jacobian.reshape(motors, -1)[:, n + 1 :: n + 1] = 1.0 / p[:, :1]
-    jacobian[:, 0, 0] = -1.0 / p[:, 0] ** 2
-    jacobian[:, 1:, 0] = -p[:, 1:] / p[:, :1] ** 2
-    return jacobian
+def parameter_covariance(theta: Array, relative: Array) -> Array:
+    """Turn a covariance of the coordinates' logarithms into that of the parameters.
+
+    With ``log theta_0 = -log p_0`` and ``log theta_j = log p_j - log p_0``.
+
+    Args:
+        theta: shape (motor, parameter).
+        relative: shape (motor, coordinate, coordinate).
+    """
+    moved = np.empty_like(relative)
+    np.negative(relative[:, :1], out=moved[:, :1])
+    np.subtract(relative[:, 1:], relative[:, :1], out=moved[:, 1:])
+    moved[:, :, 1:] -= moved[:, :, :1]
+    np.negative(moved[:, :, :1], out=moved[:, :, :1])
+    return moved * theta[:, :, None] * theta[:, None, :]
 
 
 @dataclass(frozen=True, slots=True)
