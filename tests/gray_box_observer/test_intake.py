@@ -36,7 +36,7 @@ def signal(name: str = 'torque', **given: Any) -> Signal:
 
 def told(one: Signal, message: Any) -> list[tuple[str, float]]:
     """What a message tells of the configured motors."""
-    return [pair for pair in zip(*one.read(message), strict=True) if pair[0] not in one.unknown]
+    return [pair for pair in zip(*one.read(message)[:2], strict=True) if pair[0] not in one.unknown]
 
 
 def test_a_joint_state_speaks_of_every_motor_it_names() -> None:

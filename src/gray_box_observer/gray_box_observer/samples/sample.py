@@ -68,10 +68,4 @@ class Sample:
         cls, stamp_ns: int, interval_s: float, voltage_v: float, torque_nm: float, speed_rad_s: float = np.nan
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
-        return cls(
-            stamp_ns,
-            np.array([interval_s]),
-            np.array([voltage_v]),
-            np.array([torque_nm]),
-            np.array([speed_rad_s]),
-        )
+        return cls(stamp_ns, *np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float).reshape(4, 1))
