@@ -111,6 +111,7 @@ def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
         view(0, (), (1.0,)),
         SimpleNamespace(name=['motor'], effort=['many']),
         SimpleNamespace(name=['motor'], effort=None),
+        SimpleNamespace(name=['motor'], effort=[0.1], velocity=['fast']),
     ],
 )
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
