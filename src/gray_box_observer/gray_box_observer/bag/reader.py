@@ -16,6 +16,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
 from gray_box_observer.bag.bag_files import BagFiles
 from gray_box_observer.bag.contents import Loss, TopicInfo
 from gray_box_observer.bag.losses import Losses
@@ -141,9 +144,6 @@ class BagReader:
             yield message, content
 
     def _decoder(self, message: RawMessage, number: int) -> Callable[[bytes], Any]:
-        from mcap.records import Schema  # few bags need a decoder for any type
-        from mcap_ros2.decoder import DecoderFactory
-
         if not message.schema_text:
             raise BagError(f'{self.path}: no definition of {message.type_name or message.topic} in the bag')
         schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
