@@ -10,8 +10,8 @@ import pytest
 from gray_box_observer.bag.joint_state import JointStateView, decode_joint_state, encode_joint_state
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.intake import Intake, Signal, names_of, stamp_of
-from gray_box_observer.observer import Observer
+from gray_box_observer.intake import Intake, Signal, Taken, names_of, stamp_of
+from gray_box_observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
 
 
@@ -32,6 +32,11 @@ def intake(**given: Any) -> tuple[Intake, Observer]:
 
 def signal(name: str = 'torque', **given: Any) -> Signal:
     return Signal(name, Configuration.from_flat({k.replace('__', '.'): v for k, v in given.items()}))
+
+
+def results_of(taken: Taken) -> list[Result]:
+    """What a message has led to, motor by motor."""
+    return [result for group in taken.groups for result in group]
 
 
 def told(one: Signal, message: Any) -> list[tuple[str, float]]:
@@ -150,7 +155,7 @@ def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
     taker.take('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
     taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
     assert (taken.stamp_ns, taken.names) == (5, ('x', 'b', 'a'))
-    assert [(r.motor, r.sample.torque_nm[0]) for r in taken.results] == [('b', 0.1)]
+    assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
 
 
 def test_a_message_is_read_once() -> None:
@@ -174,7 +179,7 @@ def test_a_message_is_read_once() -> None:
 def test_speed_comes_with_torque_where_the_message_has_it() -> None:
     taker, _ = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    with_speed = taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0).results
+    with_speed = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
     assert with_speed[0].sample.speed_rad_s[0] == 3.0
 
 
@@ -182,14 +187,14 @@ def test_speed_may_have_a_topic_of_its_own() -> None:
     taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
     taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0).results
+    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
     assert results[0].sample.speed_rad_s[0] == 6.0
 
 
 def test_without_speed_the_sample_says_so() -> None:
     taker, observer = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,)), 0).results
+    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,)), 0))
     assert math.isnan(results[0].sample.speed_rad_s[0])
     assert not observer.motors['motor'].white_box.speed_measured
 

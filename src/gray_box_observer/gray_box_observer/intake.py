@@ -14,7 +14,7 @@ import numpy as np
 from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
-from gray_box_observer.observer import GroupResult, Observer, Result
+from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 from gray_box_observer.white_box.base import Array
@@ -149,11 +149,6 @@ class Taken(NamedTuple):
     stamp_ns: int
     names: tuple[str, ...]
     groups: list[GroupResult]
-
-    @property
-    def results(self) -> list[Result]:
-        """Of the samples that it completed, motor by motor."""
-        return [result for group in self.groups for result in group]
 
 
 class Intake:
