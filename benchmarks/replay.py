@@ -31,7 +31,12 @@ with open(sys.argv[1], 'rb') as stream:
     assert sum(1 for _ in make_reader(stream).iter_messages()) == int(sys.argv[2])
 """
 IDENTIFY = ['-m', 'gray_box_observer.identify']
-SINGLE_THREADED = {'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1', 'MKL_NUM_THREADS': '1'}
+ENVIRONMENT = {
+    'OMP_NUM_THREADS': '1',
+    'OPENBLAS_NUM_THREADS': '1',
+    'MKL_NUM_THREADS': '1',
+    'PYTHONDONTWRITEBYTECODE': '',  # mcap was compiled when it was installed, this package is at its first run
+}
 
 
 def process_s(arguments: list[str], repeats: int) -> float:
@@ -42,7 +47,7 @@ def process_s(arguments: list[str], repeats: int) -> float:
             pid = os.posix_spawn(
                 sys.executable,
                 [sys.executable, *arguments],
-                os.environ | SINGLE_THREADED,
+                os.environ | ENVIRONMENT,
                 file_actions=[(os.POSIX_SPAWN_DUP2, nowhere.fileno(), 1)],
             )
             _, status, usage = os.wait4(pid, 0)

@@ -10,8 +10,8 @@ import pytest
 from gray_box_observer.bag.joint_state import JointStateView, decode_joint_state, encode_joint_state
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.intake import Intake, Signal, names_of, stamp_of
-from gray_box_observer.observer import Observer
+from gray_box_observer.intake import Intake, Signal, Taken, names_of, stamp_of
+from gray_box_observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
 
 
@@ -34,9 +34,14 @@ def signal(name: str = 'torque', **given: Any) -> Signal:
     return Signal(name, Configuration.from_flat({k.replace('__', '.'): v for k, v in given.items()}))
 
 
+def results_of(taken: Taken) -> list[Result]:
+    """What a message has led to, motor by motor."""
+    return [result for group in taken.groups for result in group]
+
+
 def told(one: Signal, message: Any) -> list[tuple[str, float]]:
     """What a message tells of the configured motors."""
-    return [pair for pair in zip(*one.read(message), strict=True) if pair[0] not in one.unknown]
+    return [pair for pair in zip(*one.read(message)[:2], strict=True) if pair[0] not in one.unknown]
 
 
 def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
@@ -111,6 +116,7 @@ def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
         view(0, (), (1.0,)),
         SimpleNamespace(name=['motor'], effort=['many']),
         SimpleNamespace(name=['motor'], effort=None),
+        SimpleNamespace(name=['motor'], effort=[0.1], velocity=['fast']),
     ],
 )
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
@@ -149,7 +155,7 @@ def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
     taker.take('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
     taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
     assert (taken.stamp_ns, taken.names) == (5, ('x', 'b', 'a'))
-    assert [(r.motor, r.sample.torque_nm[0]) for r in taken.results] == [('b', 0.1)]
+    assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
 
 
 def test_a_message_is_read_once() -> None:
@@ -173,7 +179,7 @@ def test_a_message_is_read_once() -> None:
 def test_speed_comes_with_torque_where_the_message_has_it() -> None:
     taker, _ = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    with_speed = taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0).results
+    with_speed = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
     assert with_speed[0].sample.speed_rad_s[0] == 3.0
 
 
@@ -181,14 +187,14 @@ def test_speed_may_have_a_topic_of_its_own() -> None:
     taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
     taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0).results
+    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
     assert results[0].sample.speed_rad_s[0] == 6.0
 
 
 def test_without_speed_the_sample_says_so() -> None:
     taker, observer = intake()
     taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = taker.take('torque', view(0, ('motor',), (0.1,)), 0).results
+    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,)), 0))
     assert math.isnan(results[0].sample.speed_rad_s[0])
     assert not observer.motors['motor'].white_box.speed_measured
 

@@ -36,7 +36,8 @@ def test_a_bag_identifies_the_motor_it_was_recorded_of(
     outcome = observe(write_bag(tmp_path / 'bag', messages_of(record())))
     np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.02)
     assert outcome.observer.counts('motor').used == 6000
-    assert (outcome.first_ns['motor'], outcome.last_ns['motor']) == (10**9, 10**9 + 59_990_000_000)
+    course = outcome.courses['motor']
+    assert (course.first_ns, course.last_ns) == (10**9, 10**9 + 59_990_000_000)
     assert outcome.warnings == []
 
 

@@ -24,8 +24,9 @@ def warnings_of(outcome: Outcome) -> list[str]:
             if counts
         ),
         *(
-            f'motor {name}: alarm at {times_s[0]:.2f} s, {len(times_s)} in all: {REMEDY}'
-            for name, times_s in outcome.alarms_s.items()
+            f'motor {name}: alarm at {course.alarms_s[0]:.2f} s, {len(course.alarms_s)} in all: {REMEDY}'
+            for name, course in outcome.courses.items()
+            if course.alarms_s
         ),
         *(complaint for complaint in complaints if complaint is not None),
     ]
@@ -41,7 +42,7 @@ def describe(outcome: Outcome) -> dict[str, Any]:
         skill = outcome.observer.skill(name)
         motors[name] = {
             'samples': pairing.used,
-            'duration_s': round(outcome.duration_s[name], 6),
+            'duration_s': round(outcome.courses[name].duration_s, 6),
             'rejected': rejected,
             'parameters': {
                 p.name: {
@@ -57,7 +58,7 @@ def describe(outcome: Outcome) -> dict[str, Any]:
             'alarms': None,
         }
         if outcome.observer.motors[name].alarm is not None:
-            times_s = [round(time_s, 6) for time_s in outcome.alarms_s.get(name, [])]
+            times_s = [round(time_s, 6) for time_s in outcome.courses[name].alarms_s]
             motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
         delay = delays[name]
         if delay.asked or delay.complaint(name) is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,7 @@ class Group:
         return self.observer is None and not (self.pairing.received_voltage or self.pairing.received_torque)
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
+class Result(NamedTuple):
     """What one sample of one motor has led to.
 
     Attributes:
@@ -55,7 +55,7 @@ class Result:
     alarm: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class GroupResult:
     """What one sample of a group has led to; iterating gives it motor by motor.
 

@@ -46,16 +46,15 @@ class Part:
 
     def take(self, signal: str, stamp_ns: int, values: Values, speeds: Values | None) -> list[Sample]:
         """Let the group have its part of a message; return the samples that it completes."""
-        take = self.group.pairing.taker(signal)
-        if isinstance(self.source, int):
-            arguments: list[Any] = [float(values[self.source])]
-            if signal == 'torque':
-                arguments.append(math.nan if speeds is None else float(speeds[self.source]))
-            return take(stamp_ns, *arguments)
-        arguments = [self._spread(values)]
-        if signal == 'torque':
-            arguments.append(math.nan if speeds is None else self._spread(speeds))
-        return take(stamp_ns, *arguments, missing=self._missing)
+        pairing, source = self.group.pairing, self.source
+        if isinstance(source, int):
+            value = float(values[source])
+            if speeds is not None and signal == 'torque':
+                return pairing.torque(stamp_ns, value, float(speeds[source]))
+            return pairing.take[signal](stamp_ns, value)
+        if speeds is not None and signal == 'torque':
+            return pairing.torque(stamp_ns, self._spread(values), self._spread(speeds), self._missing)
+        return pairing.take[signal](stamp_ns, self._spread(values), missing=self._missing)
 
     @property
     def _missing(self) -> NDArray[np.bool_] | None:

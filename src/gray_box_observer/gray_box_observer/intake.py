@@ -14,7 +14,7 @@ import numpy as np
 from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
-from gray_box_observer.observer import GroupResult, Observer, Result
+from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
 from gray_box_observer.white_box.base import Array
@@ -61,8 +61,8 @@ class Signal:
         self.unknown: Counter[str] = Counter()
         self._readable = False
 
-    def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array]:
-        """Return the names of motors in the message and a value in SI units for each, whether configured or not.
+    def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array, bool]:
+        """Return the names of motors in the message, a value in SI units for each, and whether one is configured.
 
         Raises:
             SampleError: names and values differ in number, or a motor is named twice.
@@ -77,10 +77,10 @@ class Signal:
         self._readable = True
         names = names_of(message)
         if isinstance(value, (int, float)):
-            return self._only_motor(), (self.scale * value,)
+            return self._only_motor(), (self.scale * value,), True
         if names is None:
             if len(value) == 1:
-                return self._only_motor(), (self.scale * float(value[0]),)
+                return self._only_motor(), (self.scale * float(value[0]),), True
             raise ConfigurationError(
                 f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
@@ -91,33 +91,24 @@ class Signal:
             values: Sequence[float] | Array = (self.scale * float(value[0]),)
         else:
             values = self.scale * np.asarray(value, dtype=float)
-        self._count_names(told)
-        return told, values
-
-    def speaks_of_any(self, names: tuple[str, ...]) -> bool:
-        """Whether a configured motor is among the names."""
-        return self._census(names).known
-
-    def _count_names(self, names: tuple[str, ...]) -> None:
-        """Refuse a motor that is named twice, and remember some of the names that are not ours, for diagnostics."""
-        census = self._census(names)
+        census = self._lists.get(told) or self._census(told)
         if census.twice is not None:
             raise SampleError(f'{census.twice} is named twice')
-        for name in census.strangers:
+        for name in census.strangers:  # remember some of them, for diagnostics
             if len(self.unknown) < MOST_STRANGERS or name in self.unknown:
                 self.unknown[name] += 1
+        return told, values, census.known
 
     def _census(self, names: tuple[str, ...]) -> _Census:
-        found = self._lists.get(names)
-        if found is None:
-            ours = Counter(name for name in names if name in self._motors)
-            strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
-            twice = next((name for name, count in ours.items() if count > 1), None)
-            found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
-            if len(self._lists) >= MOST_LISTS:
-                self._lists.clear()
-            if len(names) <= LONGEST_LIST:
-                self._lists[names] = found
+        """Find out who is in a list of names, and remember it."""
+        ours = Counter(name for name in names if name in self._motors)
+        strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
+        twice = next((name for name, count in ours.items() if count > 1), None)
+        found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
+        if len(self._lists) >= MOST_LISTS:
+            self._lists.clear()
+        if len(names) <= LONGEST_LIST:
+            self._lists[names] = found
         return found
 
     def _only_motor(self) -> tuple[str, ...]:
@@ -159,11 +150,6 @@ class Taken(NamedTuple):
     names: tuple[str, ...]
     groups: list[GroupResult]
 
-    @property
-    def results(self) -> list[Result]:
-        """Of the samples that it completed, motor by motor."""
-        return [result for group in self.groups for result in group]
-
 
 class Intake:
     """Takes messages of the configured topics and feeds the observer.
@@ -196,13 +182,13 @@ class Intake:
         self.received[name] += 1
         stamp_ns = stamp_of(message, arrival_ns)
         try:
-            names, values = self.signals[name].read(message)
+            names, values, known = self.signals[name].read(message)
+            speeds = self._speeds(message) if name == 'torque' else None
         except (SampleError, TypeError, ValueError):
             self.malformed(name)
             return Taken(stamp_ns, (), [])
-        if not self.signals[name].speaks_of_any(names):
+        if not known:
             self.others[name] += 1
-        speeds = self._speeds(message) if name == 'torque' else None
         return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
 
     def malformed(self, name: str) -> None:
@@ -211,11 +197,11 @@ class Intake:
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
         """Speeds from the torque message's velocity; None where it has none or speed has a topic of its own."""
-        if self._own_speed_topic:
+        velocity = None if self._own_speed_topic else getattr(message, 'velocity', None)
+        if velocity is None or not len(velocity):  # an array of numpy has no truth
             return None
-        velocity = getattr(message, 'velocity', None)
         names = names_of(message)
-        if velocity is None or names is None or len(velocity) != len(names):
+        if names is None or len(velocity) != len(names):
             return None
         scale = self.signals['speed'].scale
         return (scale * float(velocity[0]),) if len(names) == 1 else scale * np.asarray(velocity, dtype=float)

@@ -74,7 +74,8 @@ class MotorObserver:
         self._foreseen: tuple[bytes, Prediction] | None = None
         self._interval_s, self._evenly = np.empty(0), False
         self.motors = context_nodes.theta.shape[0]
-        self._identified = np.zeros(self.motors, dtype=bool)
+        self._nobody = np.zeros(self.motors, dtype=bool)
+        self._identified = self._nobody
         self.changed: NDArray[np.intp] = _NOBODY
         self._know(context_nodes.estimate(), slice(None))
 
@@ -122,8 +123,9 @@ class MotorObserver:
         Returns:
             What is left to be done, the prediction among it, and, where they have changed, the estimates.
         """
-        self.settle()
-        prediction = self.predict(sample.interval_s, sample.voltage_v)
+        if self._aftermath is not None:
+            self.settle()
+        prediction = None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
         left = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
         estimate = self.repeat(sample)
         self._aftermath = left
@@ -131,10 +133,11 @@ class MotorObserver:
 
     def settle(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        self._follow()
-        left, self._aftermath = self._aftermath, None
+        left = self._aftermath
         if left is None:
             return
+        self._follow()
+        self._aftermath = None
         sample, prediction = left.sample, left.prediction
         if self._alarm is not None and prediction is not None:
             self._alarm.take(sample.torque_nm - prediction.torque_nm, sample.interval_s, left.identified)
@@ -225,8 +228,10 @@ class MotorObserver:
     @property
     def alarmed(self) -> NDArray[np.bool_]:
         """For which of these motors the alarm stands, shape (motor,)."""
-        alarm = self.alarm
-        return np.zeros(self.motors, dtype=bool) if alarm is None else alarm.raised
+        if self._alarm is None:
+            return self._nobody
+        self.settle()
+        return self._alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Start over with new context nodes from samples that were paired anew; the network is trained on from there.

@@ -64,15 +64,15 @@ class Observer:
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
         """Take one armature voltage in V; return what the samples that it completes have led to."""
-        return _flat(self._take(self._grouping.part(motor), 'voltage', stamp_ns, [voltage_v], None))
+        return _flat(self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None))
 
     def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
         """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
-        return _flat(self._take(self._grouping.part(motor), 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
+        return _flat(self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
 
     def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
         """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
-        return _flat(self._take(self._grouping.part(motor), 'speed', stamp_ns, [speed_rad_s], None))
+        return _flat(self._take([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None))
 
     def take(
         self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
@@ -89,10 +89,7 @@ class Observer:
         Returns:
             What the samples that it completes have led to, group by group.
         """
-        results: list[GroupResult] = []
-        for part in self._grouping.parts(signal, names, speeds):
-            results += self._take(part, signal, stamp_ns, values, speeds)
-        return results
+        return self._take(self._grouping.parts(signal, names, speeds), signal, stamp_ns, values, speeds)
 
     def groups(self, names: tuple[str, ...]) -> list[Group]:
         """Return the groups that the motors of a message belong to."""
@@ -293,11 +290,15 @@ class Observer:
         return self._grouping.groups
 
     def _take(
-        self, part: Part, signal: str, stamp_ns: int, values: Values, speeds: Values | None
+        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values, speeds: Values | None
     ) -> list[GroupResult]:  # fmt: skip
-        """Let a group have its part of a message."""
-        samples = part.take(signal, stamp_ns, values, speeds)
-        return self._learn(part.group, samples) if samples else []
+        """Let every group have its part of a message."""
+        results: list[GroupResult] = []
+        for part in parts:
+            samples = part.take(signal, stamp_ns, values, speeds)
+            if samples:
+                results += self._learn(part.group, samples)
+        return results
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []

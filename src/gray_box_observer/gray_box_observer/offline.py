@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,32 @@ Listener = Callable[[Result], None]
 Progress = Callable[[int], object]
 
 
+@dataclass(slots=True)
+class Course:
+    """What a run has covered of one motor.
+
+    Attributes:
+        first_ns, last_ns: stamps of its first and last sample.
+        duration_s: time that its samples cover, without gaps and jumps of the clock.
+        alarms_s: when the alarm on the residual was raised, in s of that time.
+        alarmed: whether it stands.
+    """
+
+    first_ns: int
+    last_ns: int = 0
+    duration_s: float = 0.0
+    alarms_s: list[float] = field(default_factory=list)
+    alarmed: bool = False
+
+    def take(self, result: Result) -> None:
+        """Go on by one result."""
+        self.last_ns = result.sample.stamp_ns
+        self.duration_s += result.sample.interval_s.item(0)
+        if result.alarm and not self.alarmed:
+            self.alarms_s.append(self.duration_s)
+        self.alarmed = result.alarm
+
+
 @dataclass
 class Outcome:
     """What a run over bags has led to.
@@ -35,19 +61,14 @@ class Outcome:
         observer: the observer at the end of the last bag.
         intake: what it was fed by.
         digest: SHA-256 over every estimate in order.
-        first_ns, last_ns: stamps of the first and last sample, by motor.
-        duration_s: time that the samples cover, by motor, without gaps and jumps of the clock.
-        alarms_s: when the alarm on the residual was raised, in s of the time that the samples cover, by motor.
+        courses: what it has covered, by motor.
         warnings: what the user should know, such as how much of a truncated bag was lost.
     """
 
     observer: Observer
     intake: Intake
     digest: str = ''
-    first_ns: dict[str, int] = field(default_factory=dict)
-    last_ns: dict[str, int] = field(default_factory=dict)
-    duration_s: dict[str, float] = field(default_factory=dict)
-    alarms_s: dict[str, list[float]] = field(default_factory=dict)
+    courses: dict[str, Course] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
 
@@ -73,18 +94,14 @@ def run(
     """
     observer = Observer(configuration, training)
     outcome = Outcome(observer, Intake(observer, configuration))
-    digest = hashlib.sha256()
-    alarmed: set[str] = set()
+    digest, courses = hashlib.sha256(), outcome.courses
 
     def take(results: Iterable[Result]) -> None:
         for result in results:
-            outcome.first_ns.setdefault(result.motor, result.sample.stamp_ns)
-            outcome.last_ns[result.motor] = result.sample.stamp_ns
-            covered_s = outcome.duration_s.get(result.motor, 0.0) + float(result.sample.interval_s[0])
-            outcome.duration_s[result.motor] = covered_s
-            if result.alarm and result.motor not in alarmed:
-                outcome.alarms_s.setdefault(result.motor, []).append(covered_s)
-            (alarmed.add if result.alarm else alarmed.discard)(result.motor)
+            course = courses.get(result.motor)
+            if course is None:
+                course = courses[result.motor] = Course(result.sample.stamp_ns)
+            course.take(result)
             if result.estimate is not None:
                 digest.update(result.motor.encode())
                 digest.update(np.int64(result.estimate.stamp_ns).tobytes())
@@ -102,7 +119,7 @@ def run(
             take(observer.flush())
     finally:
         observer.close()
-    if not outcome.first_ns:
+    if not courses:
         raise BagError(_why_nothing(bags, outcome))
     outcome.digest = digest.hexdigest()
     return outcome
@@ -124,28 +141,33 @@ def _feed(
     progress: Progress,
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome)
-    plain = all(bag.topics[topic].type_name == JOINT_STATE for topic in signals)
-    decode = JointStateDecoder()
-    messages: Iterable[tuple[RawMessage, Any]] = (
-        ((raw, None) for raw in bag.messages(signals)) if plain else bag.decoded(signals)
-    )
-    count = 0
-    for raw, decoded in messages:
-        carried = signals[raw.topic]
-        try:
-            message = decode(raw.data) if plain else decoded
-        except SampleError:
-            for signal in carried:
-                outcome.intake.malformed(signal)
+    intake, count = outcome.intake, 0
+    for raw, message in _decoded(bag, signals):
+        if message is None:
+            for signal in signals[raw.topic]:
+                intake.malformed(signal)
             continue
-        for signal in carried:
-            results = outcome.intake.take(signal, message, raw.publish_time_ns).results
-            if results:
-                take(results)
+        for signal in signals[raw.topic]:
+            for group in intake.take(signal, message, raw.publish_time_ns).groups:
+                take(group)
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)
     progress(count % PROGRESS_STEP)
+
+
+def _decoded(bag: BagReader, topics: Collection[str]) -> Iterator[tuple[RawMessage, Any]]:
+    """Yield every message with its content; None where it is malformed and not counted as lost by the bag."""
+    if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
+        yield from bag.decoded(topics)
+        return
+    decode = JointStateDecoder()
+    for raw in bag.messages(topics):
+        try:
+            message = decode(raw.data)
+        except SampleError:
+            message = None
+        yield raw, message
 
 
 def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcome: Outcome) -> dict[str, list[str]]:

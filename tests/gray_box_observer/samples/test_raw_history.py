@@ -47,6 +47,22 @@ def test_memory_is_bounded() -> None:
     assert len(history(VOLTAGES + 5000, 1)) == VOLTAGES + TORQUES + 2 * SLACK
 
 
+def test_what_is_remembered_is_what_came_to_the_last_bit_however_much_was_forgotten() -> None:
+    values = np.random.default_rng(3).standard_normal((3 * (TORQUES + SLACK) + 77, 2))
+    made = RawHistory()
+    for k, (torque, speed) in enumerate(values.tolist()):
+        made.torque(k * MS, torque, speed)
+        assert len(made) == min(k + 1, TORQUES + SLACK)
+    made.voltage(0, 1.0)
+    signals = made.signals((len(values) - 1) * MS, 0)
+    assert signals is not None
+    np.testing.assert_array_equal(signals.torque_nm, values[-TORQUES:, 0])
+    np.testing.assert_array_equal(signals.speed_rad_s, values[-TORQUES:, 1])
+    events = [(stamp // MS, *given) for signal, stamp, given in made.events(0) if signal == 'torque']
+    first = len(values) - TORQUES - SLACK
+    assert events == [(first + k, *row) for k, row in enumerate(values[first:].tolist())]
+
+
 def test_the_integral_of_the_voltage_is_that_of_its_steps() -> None:
     times, volts = np.array([-1.0, -0.7, -0.2]), np.array([2.0, 5.0, -1.0])
     blank = np.zeros(1)

@@ -78,7 +78,7 @@ class BagWork:
             warnings=tuple(warnings_of(outcome)),
             digest=found['digest'],
             motors=found['motors'],
-            start_ns=dict(outcome.first_ns),
+            start_ns={name: course.first_ns for name, course in outcome.courses.items()},
         )
 
 

@@ -11,7 +11,7 @@ import logging
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
+_QUIET: Mapping[str, Any] = {
+    'distributed.worker.profile.enabled': False,  # costs some percent
+    'distributed.admin.tick.interval': '1s',  # 50 times a second every process woke to see whether it is awake
+    'distributed.scheduler.http.routes': [],  # nobody is told where the pages of the own cluster are
+    'distributed.worker.http.routes': [],
+}
 _ADDRESS = re.compile(r'((tcp|tls|wss?)://)?[^/\s]+:\d{1,5}')
 
 
@@ -112,7 +118,7 @@ class DaskEngine:
         import dask
         from distributed import LocalCluster
 
-        stack.enter_context(dask.config.set({'distributed.worker.profile.enabled': False}))  # costs some percent
+        stack.enter_context(dask.config.set(_QUIET))
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='identify-', ignore_cleanup_errors=True))
         return stack.enter_context(
             LocalCluster(
@@ -124,7 +130,7 @@ class DaskEngine:
                 local_directory=folder,
                 preload=[worker_setup.__name__],
                 silence_logs=logging.CRITICAL,  # what becomes of a bag is told in its row
-                scheduler_kwargs={'allowed_failures': self.retries},
+                scheduler_kwargs={'allowed_failures': self.retries, 'dashboard': False},
             )
         )
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
@@ -24,7 +26,7 @@ class FieldPath:
         ConfigurationError: The text is no such path.
     """
 
-    __slots__ = ('_steps', 'text')
+    __slots__ = ('_get', '_steps', 'text')
 
     def __init__(self, text: str) -> None:
         self.text = text
@@ -39,6 +41,7 @@ class FieldPath:
             steps.append(found[1])
             steps += [int(index) for index in _INDEX.findall(found[2])]
         self._steps = tuple(steps)
+        self._get: Callable[[Any], Any] = attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
 
     def __repr__(self) -> str:
         return f'FieldPath({self.text!r})'
@@ -55,12 +58,15 @@ class FieldPath:
         Raises:
             SampleError: There is no such field, or the array is too short; says what there is instead.
         """
+        try:
+            return self._get(message)
+        except (AttributeError, IndexError, TypeError, KeyError):
+            raise SampleError(self._explain(message)) from None
+
+    def _walk(self, message: Any) -> Any:
         value = message
         for step in self._steps:
-            try:
-                value = getattr(value, step) if isinstance(step, str) else value[step]
-            except (AttributeError, IndexError, TypeError, KeyError):
-                raise SampleError(self._explain(message)) from None
+            value = getattr(value, step) if isinstance(step, str) else value[step]
         return value
 
     def _explain(self, message: Any) -> str:

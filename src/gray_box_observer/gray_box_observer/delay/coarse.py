@@ -146,14 +146,14 @@ def _misfits(
     rest = change - left @ (left.T @ change)
     about = volt - np.mean(volt)  # sums of squares cancel less about the mean
     known = (known - np.mean(volt)) * whole
-    correlate = _Correlation(volt.size, change.size)
     yield
-    by_rest = correlate(about, rest) - rest @ known
+    along = _Correlation(about, change.size)
+    by_rest = along(rest) - rest @ known
     yield
-    square = correlate(about**2, whole) - 2.0 * correlate(about, known) + known @ known
+    square = _Correlation(about**2, change.size)(whole) - 2.0 * along(known) + known @ known
     for column in left.T:
         yield
-        square = square - (correlate(about, column) - column @ known) ** 2
+        square = square - (along(column) - column @ known) ** 2
     total = float(rest @ rest)
     explained = np.where(square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0)
     explained = explained / np.maximum(square, 1e-300)
@@ -162,13 +162,14 @@ def _misfits(
 
 
 class _Correlation:
-    """Sums of products of a short signal with every stretch of a long one."""
+    """Sums of products of short signals, so many samples each, with every stretch of a long one."""
 
-    def __init__(self, long: int, short: int) -> None:
-        self._places = long - short + 1
-        self._size = 1 << (long - 1).bit_length()
+    def __init__(self, long: Array, short: int) -> None:
+        self._places = long.size - short + 1
+        self._size = 1 << (long.size - 1).bit_length()
+        self._long = np.fft.rfft(long, self._size)
 
-    def __call__(self, long: Array, short: Array) -> Array:
-        product = np.fft.rfft(long, self._size) * np.conj(np.fft.rfft(short, self._size))
+    def __call__(self, short: Array) -> Array:
+        product = self._long * np.conj(np.fft.rfft(short, self._size))
         result: Array = np.fft.irfft(product, self._size)[: self._places]
         return result

@@ -91,8 +91,8 @@ class HeldVoltage:
         if not (self._rhythm.regular or torque.silent(seconds(end_ns - start_ns))):
             return None
         silent, since_ns, until_ns = self._rhythm.silent, self._held_ns, None
-        if since_ns is None:
-            return None
+        if since_ns is None or not silent(seconds(max(end_ns, self.newest_ns or end_ns) - since_ns)):
+            return None  # where the whole is not silent no part of it is
         for voltage_ns, _ in self._coming:
             if silent(seconds(voltage_ns - since_ns)):
                 until_ns = voltage_ns

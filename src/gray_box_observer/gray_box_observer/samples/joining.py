@@ -105,13 +105,10 @@ class OneMotor:
 
     def usable(self, signal: str, value: float) -> bool:
         """See :class:`Joining`."""
-        if not math.isfinite(value):
-            self._refused[signal][Rejection.NON_FINITE] += 1
-            return False
-        if abs(value) > ABSURD_MAGNITUDE:
-            self._refused[signal][Rejection.ABSURD] += 1
-            return False
-        return True
+        if abs(value) <= ABSURD_MAGNITUDE:  # NaN is not
+            return True
+        self._refused[signal][Rejection.ABSURD if math.isfinite(value) else Rejection.NON_FINITE] += 1
+        return False
 
     def voltage(self, voltage_v: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""

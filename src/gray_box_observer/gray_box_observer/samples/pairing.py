@@ -71,6 +71,7 @@ class Pairing:
         refused: what could not be used of a single motor, by signal and reason; of one of a group see :meth:`of`.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
+        take: what takes a signal, by its name: :meth:`voltage`, :meth:`torque`, :meth:`speed`.
     """
 
     def __init__(
@@ -92,17 +93,13 @@ class Pairing:
         self.history = RawHistory(motors)
         self._speeds = OwnSpeed()
         self._learn_habits()
-        self._take: dict[str, Callable[..., list[Sample]]] = {
+        self.take: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
             'speed': self.speed,
         }
         self._set_delay(delay_s)
         self._restart()
-
-    def taker(self, signal: str) -> Callable[..., list[Sample]]:
-        """Return what takes a signal by its name: :meth:`voltage`, :meth:`torque` or :meth:`speed`."""
-        return self._take[signal]
 
     def reconfigure(self, rules: PairingRules) -> None:
         """Be as patient as other rules say, from the next message on."""
@@ -180,7 +177,7 @@ class Pairing:
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
-            samples += self._take[signal](stamp_ns, *values)
+            samples += self.take[signal](stamp_ns, *values)
         self._count_as([counts])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
@@ -196,7 +193,7 @@ class Pairing:
         index = motors[0] if len(motors) == 1 else list(motors)
         for signal, stamp_ns, values in self.history.events(self._delay_ns):
             picked: list[Any] = [np.asarray(value)[index] if np.ndim(value) else value for value in values]
-            made._take[signal](stamp_ns, *picked)
+            made.take[signal](stamp_ns, *picked)
         made._count_as([self.of(motor) for motor in motors])
         return made
 
@@ -231,7 +228,7 @@ class Pairing:
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
         self._voltages.take(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
-        return done + self._complete(self._known_ns())
+        return done + self._complete(self._known_ns()) if self._torques else done
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
@@ -264,9 +261,11 @@ class Pairing:
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         done += self._complete(self._known_ns())
-        held = self._complete(stamp_ns - self._hold_ns)
-        self.held += len(held)
-        return done + held
+        if self._torques:
+            held = self._complete(stamp_ns - self._hold_ns)
+            self.held += len(held)
+            done += held
+        return done
 
     def _known_ns(self) -> int | None:
         """Up to where every signal that belongs to torque is known; None: nowhere."""
@@ -334,8 +333,11 @@ class Pairing:
 
     def _complete(self, known_until_ns: int | None) -> list[Sample]:
         samples: list[Sample] = []
-        while known_until_ns is not None and self._torques and self._torques[0][0] <= known_until_ns:
-            sample = self._pair(*self._torques.popleft())
+        if known_until_ns is None:
+            return samples
+        torques = self._torques
+        while torques and torques[0][0] <= known_until_ns:
+            sample = self._pair(*torques.popleft())
             if sample is not None:
                 samples.append(sample)
                 self.used += 1

@@ -8,6 +8,8 @@ alone, so that live topics and a replayed bag give the same signals.
 from __future__ import annotations
 
 import math
+from array import array
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -63,53 +65,50 @@ class RawSignals:
 class _Numbers:
     """Bounded rows of a stamp in ns and plain numbers, in arrays: read out in one piece, for a sample waits for it.
 
-    The oldest are forgotten; stamps rise.
+    The oldest are forgotten, many at once; stamps rise.
     """
 
     def __init__(self, width: int, most: int) -> None:
+        self._width = width
         self._most = most
-        self._stamps = np.zeros(2 * most, dtype=np.int64)
-        self._columns = [np.zeros(2 * most) for _ in range(width)]
-        self._end = 0
+        self._stamps = array('q')
+        self._values = array('d')  # row after row
 
     @classmethod
     def of(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
         """Remember rows, values of shape (value, row), in one piece; no more than ``most``."""
         made = cls(values.shape[0], most)
-        made._end = stamps.size
-        for column, row in zip([made._stamps, *made._columns], [stamps, *values], strict=True):
-            column[: made._end] = row
+        made._stamps.frombytes(stamps.tobytes())
+        made._values.frombytes(values.T.tobytes())
         return made
 
     def __len__(self) -> int:
-        return min(self._end, self._most)
+        return min(len(self._stamps), self._most)
 
     def append(self, stamp_ns: int, *values: float) -> None:
         """Remember a row."""
-        if self._end == self._stamps.size:
-            for column in (self._stamps, *self._columns):
-                column[: self._most] = column[self._most :]
-            self._end = self._most
-        self._stamps[self._end] = stamp_ns
-        for column, value in zip(self._columns, values, strict=True):
-            column[self._end] = value
-        self._end += 1
+        if len(self._stamps) == 2 * self._most:
+            del self._stamps[: self._most], self._values[: self._most * self._width]
+        self._stamps.append(stamp_ns)
+        self._values.extend(values)
 
     def rows(self) -> Iterable[tuple[Any, ...]]:
         """Every row in order."""
-        kept = slice(self._end - len(self), self._end)
-        return zip(*(column[kept].tolist() for column in (self._stamps, *self._columns)), strict=True)
+        first = len(self._stamps) - len(self)
+        columns = (self._values[first * self._width + k :: self._width] for k in range(self._width))
+        return zip(self._stamps[first:], *columns, strict=True)
 
     def clear(self) -> None:
         """Forget every row."""
-        self._end = 0
+        del self._stamps[:], self._values[:]
 
     def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
         """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most so many."""
-        first = self._end - len(self)
-        end = first + int(np.searchsorted(self._stamps[first : self._end], stamp_ns, side='right'))
-        rows = slice(max(first, end - most), end)
-        return self._stamps[rows].copy(), np.stack([column[rows] for column in self._columns])
+        first = len(self._stamps) - len(self)
+        end = bisect_right(self._stamps, stamp_ns, first)
+        first = max(first, end - most)
+        values = np.array(self._values[first * self._width : end * self._width])
+        return np.array(self._stamps[first:end]), values.reshape(-1, self._width).T.copy()
 
 
 class _Arrays:

@@ -27,12 +27,14 @@ class Rhythm:
 
     Attributes:
         usual_s: the usual interval in s; 0 before the first.
+        silence_s: longer than this no signal of this habit waits, in s; endless before the habit is known.
         missing: samples that never came, by the length of the intervals.
         pauses: how often the signal history began anew, after a gap or a jump of the stamps.
     """
 
     def __init__(self) -> None:
         self.usual_s = 0.0
+        self.silence_s = math.inf
         self.missing = 0
         self.pauses = -1  # the first sample begins the first history
         self._seen = 0
@@ -41,11 +43,6 @@ class Rhythm:
     def silent(self, interval_s: float) -> bool:
         """Tell whether an interval in s is one in which the signal, by its own habit, was silent."""
         return interval_s > self.silence_s
-
-    @property
-    def silence_s(self) -> float:
-        """Longer than this no signal of this habit waits, in s; endless before the habit is known."""
-        return SILENCE * self.usual_s if self._seen > LEARNT else math.inf
 
     @property
     def regular(self) -> bool:
@@ -61,7 +58,9 @@ class Rhythm:
         if self._seen <= LEARNT:  # quick at first: the mean
             self.usual_s += (interval_s - self.usual_s) / self._seen
             return
-        self._unbroken = 0 if self.silent(interval_s) else self._unbroken + 1
-        if interval_s > LATE * self.usual_s:
-            self.missing += round(interval_s / self.usual_s) - 1
-        self.usual_s *= 1.0 + STEP if interval_s > self.usual_s else 1.0 - STEP
+        usual_s = self.usual_s
+        self._unbroken = 0 if interval_s > SILENCE * usual_s else self._unbroken + 1
+        if interval_s > LATE * usual_s:
+            self.missing += round(interval_s / usual_s) - 1
+        self.usual_s = usual_s * (1.0 + STEP if interval_s > usual_s else 1.0 - STEP)
+        self.silence_s = SILENCE * self.usual_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +25,7 @@ def nanoseconds(duration_s: float) -> int:
     return round(duration_s * NANOSECONDS_PER_SECOND)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """Torque at one instant, and the voltage that led to it.
 
     Attributes:
@@ -50,7 +49,7 @@ class Sample:
     def beginning(self, which: NDArray[np.bool_] | None = None) -> Sample:
         """Return the sample as the first of a signal history, of some motors or all: no interval leads to it."""
         begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
-        return replace(self, interval_s=np.where(begins, 0.0, self.interval_s))
+        return self._replace(interval_s=np.where(begins, 0.0, self.interval_s))
 
     def resuming(self, waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
         """Return the sample as the first of a history of all who wait for one, and who still does; None: nobody."""
@@ -68,10 +67,5 @@ class Sample:
         cls, stamp_ns: int, interval_s: float, voltage_v: float, torque_nm: float, speed_rad_s: float = np.nan
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
-        return cls(
-            stamp_ns,
-            np.array([interval_s]),
-            np.array([voltage_v]),
-            np.array([torque_nm]),
-            np.array([speed_rad_s]),
-        )
+        values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float)
+        return cls(stamp_ns, values[0:1], values[1:2], values[2:3], values[3:4])
