@@ -169,9 +169,10 @@ class MotorObserver:
     def repeat(self, sample: Sample) -> Estimate | None:
         """Learn a sample, which has been predicted and scored; return the estimates that have changed."""
         changed = self.context_nodes.learn(sample)
-        self._foreseen = None
-        self._evenly = np.array_equal(sample.interval_s, self._interval_s)
-        self._interval_s = sample.interval_s
+        if self._predictor is not None:
+            self._foreseen = None
+            self._evenly = np.array_equal(sample.interval_s, self._interval_s)
+            self._interval_s = sample.interval_s
         if not changed:
             self.changed = _NOBODY
             return None
