@@ -28,6 +28,7 @@ from dc_motor_sim.simulation import Simulation
 from gray_box_observer import checkpoint
 from gray_box_observer.bag.joint_state import JointStateView
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.executables import settle_memory
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 
@@ -182,6 +183,7 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--restarts', type=int, default=20, help='of observer and simulator')
     options = parser.parse_args()
+    settle_memory()
     with tempfile.TemporaryDirectory() as folder:
         campaign = Campaign(options, Path(folder))
         campaign.run()

@@ -79,3 +79,32 @@ def test_a_module_of_ours_that_is_missing_is_a_defect_and_shows_its_traceback() 
     code, _, said = start('identify', 'gray_box_observer.offline')
     assert code == 1
     assert 'Traceback' in said
+
+
+MEMORY_LEFT = """
+import sys
+
+import psutil
+
+from gray_box_observer import executables
+
+if sys.argv[1] == 'settled':
+    executables.settle_memory()
+process, kept = psutil.Process(), []
+before = process.memory_info().rss
+for size in (8 << 20, 7 << 20, 6 << 20):
+    large = []
+    for _ in range(8):
+        large.append(bytearray(size))
+        kept.append(bytearray(100_000))
+    del large
+print(process.memory_info().rss - before - sum(map(len, kept)))
+"""
+
+
+def test_large_blocks_of_memory_go_back_when_they_are_freed() -> None:
+    run = [sys.executable, '-c', MEMORY_LEFT]
+    left = {how: int(subprocess.check_output([*run, how], timeout=100)) for how in ('settled', 'as it comes')}
+    assert left['settled'] < 4e6
+    if left['as it comes'] < 4e6:
+        pytest.skip('this C library gives them back by itself')

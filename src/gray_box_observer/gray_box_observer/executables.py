@@ -6,6 +6,7 @@ are imported here and not above, so that the line can be said at all.
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import re
@@ -19,6 +20,11 @@ PIP_NAMES = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
 
 THREADS = ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS')
 """What libraries of linear algebra read when they are loaded."""
+
+LARGE_BYTES = 1 << 22
+"""Blocks of memory from this size on go back to the system when they are freed."""
+
+_M_MMAP_THRESHOLD = -3  # malloc.h
 
 _OF_ROS = re.compile(r'rclpy|(ament|rcl|ros|rosidl)_.*|.*_(msgs|srvs|interfaces)')
 
@@ -43,9 +49,22 @@ def identify(args: Sequence[str] | None = None) -> int:
     return _start('identify', 'gray_box_observer.identify', args)
 
 
+def settle_memory() -> None:
+    """Let the C library give large blocks back, however many there have been.
+
+    By itself glibc serves them from its heap once one of that size has been freed, and what lies above them there keeps
+    them: one message of a million names would leave its size behind for good.
+    """
+    try:
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
+    except (OSError, AttributeError):  # another C library
+        return
+
+
 def _start(name: str, module: str, args: Sequence[str] | None) -> int:
     for variable in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
         os.environ.setdefault(variable, '1')
+    settle_memory()
     try:
         code: int = importlib.import_module(module).main(args)
     except ModuleNotFoundError as error:
