@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -32,11 +33,14 @@ def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, 
 
 
 def help_text(specs: Sequence[ParameterSpec]) -> str:
-    """What ``--help`` says of the parameters."""
+    """What ``--help`` says of the parameters, their defaults as YAML takes them."""
     width = max(len(spec.name) for spec in specs) + 4
     lines = [
         textwrap.fill(
-            spec.description, 110, initial_indent=f'  {spec.name}'.ljust(width), subsequent_indent=' ' * width
+            f'{spec.description} Default: {json.dumps(spec.default)}',
+            110,
+            initial_indent=f'  {spec.name}'.ljust(width),
+            subsequent_indent=' ' * width,
         )
         for spec in specs
     ]
