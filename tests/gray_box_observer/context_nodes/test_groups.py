@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,7 +63,7 @@ def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdat
     for motor in range(MOTORS):
         chosen = slice(motor, motor + 1)
         nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
-        own = [replace(s.of(chosen), present=None) for s in samples if s.present is None or s.present[motor]]
+        own = [s.of(chosen)._replace(present=None) for s in samples if s.present is None or s.present[motor]]
         taken += learnt_by(nodes, own)
         rules.append(nodes)
     return taken, rules
@@ -114,10 +113,10 @@ def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sam
     again = RecursiveUpdate(BOX, START)
     for motor in range(MOTORS):
         again.restore(*parts[motor].state(), motor)
-    rest = [replace(samples[1500], interval_s=np.zeros(MOTORS)), *samples[1501:2000]]
+    rest = [samples[1500]._replace(interval_s=np.zeros(MOTORS)), *samples[1501:2000]]
     together = learnt_by(again, rest)
     for motor in range(MOTORS):
-        own = [replace(s.of(slice(motor, motor + 1)), present=None) for s in rest if s.present[motor]]
+        own = [s.of(slice(motor, motor + 1))._replace(present=None) for s in rest if s.present[motor]]
         single = learnt_by(parts[motor], own)[0]
         assert together[motor] == single[: len(together[motor])]
         assert len(single) - len(together[motor]) <= 1
@@ -131,8 +130,8 @@ def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
     nodes.freeze(True)
     assert learnt_by(nodes, samples[1000:1200]) == [[] for _ in range(MOTORS)]
     nodes.freeze(False)
-    nodes.learn(replace(samples[1200], present=np.arange(MOTORS) != CALM))
-    nodes.learn(replace(samples[1201], present=None))
+    nodes.learn(samples[1200]._replace(present=np.arange(MOTORS) != CALM))
+    nodes.learn(samples[1201]._replace(present=None))
     intervals = nodes.replay.newest(1)[0][:, 0]
     assert intervals[CALM] == 0.0
     assert np.all(np.delete(intervals, CALM) > 0.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,7 +107,7 @@ def test_what_was_at_rest_is_identified_as_soon_as_it_moves(
     never_at_rest, rested = from_elsewhere(), from_elsewhere()
     teach(rested, at_rest(float(moving[0].voltage_v[0]) + 3.0, rest_s, 3))
     offset_ns = round((rest_s + 1.0) * 1e9)
-    late = [replace(sample, stamp_ns=sample.stamp_ns + offset_ns) for sample in moving]
+    late = [sample._replace(stamp_ns=sample.stamp_ns + offset_ns) for sample in moving]
     late[0] = late[0].beginning(np.ones(1, dtype=bool))  # a pause between the two
     for nodes, samples in ((never_at_rest, moving), (rested, late)):
         teach(nodes, samples[:800])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,7 +71,7 @@ def test_a_restart_whose_first_sample_lies_far_off_costs_no_certainty(
     unbroken = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
     nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
     before = teach(nodes, samples[:cut])[-1]
-    first = replace(samples[cut].beginning(), torque_nm=samples[cut].torque_nm + off * NOISE_NM)
+    first = samples[cut].beginning()._replace(torque_nm=samples[cut].torque_nm + off * NOISE_NM)
     after = teach(nodes, [first, *samples[cut + 1 :]])
     expected = teach(unbroken, samples)[-1]
     assert max(float(np.max(estimate.std / before.std)) for estimate in after) < 1.05

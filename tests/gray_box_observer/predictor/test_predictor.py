@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -252,7 +251,7 @@ def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
     some, listening = samples(record('R[5,15]D[0.2,2]', 15.0)), (idle, type(idle)())
     for one_of, brought in zip(listening, (np.nan, 3.0), strict=True):  # where speed_source is torque_constant
         one = predictor(thesis_box, one_of, rules=TrainingRules(period=500))
-        with_speed = [replace(s, speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)]
+        with_speed = [s._replace(speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)]
         run(one, with_speed)
         one.training.refill(ReplayBuffer.of(with_speed[-1300:]).content())
         run(one, with_speed[1:])
