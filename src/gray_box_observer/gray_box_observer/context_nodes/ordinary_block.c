@@ -265,8 +265,8 @@ static void follow_any(const Update *u, Tile *t)
     }
 }
 
-/* Rule out the lanes whose state was kicked: trajectory.py, find_kicks. */
-CLONES void look_for_kicks(const Update *u, Tile *t)
+/* Rule out those of some lanes whose state was kicked: trajectory.py, find_kicks. */
+CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
 {
     const int k = t->k;
     const Real limit = u->kick * t->noise, end = all(INFINITY);
@@ -284,7 +284,7 @@ CLONES void look_for_kicks(const Update *u, Tile *t)
         kicked |= (change[j] > limit) & (before < 0.5 * change[j]) & (after < 0.5 * change[j]);
         kicked |= (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0);
     }
-    t->fine &= ~(large & kicked);
+    t->fine &= ~(*asked & large & kicked);
 }
 
 /* Predict the block, and tell its good samples from the others: blocks.py, predict. */
@@ -296,7 +296,7 @@ static void predict(const Update *u, Tile *t)
     for (int j = 1; j <= t->k; j++) outliers |= ~t->kept[j];
     outliers &= t->fine;
     if (!anywhere(outliers)) return;
-    look_for_kicks(u, t);
+    look_for_kicks(u, t, &outliers); /* whoever has no outlier is asked nothing, as it would be alone */
     for (int j = 1; j <= t->k; j++) t->near[j] = t->kept[j];
     follow_any(u, t);
     for (int j = 1; j <= t->k; j++) /* the motor never stood where an outlier says */
