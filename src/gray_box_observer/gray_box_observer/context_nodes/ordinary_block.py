@@ -93,7 +93,10 @@ class _Update(ctypes.Structure):
 
 
 def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None where the workspace was built without it, or with another version of it."""
+    """Load the compiled code; None where the workspace was built without it, or with another ``Update``.
+
+    The latter is told by its size alone: whoever changes the order of its entries has to build anew.
+    """
     if np.dtype(int).itemsize != ctypes.sizeof(_COUNT):  # of a processor of 32 bits
         return None
     path = Path(__file__).with_name(f'_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}')
@@ -188,6 +191,9 @@ class OrdinaryBlocks:
         self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:
         """Learn the next block of some motors where it is an ordinary one.
+
+        The interpreter lock is let go meanwhile: what is known, and the samples, are one thread's alone; others are
+        given copies.
 
         Args:
             known: of all motors; written to.
