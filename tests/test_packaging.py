@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
+import shutil
 import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 
 import pytest
@@ -192,3 +195,16 @@ def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():
         name, pin, version = line.partition('==')
         assert pin and version, f'{line} is not pinned'
         assert name in explained, f'{name} has no line in CONTRIBUTING.md'
+
+
+def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> None:
+    source = ROOT / 'src' / 'gray_box_observer'
+    copy = tmp_path / 'gray_box_observer'
+    shutil.copytree(source, copy, ignore=shutil.ignore_patterns('*.so', '__pycache__', '*.egg-info', 'build'))
+    library = f'gray_box_observer/context_nodes/_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}'
+    (copy / library).write_text('of an earlier version')
+    command = [sys.executable, 'setup.py', '--quiet', 'build_ext', '--inplace']
+    environment = os.environ | {'CC': '/bin/false', 'LDSHARED': '/bin/false'}
+    done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr  # the package is built without it
+    assert not (copy / library).exists()

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 PACKAGE = 'gray_box_observer'
 
@@ -18,11 +19,26 @@ ORDINARY_BLOCK = Extension(
     optional=True,
 )
 
+
+class BuildOrNone(build_ext):
+    """Builds compiled code; where that fails, what an earlier build has left does not stand for it."""
+
+    def build_extension(self, ext: Extension) -> None:
+        """Build one library, or leave none: neither where it is built nor beside the sources."""
+        try:
+            super().build_extension(ext)
+        except Exception:
+            for left in (self.get_ext_fullpath(ext.name), self.get_ext_filename(ext.name)):
+                Path(left).unlink(missing_ok=True)
+            raise
+
+
 setup(
     name=PACKAGE,
     version='0.1.0',
     packages=find_packages(),
     ext_modules=[ORDINARY_BLOCK],
+    cmdclass={'build_ext': BuildOrNone},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

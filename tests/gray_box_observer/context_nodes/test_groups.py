@@ -135,3 +135,35 @@ def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
     intervals = nodes.replay.newest(1)[0][:, 0]
     assert intervals[CALM] == 0.0
     assert np.all(np.delete(intervals, CALM) > 0.0)
+
+
+def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
+    """Quick and slow motors, their voltages and loads by leaps, with outliers of torque; their physics, a start."""
+    random, motors = np.random.default_rng(seed), 5
+    inductance = np.array([0.5, 0.02, 0.3, 0.5, 0.1])
+    box = MotorWhiteBox(NAMES, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, speed_measured)
+    start = np.column_stack([3.0 * inductance, np.full(motors, 3.0), np.full(motors, 30.0)])
+    (current, voltage, speed), samples = np.zeros((3, motors)), []
+    for k in range(400):
+        before, speed = speed, random.uniform(-0.3, 0.3, motors)
+        for step in range(20):
+            driven = before + (step + 0.5) / 20 * (speed - before) if speed_measured else 0.01 * current
+            current = current + 5e-4 / inductance * (
+                voltage - current - 10.0 * np.abs(driven) * current - 0.01 * driven
+            )
+        torque = 0.01 * current * np.where(random.random(motors) < 0.04, 1.3, 1.0)
+        interval, noise = np.full(motors, 0.01 if k else 0.0), random.normal(0.0, 2e-4, motors)
+        samples.append(Sample(k * 10_000_000, interval, voltage, torque + noise, speed))
+        voltage = random.uniform(2.0, 15.0, motors) if random.random() < 0.05 else voltage
+    return box, start, samples
+
+
+@pytest.mark.parametrize(('seed', 'speed_measured'), [(9, False), (44, False), (4, True)])
+def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(seed: int, speed_measured: bool) -> None:
+    box, start, samples = rough(seed, speed_measured)
+    together = learnt_by(RecursiveUpdate(box, start), samples)
+    for motor in range(start.shape[0]):
+        chosen = slice(motor, motor + 1)
+        single = learnt_by(RecursiveUpdate(box.of_motors(chosen), start[chosen]), [s.of(chosen) for s in samples])[0]
+        assert together[motor] == single[: len(together[motor])]
+        assert len(together[motor]) > 10

@@ -12,10 +12,13 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import RecursiveUpdate, ordinary_block
+from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.samples import Sample
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.terms import TERMS
+from gray_box_observer.white_box.base import Parameter
+from gray_box_observer.white_box.terms import TERMS, Term
 
 START = np.array([[1.5, 3.0, 30.0]])
 THESIS = ('inductance', 'resistance', 'hysteresis')
@@ -98,6 +101,30 @@ def test_every_term_is_compiled_as_it_is_declared() -> None:
                 library.term_values(code, current, speed, values)
                 declared = [f(current, speed) for f in (term.value, term.by_current, term.by_speed)]
                 np.testing.assert_allclose(list(values), declared, rtol=1e-15, err_msg=name)
+
+
+@needs_it
+def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    declared = Parameter('eddy', 'V/A^3', 1e-3, 1e-9, 1e3, 'A term that compiled code has never heard of.')
+    term = Term(declared, lambda i, w: i**3, lambda i, w: 3.0 * i**2, lambda i, w: 0.0)
+    monkeypatch.setitem(TERMS, 'eddy', term)
+    replay = ReplayBuffer(1, 128)
+    assert OrdinaryBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(), replay).compiled
+    for box in (MotorWhiteBox((*THESIS, 'eddy'), 0.01, KNOWN), MotorWhiteBox(THESIS, 0.01, {'eddy': 1e-3})):
+        assert not OrdinaryBlocks(box, RecursiveRules(), replay).compiled
+
+
+@needs_it
+@pytest.mark.parametrize('column', [-10_000_000, 0, 10_000_000])
+def test_samples_that_are_not_in_memory_are_not_read(thesis_box: MotorWhiteBox, column: int) -> None:
+    nodes = RecursiveUpdate(thesis_box, START)
+    for sample in simulated('R[5,15]D[0.2,3]', 10.0):
+        nodes.learn(sample)
+    known, index = nodes._learnt, np.zeros(1, dtype=int)
+    _, gone, _ = nodes.replay.streams
+    gone[:] = known.at - column
+    _, told = nodes._learner.update_ordinary(known, index, nodes._due, nodes._plain)
+    assert told.tolist() == [0]
 
 
 @needs_it

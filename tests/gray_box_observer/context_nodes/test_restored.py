@@ -84,3 +84,20 @@ def test_a_refilled_buffer_counts_its_streams_on() -> None:
     for buffer in (one, other):
         buffer.append(Sample.of_one_motor(41, 0.01, 41.0, 0.1))
     np.testing.assert_array_equal(other.content(), one.content())
+
+
+def test_blocks_of_another_size_go_on_without_the_samples_that_a_smaller_memory_has_no_room_for(
+    thesis_box: MotorWhiteBox, record: Any, samples_of: Any
+) -> None:
+    samples = samples_of(record('R[5,15]D[0.2,2]', 14.0, torque_noise_std=1e-4))
+    one = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(block=400, replay_capacity=800))
+    for sample in samples[:1000]:
+        one.learn(sample)
+    plain, arrays = one.state()
+    assert plain['new'] == 360
+    other = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(replay_capacity=80))
+    other.restore(plain, arrays)
+    np.testing.assert_array_equal(other.theta, one.theta)
+    for sample in (samples[1000].beginning(), *samples[1001:]):
+        other.learn(sample)
+    np.testing.assert_allclose(other.theta, [[0.5, 1.0, 10.0]], rtol=0.05)

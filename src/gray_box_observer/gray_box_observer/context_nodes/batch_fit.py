@@ -183,7 +183,8 @@ class _Search:
         self._predict(self._maps, gain)
         near = np.abs(self._residual) < OUTLIER * self._scale[:, None]
         if robust and not np.all(near):
-            kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale())
+            odd = ~near.all(axis=1, keepdims=True)  # whoever has no outlier is asked nothing, as it would be alone
+            kicks = find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale()) & odd
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)

@@ -32,7 +32,7 @@ typedef struct {
     int64_t noise_memory, replay_capacity;
     /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
     const double *data;
-    int64_t signal_stride, column_stride;
+    int64_t signal_stride, column_stride, columns;
     const int64_t *gone, *begin;
     /* what is believed of the motors; written to */
     const double *current_a, *gain, *walk_rate;
@@ -118,16 +118,18 @@ CLONES void gather(const Update *u, Tile *t)
     const int k = t->k, n = t->n, m = n + 1;
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
-    const int64_t column = u->at[t->motor[0]] - u->gone[t->motor[0]] - 1;
+    int64_t column[LANES];
     int beside = 1; /* whether one load brings the sample of every lane */
     for (int l = 0; l < LANES; l++) {
         const int64_t motor = t->motor[l];
-        beside &= motor == t->motor[0] + l && u->at[motor] - u->gone[motor] - 1 == column;
-        if (!u->hold_begun[motor] || u->at[motor] <= u->begin[motor]) t->fine[l] = 0;
+        column[l] = u->at[motor] - u->gone[motor] - 1;
+        const int there = column[l] >= 0 && column[l] < u->columns - k;
+        if (!there) column[l] = 0; /* nothing is read that is not in memory, whatever is told of places */
+        if (!there || !u->hold_begun[motor] || u->at[motor] <= u->begin[motor]) t->fine[l] = 0;
+        beside &= motor == t->motor[0] + l && column[l] == column[0];
     }
     for (int l = 0; l < (beside ? 1 : LANES); l++) {
-        const int64_t motor = t->motor[l];
-        const double *first = u->data + motor + (u->at[motor] - u->gone[motor] - 1) * u->column_stride;
+        const double *first = u->data + t->motor[l] + column[l] * u->column_stride;
         for (int j = 0; j <= k; j++, first += u->column_stride)
             if (beside) {
                 memcpy(&t->interval[j], first, sizeof(Real));
@@ -265,8 +267,8 @@ static void follow_any(const Update *u, Tile *t)
     }
 }
 
-/* Rule out the lanes whose state was kicked: trajectory.py, find_kicks. */
-CLONES void look_for_kicks(const Update *u, Tile *t)
+/* Rule out those of some lanes whose state was kicked: trajectory.py, find_kicks. */
+CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
 {
     const int k = t->k;
     const Real limit = u->kick * t->noise, end = all(INFINITY);
@@ -284,7 +286,7 @@ CLONES void look_for_kicks(const Update *u, Tile *t)
         kicked |= (change[j] > limit) & (before < 0.5 * change[j]) & (after < 0.5 * change[j]);
         kicked |= (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0);
     }
-    t->fine &= ~(large & kicked);
+    t->fine &= ~(*asked & large & kicked);
 }
 
 /* Predict the block, and tell its good samples from the others: blocks.py, predict. */
@@ -296,7 +298,7 @@ static void predict(const Update *u, Tile *t)
     for (int j = 1; j <= t->k; j++) outliers |= ~t->kept[j];
     outliers &= t->fine;
     if (!anywhere(outliers)) return;
-    look_for_kicks(u, t);
+    look_for_kicks(u, t, &outliers); /* whoever has no outlier is asked nothing, as it would be alone */
     for (int j = 1; j <= t->k; j++) t->near[j] = t->kept[j];
     follow_any(u, t);
     for (int j = 1; j <= t->k; j++) /* the motor never stood where an outlier says */

@@ -35,7 +35,6 @@ MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
 LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
 """What is told of a motor, bit by bit: its block is learnt, it has been in a long hold, its anchor lies far back."""
 
-_CODES = {name: code for code, name in enumerate(TERMS)}
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 _WRITTEN = {
@@ -88,13 +87,18 @@ class _Update(ctypes.Structure):
         *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled', 'long_hold_s')),
         *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
-        *((name, _COUNT) for name in ('signal_stride', 'column_stride')),
+        *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
         *((name, _POINTER) for name in ('gone', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
     )
 
 
 def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None where the workspace was built without it, or with another version of it."""
+    """Load the compiled code; None where the workspace was built without it, or with another ``Update``.
+
+    The latter is told by its size alone: whoever changes the order of its entries has to build anew.
+    """
+    if np.dtype(int).itemsize != ctypes.sizeof(_COUNT):  # of a processor of 32 bits
+        return None
     path = Path(__file__).with_name(f'_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}')
     try:
         loaded = ctypes.CDLL(str(path))
@@ -124,7 +128,8 @@ class OrdinaryBlocks:
 
     def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
         self._replay, self._block = replay, rules.block
-        self._library = library() if _fits(white_box, rules) else None
+        found = library()
+        self._library = found if found is not None and _fits(found, white_box, rules) else None
         self.compiled = self._library is not None
         self._pointed: tuple[Any, ...] = ()
         if self.compiled and isinstance(white_box, MotorWhiteBox):
@@ -132,7 +137,7 @@ class OrdinaryBlocks:
 
     def _describe(self, white_box: MotorWhiteBox, rules: RecursiveRules) -> None:
         """Write down what never changes."""
-        motors, told = self._replay.motors, [n for n in white_box.known if n not in white_box.context_nodes]
+        motors, told = self._replay.motors, _told(white_box)
         lower, upper = bounds(white_box.parameters)
         keep = drift.keep()
         data, gone, begin = self._replay.streams
@@ -151,7 +156,7 @@ class OrdinaryBlocks:
             memories=keep.size,
             known_terms=len(told),
             speed_measured=int(white_box.speed_measured),
-            codes=tuple(_CODES[name] for name in (*white_box.context_nodes[1:], *told)),
+            codes=tuple(_codes(white_box)),
             heats=tuple(float(p.heats) for p in white_box.parameters),
             lower=tuple(lower.tolist()),
             upper=tuple(upper.tolist()),
@@ -177,6 +182,7 @@ class OrdinaryBlocks:
             data=places[2],
             signal_stride=data.strides[0] // data.itemsize,
             column_stride=data.strides[2] // data.itemsize,
+            columns=data.shape[2],
             gone=places[3],
             begin=places[4],
         )
@@ -185,6 +191,9 @@ class OrdinaryBlocks:
         self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:
         """Learn the next block of some motors where it is an ordinary one.
+
+        The interpreter lock is let go meanwhile: what is known, and the samples, are one thread's alone; others are
+        given copies.
 
         Args:
             known: of all motors; written to.
@@ -211,11 +220,25 @@ class OrdinaryBlocks:
         return known, told
 
 
-def _fits(white_box: WhiteBox, rules: RecursiveRules) -> bool:
-    """Whether `ordinary_block.c` has room for it."""
+def _fits(compiled: ctypes.CDLL, white_box: WhiteBox, rules: RecursiveRules) -> bool:
+    """Whether `ordinary_block.c` has room for it and knows its terms."""
+    values = (_NUMBER * 3)()
     return (
         isinstance(white_box, MotorWhiteBox)
         and len(white_box.parameters) <= MOST_COORDINATES
-        and len(white_box.known) <= MOST_KNOWN
+        and len(_told(white_box)) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
+        and rules.block < rules.replay_capacity
+        and all(compiled.term_values(code, 0.0, 0.0, values) for code in _codes(white_box))
     )
+
+
+def _told(white_box: MotorWhiteBox) -> list[str]:
+    """Names of the terms whose constants are given."""
+    return [name for name in white_box.known if name not in white_box.context_nodes]
+
+
+def _codes(white_box: MotorWhiteBox) -> list[int]:
+    """Codes of the unknown terms without inductance, then of the known ones: their places in TERMS."""
+    places = list(TERMS)
+    return [places.index(name) for name in (*white_box.context_nodes[1:], *_told(white_box))]

@@ -284,8 +284,10 @@ class RecursiveUpdate:
         names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
-        content, begin = arrays['replay'], plain['begin']
-        if content.shape[2] - plain['new'] < self.replay.capacity:  # less is there than may be remembered
+        content, begin, new = arrays['replay'], plain['begin'], plain['new']
+        if new > min(content.shape[2], self.replay.capacity // 2):  # they waited in a larger memory, for larger blocks
+            new = 0
+        if content.shape[2] - new < self.replay.capacity:  # less is there than may be remembered
             begin = max(begin, plain['gone'])
         self.replay.refill(content, which, plain['gone'], begin)
         received = self.replay.received[which]
@@ -297,7 +299,7 @@ class RecursiveUpdate:
             Prior(arrays['prior_p'], arrays['prior_covariance']),
             Belief(**_below('anchor', arrays)),
             received + plain['anchored'],
-            received - plain['new'],
+            received - new,
             asked=np.array([plain['asked']]),
             score=np.moveaxis(arrays['drift_score'], 1, 0),
             information=np.moveaxis(arrays['drift_information'], 1, 0),

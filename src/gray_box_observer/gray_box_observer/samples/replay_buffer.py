@@ -22,10 +22,10 @@ class ReplayBuffer:
     """Bounded memory of samples, one stream a motor.
 
     A motor's samples are counted by their place in its stream, from 1 on; what is absent from a sample of the group is
-    not part of the stream. Views are contiguous and cost nothing where all motors have come with every sample: the
-    storage is twice the capacity, and when it is full the newest part moves to the front, so that appending costs a
-    constant amount on average. At least half a capacity beyond what is remembered is kept, for those who read with
-    ``until`` and have not come to the newest sample yet.
+    not part of the stream. Samples are stored as they come, motor beside motor, and read as views, which cost nothing
+    where all motors have come with every sample. The storage is twice the capacity, and when it is full the newest part
+    moves to the front, so that appending costs a constant amount on average. At least half a capacity beyond what is
+    remembered is kept, for those who read with ``until`` and have not come to the newest sample yet.
 
     Args:
         motors: number of motors.

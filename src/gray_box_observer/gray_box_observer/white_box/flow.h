@@ -83,8 +83,9 @@ INLINE Moved in_steps(const Physics *box, const int n, Real start, const Interva
     const Real slope = (over->end_speed - over->speed) / steps, length = over->length / steps;
     Moved whole = {start, all(1.0), {{0}}};
     for (int s = 0; s < most; s++) {
-        const Mask on = all(s) < steps;
-        const Real from = over->speed + (double)s * slope, to = over->speed + (double)(s + 1) * slope;
+        const Mask on = all(s) < steps, last = all(s + 1) >= steps;
+        const Real from = over->speed + (double)s * slope;
+        const Real to = chosen(last, over->end_speed, over->speed + (double)(s + 1) * slope);
         const Interval piece = {over->voltage, from, to, length};
         const Rate here = rate_of(box, n, whole.state, over->voltage, from);
         const Moved part = runge_kutta(box, n, &here, whole.state, &piece);

@@ -85,10 +85,11 @@ class _Interval:
         return _Interval(self.voltage_v[index], *speeds, self.length_s[index])
 
     def parts(self, count: int) -> Iterator[_Interval]:
-        """Cut into equal parts, the first one first."""
+        """Cut into equal parts, the first one first; the last ends where the whole does, to the last bit."""
         slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
         for j in range(count):
-            yield _Interval(self.voltage_v, self.speed_rad_s + j * slope, self.speed_rad_s + (j + 1) * slope, length)
+            end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
+            yield _Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
 
 
 @dataclass(frozen=True, slots=True)

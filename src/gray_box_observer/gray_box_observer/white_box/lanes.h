@@ -18,7 +18,7 @@ typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* all bits of a l
 #define UNROLL _Pragma("GCC unroll 8")
 
 /* Functions that are built for several kinds of processor, the best of which is chosen when the library is loaded. */
-#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12
 #define CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default"), noinline)) static
 #else
 #define CLONES __attribute__((noinline)) static
