@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from types import SimpleNamespace
 from typing import Any
 
@@ -156,6 +157,21 @@ def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
     taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
     assert (taken.stamp_ns, taken.names) == (5, ('x', 'b', 'a'))
     assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
+
+
+@pytest.mark.parametrize(('count', 'length'), [(1, 2_000_000), (50_000, 30)])
+def test_ever_new_names_do_not_fill_the_memory(count: int, length: int) -> None:
+    taker, _ = intake()
+    tracemalloc.start()
+    try:
+        for k in range(6):
+            names = tuple(f'{k}_{j}'.ljust(length) for j in range(count))
+            taker.take('voltage', view(k, names, (1.0,) * count), 0)
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert taker.others['voltage'] == 6
+    assert kept < 2 * count * (length + 60), 'one message and what it is read from take more'
 
 
 def test_a_message_is_read_once() -> None:

@@ -11,6 +11,7 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining, Predictor
 from gray_box_observer.predictor.elementwise import Floats
@@ -112,6 +113,58 @@ def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
     plain, arrays = zip(*states, strict=True)
     assert plain[0] == plain[1]
     assert all(np.array_equal(array, arrays[1][name], equal_nan=True) for name, array in arrays[0].items())
+
+
+@pytest.mark.parametrize('names', [('a',), ('a', 'b', 'c')])
+def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_something_else(
+    record: Callable[..., Recording], names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = record('R[5,15]D[0.05,0.5]', 10.0, motors=names, torque_noise_relative=0.01)
+    told, predict = [_what_befalls(recording, foreseen=True)], MotorObserver.predict
+
+    def predict_anew(self: MotorObserver, *question: Any) -> Any:
+        self._foreseen = None
+        return predict(self, *question)
+
+    monkeypatch.setattr(MotorObserver, 'predict', predict_anew)
+    told.append(_what_befalls(recording, foreseen=False))
+    assert len(told[0]) > 2500
+    assert told[0] == told[1]
+
+
+def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
+    """What is told of motors whose signals, and whose observer, meet all that can happen, at seeded random instants."""
+    names, told, random, shift_ns = recording.motors, [], np.random.default_rng(5), 0
+    given: dict[str, Any] = {'motors': list(names), 'group_from': 2}
+    one, saved = observer(InlineTraining, **given), None
+    for k, stamp in enumerate((recording.stamp_ns + 1_000_000_000).tolist()):
+        event = int(random.integers(0, 200))
+        shift_ns += {0: 700_000_000, 1: -1_500_000_000, 2: 3_000_000}.get(event, 0)  # a gap, a clock set back, a jerk
+        if event in (3, 4):
+            one.freeze(event == 3)
+        elif event == 5:
+            one.reconfigure(Configuration.from_flat({**FAST, **given, 'alarm.memory': 100 + k, 'freeze': one.frozen}))
+        elif event == 6:
+            saved = {name: copy.deepcopy(one.motors[name].state()) for name in names}
+        elif event in (7, 8) and saved is not None:
+            one.restore(saved, [names])
+        values = {'voltage': recording.voltage_v[:, k].copy(), 'torque': recording.torque_nm[:, k].copy()}
+        if event in (9, 10):
+            values['voltage' if event == 9 else 'torque'][random.integers(0, len(names))] = np.nan
+        for signal in ('torque', 'voltage') if event % 20 == 11 else ('voltage', 'torque'):
+            if (event, signal) in ((12, 'voltage'), (13, 'torque')):
+                continue  # lost
+            results = one.take(signal, names, stamp + shift_ns, values[signal])
+            told += [r.prediction.torque_nm.tobytes() for r in results if r.prediction is not None]
+            for group in one.groups(names):
+                ahead = one.forecast_group(group, stamp + shift_ns)
+                held = one.forecast_group_held(group, 0.05) if event % 10 == 0 else None
+                told += [ahead.tobytes()] if ahead is not None else []
+                told += [held[1].tobytes()] if held is not None else []
+            for result in results if foreseen else ():
+                one.foresee(result.group)
+            told += [line for result in results if event % 3 for line in trace(list(result))]
+    return told
 
 
 def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_voltage_comes(

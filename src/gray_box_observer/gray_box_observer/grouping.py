@@ -26,6 +26,9 @@ MOST_PLANS = 256
 MOST_NAMES = 20_000
 """A longer list is not remembered: somebody who sends ever other lists of a million would fill the memory."""
 
+MOST_LETTERS = 1_000_000
+"""Nor is one of more letters, however few its names are."""
+
 Values = Sequence[float] | Array
 """Values of a message, one a name."""
 
@@ -134,7 +137,7 @@ class Grouping:
             self.gather(names)
             self._divide({name for name in names if name in self._places})
             parts = self._found(names)
-            if len(names) <= MOST_NAMES:
+            if worth_remembering(names):
                 if len(self._parts) > MOST_PLANS:
                     self._parts.clear()
                 self._parts[signal, names] = parts
@@ -206,6 +209,11 @@ class Grouping:
             together = len(names) >= self._configuration['group_from']
             for own in [names] if together else [[name] for name in names]:
                 self._settle(own, group.pairing.part([group.names.index(name) for name in own]))
+
+
+def worth_remembering(names: tuple[str, ...]) -> bool:
+    """Tell whether a list of names is short enough to be remembered."""
+    return len(names) <= MOST_NAMES and sum(map(len, names)) <= MOST_LETTERS
 
 
 def _once(groups: Any) -> list[Group]:

@@ -14,6 +14,7 @@ import numpy as np
 from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
+from gray_box_observer.grouping import worth_remembering
 from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
@@ -27,9 +28,6 @@ LONGEST_NAME = 64
 
 MOST_LISTS = 64
 """Lists of names of which it is remembered who is in them."""
-
-LONGEST_LIST = 100_000
-"""Names in such a list."""
 
 
 class _Census(NamedTuple):
@@ -107,7 +105,7 @@ class Signal:
         found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
         if len(self._lists) >= MOST_LISTS:
             self._lists.clear()
-        if len(names) <= LONGEST_LIST:
+        if worth_remembering(names):
             self._lists[names] = found
         return found
 

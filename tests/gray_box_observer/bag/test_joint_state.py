@@ -97,6 +97,19 @@ def test_what_rclpy_serializes_is_decoded_and_what_is_encoded_rclpy_deserializes
         assert decode_joint_state(serialization.serialize_message(theirs)) == decode_joint_state(data)
 
 
+def test_texts_that_are_no_utf_8_or_lack_their_final_zero_are_read_as_rclpy_reads_them():
+    serialization = pytest.importorskip('rclpy.serialization')
+    joint_state = pytest.importorskip('sensor_msgs.msg').JointState
+    good = encode_joint_state(5, ['motor', 'other'], effort=[1.0, 2.0], frame_id='welle')
+    for told in (b'w\xe4lle\0', b'm\xf6tor\0', b'motors', b'wellen'):
+        data = good.replace(b'welle\0' if told[:1] == b'w' else b'motor\0', told)
+        assert data != good
+        theirs = serialization.deserialize_message(data, joint_state)
+        for view in (decode_joint_state(data), JointStateDecoder()(data)):
+            assert list(view.names) == theirs.name
+            assert list(view.effort) == list(theirs.effort) == [1.0, 2.0]
+
+
 def test_a_remembered_layout_is_not_used_for_a_message_of_the_same_length_but_other_arrays():
     decode = JointStateDecoder()
     position = encode_joint_state(1, ['m'], position=[2.0])
@@ -150,6 +163,21 @@ def test_other_encapsulations_are_refused_by_name(kind):
 def test_a_stamp_that_no_message_can_carry_is_refused():
     with pytest.raises(SampleError, match='does not fit'):
         encode_joint_state(2**31 * 10**9, ['motor'])
+
+
+@pytest.mark.parametrize('text', ['names', 'frame_id'])
+def test_ever_new_messages_with_very_long_texts_do_not_fill_the_memory(text):
+    decode, size = JointStateDecoder(), 2_000_000
+    tracemalloc.start()
+    try:
+        for k in range(4):
+            long = 'x' * (size + 8 * k)
+            message = {'names': [long]} if text == 'names' else {'names': ['motor'], 'frame_id': long}
+            assert len(decode(encode_joint_state(k, **message)).names) == 1
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 3 * size, 'the last one and its view, at most'
 
 
 def test_ever_new_lists_of_very_many_names_do_not_fill_the_memory():

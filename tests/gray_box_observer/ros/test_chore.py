@@ -61,3 +61,39 @@ def test_what_was_left_to_messages_that_came_no_more_is_done_by_the_next_timer(c
     for clock[0] in (101.0, 102.0, 103.0):
         chore.ring()
     assert done == [102.0, 103.0]
+
+
+def test_where_messages_lead_to_nothing_it_is_done_as_often_as_otherwise(clock: list[float]) -> None:
+    done: list[float] = []
+    chore = Chore(1.0, lambda: done.append(clock[0]))
+    for tick in range(1, 501):  # a message every 20 ms, the timer right behind some
+        clock[0] = 100.0 + 0.02 * tick
+        chore.meet(quiet=False)
+        if tick % 50 == 0:
+            chore.ring()
+    assert done == pytest.approx([101.1, 102.1, 103.1, 104.1, 105.1, 106.1, 107.1, 108.1, 109.1], abs=0.03)
+
+
+def test_a_timer_that_has_fallen_behind_does_not_do_what_messages_have_seen_to(clock: list[float]) -> None:
+    done: list[float] = []
+    chore = Chore(1.0, lambda: done.append(clock[0]))
+    clock[0] = 101.6
+    assert chore.meet(quiet=False)
+    for clock[0] in (101.61, 101.62):  # of 101.0, which had to queue up behind messages
+        chore.ring()
+        assert not chore.meet(quiet=True)
+    clock[0] = 103.0
+    chore.ring()
+    assert done == [101.6, 103.0]
+
+
+def test_what_comes_round_faster_than_messages_do_is_not_left_to_them_for_long(clock: list[float]) -> None:
+    done: list[float] = []
+    chore = Chore(0.02, lambda: done.append(clock[0]))
+    for tick in range(1, 101):  # ms; a message every 50
+        clock[0] = 100.0 + 0.001 * tick
+        if tick % 50 == 8:
+            chore.meet(quiet=True)
+        if tick % 20 == 0:
+            chore.ring()
+    assert done == pytest.approx([100.02, 100.04, 100.08, 100.1])

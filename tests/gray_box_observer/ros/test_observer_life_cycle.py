@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,6 +22,8 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
+from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.ros.chore import Chore
 from gray_box_observer.ros.observer_node import ObserverNode
 from gray_box_observer.ros.running import Stop
 
@@ -155,6 +158,23 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     assert one._load(Trigger.Request(), Trigger.Response()).success
     one._tell()
     assert told == [True, False], 'latched: what stands after loading'
+
+
+MESSAGES = {'none': b'', 'of other bytes': b'no message', 'good': encode_joint_state(1, ['motor'], effort=[1.0])}
+
+
+@pytest.mark.parametrize('data', MESSAGES.values(), ids=MESSAGES)
+def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_turns(node, data):
+    one = node()
+    one.trigger_configure()
+    one.trigger_activate()
+    done: list[str] = []
+    chores = {name: Chore(1e-9, partial(done.append, name)) for name in ('diagnostics', 'estimates', 'checkpoint')}
+    one._chores = dict(chores)
+    for _ in range(6):
+        one._inputs._subscriptions['torque'].callback(data)
+    assert sorted(done) == sorted(2 * list(chores))
+    assert one._intake.received['torque'] == 6
 
 
 def test_reset_publishes_at_once_what_is_known_then(rig, record):

@@ -6,13 +6,14 @@ from array import array
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.group import GroupResult
-from gray_box_observer.ros.forms import TorqueMessages
+from gray_box_observer.ros.forms import Form, TorqueMessages, value_form
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -101,6 +102,23 @@ def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None
         assert (tuple(message.name), list(message.effort)) == (names, values)
         assert not message.position
         assert not message.velocity
+
+
+@pytest.mark.parametrize('numbers', [np.zeros(1), np.zeros(3), np.zeros(2, dtype=np.float32)])
+def test_numbers_that_do_not_fit_a_form_leave_it_what_it_was(numbers: np.ndarray) -> None:
+    form = Form(lambda marks: Float64MultiArray(data=marks), 2)
+    with pytest.raises(ValueError):
+        form.told(numbers)
+    assert list(deserialize_message(form.told(np.array([1.0, 2.0])), Float64MultiArray).data) == [1.0, 2.0]
+
+
+def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> None:
+    form, torques = value_form(), TorqueMessages()
+    values = [form.told(np.array([value])) for value in (1.0, 2.0)]
+    assert [deserialize_message(data, Float64).data for data in values] == [1.0, 2.0]
+    messages = [torques.told(('motor',), stamp_ns, np.array([0.1 * stamp_ns])) for stamp_ns in (1, 2)]
+    read = [deserialize_message(data, JointState) for data in messages]
+    assert [(one.header.stamp.nanosec, one.effort[0]) for one in read] == [(1, 0.1), (2, 0.2)]
 
 
 def test_an_estimate_goes_out_as_the_messages_that_would_be_built() -> None:

@@ -22,6 +22,8 @@ _MOST_LAYOUTS = 64
 """A publisher keeps its frame and names, so few layouts are enough; more are forgotten at once."""
 _MOST_NAMES = 20_000
 """A layout of more names is not remembered: somebody who sends ever other lists of a million would fill the memory."""
+_MOST_PREFIX_BYTES = 1_000_000
+"""Nor is one whose frame and names are longer than this, however few they are."""
 
 
 class JointStateView(NamedTuple):
@@ -106,7 +108,7 @@ class JointStateDecoder:
                 return view
         layout = _layout(data)
         view = _first_view(layout, data)
-        if len(view.names) <= _MOST_NAMES:
+        if len(view.names) <= _MOST_NAMES and layout.prefix_end <= _MOST_PREFIX_BYTES:
             if len(self._layouts) >= _MOST_LAYOUTS:
                 self._layouts.clear()
             self._layouts[key] = layout
@@ -142,14 +144,10 @@ class _Cursor:
         self.at += byte_count
         return start
 
-    def text(self, what: str) -> str:
-        length = self.count(f'the length of {what}')
-        start = self.skip(length, what)
-        raw = self.data[start : start + max(length - 1, 0)]  # without its final zero
-        try:
-            return raw.decode('utf-8')
-        except UnicodeDecodeError:
-            raise SampleError(f'JointState whose {what} is no UTF-8 text, at byte {start}') from None
+    def text(self, what: str) -> bytes:
+        """The bytes of a text, without its final zero."""
+        start = self.skip(self.count(f'the length of {what}'), what)
+        return self.data[start : self.at].removesuffix(b'\0')
 
 
 def _layout(data: bytes) -> _Layout:
@@ -164,7 +162,8 @@ def _layout(data: bytes) -> _Layout:
     name_count = cursor.count('the number of names')
     if name_count * 4 > len(data):
         raise SampleError(f'JointState that claims {name_count} names in {len(data)} bytes')
-    names = tuple(cursor.text('a name') for _ in range(name_count))
+    # As rclpy reads them: one name in Latin-1 is a name that nobody has, and no reason to refuse what others measured.
+    names = tuple(cursor.text('a name').decode('utf-8', 'replace') for _ in range(name_count))
     prefix_end = cursor.at
     form = [f'{order}4xiI{prefix_end - _PREFIX_START}x']
     written, counts = prefix_end, []

@@ -9,7 +9,7 @@ LATE = 1.5
 """Periods after which it is done beside a message, whenever the timer will come."""
 
 NEAR_S = 0.1
-"""A timer that comes so soon after a message leaves the work to the messages: another one is near."""
+"""A timer that comes so soon after a message leaves the work to the messages, for so long: another one is near."""
 
 
 class Chore:
@@ -26,32 +26,42 @@ class Chore:
 
     def __init__(self, period_s: float, action: Callable[[], None]) -> None:
         self._period_s = period_s
+        self._near_s = min(NEAR_S, 0.5 * period_s)
         self._action = action
         self._done_s = time.monotonic()
         self._met_s = self._done_s - NEAR_S
-        self._due = False
+        self._left_s: float | None = None
+        """When it was left to the messages; None: it was not."""
 
     def do(self) -> None:
         """Do it."""
-        self._due = False
+        self._left_s = None
         self._done_s = time.monotonic()
         self._action()
 
     def ring(self) -> None:
-        """Do it, or leave it to the messages, where one is near and none failed to come last time; for the timer."""
-        if self._due or time.monotonic() - self._met_s >= NEAR_S:
+        """Do it, or leave it to the messages, where one is near and none failed to come last time; for the timer.
+
+        A timer that has fallen behind finds it done: not once more for that.
+        """
+        now_s = time.monotonic()
+        if now_s - self._done_s < 0.5 * self._period_s:
+            return
+        if self._left_s is not None or now_s - self._met_s >= self._near_s:
             self.do()
         else:
-            self._due = True
+            self._left_s = now_s
 
     def meet(self, *, quiet: bool) -> bool:
         """Do it if it is due or late; tell whether it was done. For whoever has served a message.
 
         Args:
-            quiet: whether the next message is far, as far as anybody knows.
+            quiet: whether the next message is far, as far as anybody knows. Where that is never so (messages that
+                lead to nothing), it is not waited for.
         """
         self._met_s = time.monotonic()
-        if not (self._due and quiet) and self._met_s - self._done_s <= LATE * self._period_s:
+        due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
+        if not due and self._met_s - self._done_s <= LATE * self._period_s:
             return False
         self.do()
         return True

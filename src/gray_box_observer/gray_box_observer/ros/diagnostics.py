@@ -41,7 +41,7 @@ REJECTIONS = {
     Rejection.NO_VOLTAGE: 'torque before any voltage: have both stamps of the same clock?',
     Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
-    Rejection.MALFORMED: 'names and values differ in number, or the field is missing',
+    Rejection.MALFORMED: 'names and values differ in number, the field is missing, or the bytes are no such message',
 }
 """What to look at, by the reason that most messages were refused for."""
 

@@ -42,11 +42,19 @@ class Form:
         marks = array('d', (np.arange(count) + 1234.5678).tobytes())
         self.data = bytearray(serialize_message(make(marks)))
         at = self.data.index(marks.tobytes())
-        self._numbers = slice(at, at + 8 * count)
+        # a view, for it cannot be made longer or shorter, as a slice of the message would be
+        self._numbers = memoryview(self.data)[at : at + marks.itemsize * count]
 
     def told(self, numbers: Array) -> bytes:
-        """Return the message with these numbers, as many as the form has, in any shape."""
-        self.data[self._numbers] = numbers.tobytes()
+        """Return the message with these numbers.
+
+        Args:
+            numbers: of double precision, as many as the form has, in any shape.
+
+        Raises:
+            ValueError: they are of another number or precision; the form stays what it was.
+        """
+        self._numbers[:] = numbers.tobytes()
         return bytes(self.data)
 
 

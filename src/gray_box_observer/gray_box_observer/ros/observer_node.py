@@ -209,13 +209,21 @@ class ObserverNode(LifecycleNode):
         if all(result.estimate is None for result in taken.groups):
             self._settle()  # else the next prediction comes first: an update has taken its time
         self._meter.worked(since_s)
-        quiet = bool(taken.groups) and not self._unsettled
-        any(chore.meet(quiet=quiet) for chore in self._chores.values())  # one of them is enough beside a message
+        self._do_chore(quiet=bool(taken.groups) and not self._unsettled)
 
     def _refuse(self, name: str) -> None:
-        if self._intake is not None:
-            self._intake.received[name] += 1
-            self._intake.malformed(name)
+        if self._intake is None or self._stop.requested:
+            return
+        self._intake.received[name] += 1
+        self._intake.malformed(name)
+        self._do_chore(quiet=False)
+
+    def _do_chore(self, *, quiet: bool) -> None:
+        """Do what is due, if anything is: one is enough beside a message; next time it comes behind the others."""
+        for name, chore in self._chores.items():
+            if chore.meet(quiet=quiet):
+                self._chores[name] = self._chores.pop(name)
+                return
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
