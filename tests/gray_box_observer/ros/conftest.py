@@ -94,7 +94,10 @@ class Rig:
     def wait_for(self, motor: str = 'motor', **expected: object) -> None:
         """Wait for diagnostics with these counts, such as ``samples_used=100``."""
         wanted = {key.replace('_', ' '): str(value) for key, value in expected.items()}
-        self.peer.wait(lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}')
+        try:
+            self.peer.wait(lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}')
+        except AssertionError as error:
+            raise AssertionError(f'{error}; the last ones were {self.values(motor)}') from error
 
     def wait_for_level(self, level: bytes, words: str) -> None:
         """Wait for diagnostics of a level that say something."""
