@@ -316,7 +316,9 @@ class Observer:
                 continue
             left, estimate = observer.step(sample)
             results.append(GroupResult(group, sample, left.prediction, observer.changed, estimate, left))
-            delay_s = None if self._frozen else observer.delay.take(pairing.history, sample.stamp_ns)
+            delay_s = None
+            if not self._frozen:
+                delay_s = observer.delay.take(pairing.history, sample.stamp_ns, awaited=estimate is not None)
             if delay_s is not None:
                 known, rest = pairing.redelay(delay_s, sample.stamp_ns)
                 motors = [self.configuration.motors[name] for name in group.names]

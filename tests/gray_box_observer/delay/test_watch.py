@@ -10,7 +10,7 @@ import pytest
 from dc_motor_sim.simulation import Recording
 from gray_box_observer import checkpoint
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.delay import DelayEstimate, DelayVerdict
+from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
 
@@ -135,6 +135,34 @@ def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_co
         assert [r.sample.stamp_ns for r in results] == sorted({r.sample.stamp_ns for r in results})
         traces.append((trace(results), one.delays()['motor'].applied_s, one.counts('motor').used))
     assert all(t == traces[0] for t in traces[1:])
+
+
+@pytest.mark.parametrize('rule', ['recursive', 'gradient'])
+def test_the_search_goes_on_where_nobody_waits_for_an_estimate_and_still_where_somebody_always_does(
+    record: Callable[..., Recording], observer: Any, feed: Any, monkeypatch: pytest.MonkeyPatch, rule: str
+) -> None:
+    worked: list[int] = []
+    search = DelayWatch._search
+
+    def counted(self: DelayWatch, *arguments: Any) -> Any:
+        pieces = search(self, *arguments)
+        while True:
+            worked.append(self._count)
+            try:
+                next(pieces)
+            except StopIteration as end:
+                return end.value
+            yield
+
+    monkeypatch.setattr(DelayWatch, '_search', counted)
+    one = observer(context_update=rule, **{'gradient.batch_size': 1})
+    results = feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), 0.05)
+    awaited = {k for k, result in enumerate(results, start=1) if result.estimate is not None}
+    assert len(worked) > 20
+    if rule == 'recursive':
+        assert len(awaited) > 30
+        assert not awaited.intersection(worked)
+    assert one.delays()['motor'].verdict is DelayVerdict.UNDECLARED
 
 
 def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_was_applied(

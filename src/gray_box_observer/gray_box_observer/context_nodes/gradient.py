@@ -242,7 +242,7 @@ class GradientUpdate:
         drifted = settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
         if not np.any(drifted):
             return
-        self.replay.forget(2 * self._rules.batch_size)
+        self.replay.forget(2 * max(self._rules.batch_size, self._rules.window + 1))  # what an update needs
         self._rate = np.where(drifted, self._rules.learning_rate, self._rate)
         self._best = np.where(drifted, np.inf, self._best)
         self._loss = np.where(drifted, fresh, self._loss)

@@ -123,16 +123,20 @@ class DelayWatch:
         self._gone += self._count  # samples that were learnt and are in no history any more
         self._count = 0
         self._next = FIRST
+        self._put_off = False
         self._work: Generator[None, None, _Found | None] | None = None
         self._before: _Found | None = None
 
-    def take(self, history: RawHistory, stamp_ns: int, samples: int = 1) -> float | None:
+    def take(
+        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
+    ) -> float | None:  # fmt: skip
         """Go on by one piece of work, where there is any.
 
         Args:
             history: raw measurements that led to the samples so far.
             stamp_ns: stamp of the newest sample.
             samples: how many have come since it was last called.
+            awaited: whether somebody waits for what the sample has led to; the work then waits for the next one.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
@@ -140,6 +144,9 @@ class DelayWatch:
         if history.restarts != self._restarts:
             self._restart(history.restarts)
         self._count += samples
+        self._put_off = awaited and not self._put_off
+        if self._put_off:
+            return None
         if self._work is None:
             if self._count < self._next:
                 return None
