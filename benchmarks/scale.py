@@ -8,10 +8,10 @@ Ends with one line of JSON.
 The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what it has to compute
 (:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
 
-Profile of 1,000 motors (clock around each part): compiled code of ordinary blocks two thirds, of which the flow and its
-sensitivities are most; samples into memory a sixth; choosing motors, anchors, the next due dates a sixth. Blocks that
-are learnt by numpy are rare and cost 120 times as much. Of one motor numpy's calls on arrays of one number are nine
-tenths: that is why many motors are not a hundred times cheaper than one, which is itself a quarter of the EKF.
+Profile of 1,000 motors (clock around each part): compiled code of ordinary blocks three quarters, of which flow and
+sensitivities are 40 %, the test for a change 15 %, learning and writing down 25 %, bringing samples in 20 %; samples
+into memory, choosing motors and the rare block that numpy learns the rest. Of one motor compiled code is a tenth and
+Python around it nine: many motors are not a hundred times cheaper than one because one has become so much cheaper.
 """
 
 from __future__ import annotations
