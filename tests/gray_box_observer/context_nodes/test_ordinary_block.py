@@ -12,8 +12,8 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.context_nodes import RecursiveUpdate, ordinary_block
-from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.normal_equations import inverted
+from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
