@@ -181,6 +181,7 @@ HOOK
 build_stamp() {
     # The build holds links to the sources, so that only what is copied or listed by it counts.
     cat "$venv/.setup_stamp"
+    echo "compiler $(command -v "${CC:-gcc}" || true)"
     (cd "$root/src" && find . -mindepth 3 -path './*/config/*' -o -path './*/layouts/*' -o -path './*/security/*' -o -path './*/launch/*.launch.py' -o -path './*/resource/*' | LC_ALL=C sort)
     find -L "$workspace/src" -type f \( -name '*.[ch]' -o -name 'setup.py' -o -name setup.cfg -o -name package.xml \) -print0 \
         | LC_ALL=C sort -z | xargs -0 cat
@@ -205,7 +206,7 @@ build() {
             build --base-paths src --symlink-install
     ) || fail 'colcon could not build the workspace; its message is above, its logs are in ros_ws/log'
     compgen -G "$root/src/gray_box_observer/gray_box_observer/context_nodes/_ordinary_block.*.so" >/dev/null \
-        || say 'no C compiler was found, or it failed (ros_ws/log): everything works, learning costs ten times as much'
+        || say 'no C compiler was found, or it failed (ros_ws/log): everything works, learning a sample costs ten times as much'
     printf '%s\n' "$wanted" >"$stamp"
 }
 

@@ -48,11 +48,17 @@ class _Plan:
     """The parameters of a replay."""
 
     rate: float
+    max_messages_per_s: float
     loop: bool
     start_offset_s: float
     clock: bool
     wait_for_subscribers: int
     wait_timeout_s: float
+
+    @property
+    def unhindered(self) -> bool:
+        """Whether nothing but the readers' acknowledgements holds the replay back."""
+        return self.rate <= 0 and self.max_messages_per_s <= 0
 
 
 class BagPlayer(Node):
@@ -80,7 +86,7 @@ class BagPlayer(Node):
         self._pacer = Pacer(
             self._plan.rate,
             is_paused=is_paused,
-            max_messages_per_s=self._limit_per_s(given['max_messages_per_s']),
+            max_messages_per_s=self._limit_per_s(self._plan.max_messages_per_s),
         )
         self._publishers_by_topic = self._advertise(topics)
         self._clock_publisher = self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
@@ -129,7 +135,7 @@ class BagPlayer(Node):
                 self.get_logger().warning(f'{name} is not replayed: {there[name].type_name} is not installed here')
                 continue
             recorded = parse_qos_text(there[name].qos_profiles)
-            depth = _DEPTH if self._plan.rate > 0 else _BURST
+            depth = _BURST if self._plan.unhindered else _DEPTH
             try:
                 publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
             except (NameValidationException, NoTypeSupportImportedException) as error:  # a damaged bag
@@ -198,7 +204,7 @@ class BagPlayer(Node):
             publishers[message.topic].publish(message.data)
             self._count += 1
             unconfirmed[message.topic] += 1
-            if self._plan.rate <= 0 and unconfirmed[message.topic] == _BURST:
+            if self._plan.unhindered and unconfirmed[message.topic] == _BURST:
                 unconfirmed[message.topic] = 0
                 self._wait_for_acknowledgements(message.topic)
         return True
