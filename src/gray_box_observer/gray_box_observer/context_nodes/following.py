@@ -33,7 +33,7 @@ class Following:
     def __init__(self, parameters: tuple[Parameter, ...], rules: RecursiveRules) -> None:
         self._rules = rules
         self._changes = changes(parameters, rules.drift_relative_std)
-        self._heats = np.array([float(p.heats) for p in parameters])
+        self._heats = walk.heating(parameters)
 
     def examine(self, motors: Motors, samples: int) -> None:
         """Fit the newest samples under every kind of change, and follow the likeliest, if any is likely enough."""

@@ -62,7 +62,7 @@ class Learner:
         self._following = following
         self._holds = Holds(white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured)
         self._drift = DriftTest(rules.drift_threshold)
-        self._heats = np.array([float(p.heats) for p in white_box.parameters])
+        self._heats = walk.heating(white_box.parameters)
         self._ordinary = OrdinaryBlocks(white_box, rules, replay)
 
     def fit(self, motors: Motors, samples: int) -> None:
@@ -94,18 +94,7 @@ class Learner:
     def update_ordinary(
         self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
-        """Learn the next block of those motors in which nothing asks for more than that.
-
-        Args:
-            known: of all motors; written to.
-            motors: their places; their samples reach to the end of the block.
-            due: shape (motor,): where in its stream the next work on a motor is due; written to.
-            plain: shape (motor,): whether that is a block; written to.
-
-        Returns:
-            What is known then, and what became of every block, shape (place,): 0 where nothing has changed; beyond
-            LEARNT where it has to be reckoned again what is due.
-        """
+        """As :meth:`OrdinaryBlocks.learn`, and do what is left besides; reckon anew what is due beyond LEARNT."""
         known, told = self._ordinary.learn(known, motors, due, plain)
         if (told > LEARNT).any():
             if (long := motors[told & LONG_HOLD > 0]).size:

@@ -23,6 +23,7 @@ from gray_box_observer.context_nodes.learnt import Learnt, copied
 from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import FAR, KICK
+from gray_box_observer.context_nodes.walk import heating
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import WhiteBox, bounds
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
@@ -121,26 +122,22 @@ class OrdinaryBlocks:
         white_box: of all motors.
         rules: settings.
         replay: samples of all motors.
-
-    Attributes:
-        compiled: whether there is compiled code that knows this physics; else no block counts as ordinary.
     """
 
     def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
-        self._replay, self._block = replay, rules.block
-        found = library()
-        self._library = found if found is not None and _fits(found, white_box, rules) else None
-        self.compiled = self._library is not None
+        self._library: ctypes.CDLL | None = None
         self._pointed: tuple[Any, ...] = ()
-        if self.compiled and isinstance(white_box, MotorWhiteBox):
-            self._describe(white_box, rules)
+        found = library()
+        if found is not None and isinstance(white_box, MotorWhiteBox) and _fits(found, white_box, rules):
+            self._library = found
+            self._describe(white_box, rules, replay)
 
-    def _describe(self, white_box: MotorWhiteBox, rules: RecursiveRules) -> None:
+    def _describe(self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
         """Write down what never changes."""
-        motors, told = self._replay.motors, _told(white_box)
+        motors, told = replay.motors, white_box.given
         lower, upper = bounds(white_box.parameters)
         keep = drift.keep()
-        data, gone, begin = self._replay.streams
+        data, gone, begin = replay.streams
         constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
         self._kept = (  # what pointers point to
             np.array(constants, dtype=float).reshape(len(told), motors),
@@ -152,12 +149,12 @@ class OrdinaryBlocks:
         places = [array.ctypes.data for array in self._kept]
         self._update = _Update(
             coordinates=len(white_box.parameters),
-            samples=self._block,
+            samples=rules.block,
             memories=keep.size,
             known_terms=len(told),
             speed_measured=int(white_box.speed_measured),
             codes=tuple(_codes(white_box)),
-            heats=tuple(float(p.heats) for p in white_box.parameters),
+            heats=tuple(heating(white_box.parameters).tolist()),
             lower=tuple(lower.tolist()),
             upper=tuple(upper.tolist()),
             known=places[0],
@@ -209,7 +206,7 @@ class OrdinaryBlocks:
         if self._library is None:
             return known, told
         arrays = (*_of_learnt(known), due, plain)
-        if len(self._pointed) == 0 or not all(map(is_, arrays, self._pointed)):
+        if not (self._pointed and all(map(is_, arrays, self._pointed))):
             if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
                 known = copied(known)
                 arrays = (*_of_learnt(known), due, plain)
@@ -220,25 +217,19 @@ class OrdinaryBlocks:
         return known, told
 
 
-def _fits(compiled: ctypes.CDLL, white_box: WhiteBox, rules: RecursiveRules) -> bool:
+def _fits(compiled: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
     """Whether `ordinary_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 3)()
     return (
-        isinstance(white_box, MotorWhiteBox)
-        and len(white_box.parameters) <= MOST_COORDINATES
-        and len(_told(white_box)) <= MOST_KNOWN
+        len(white_box.parameters) <= MOST_COORDINATES
+        and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
         and all(compiled.term_values(code, 0.0, 0.0, values) for code in _codes(white_box))
     )
 
 
-def _told(white_box: MotorWhiteBox) -> list[str]:
-    """Names of the terms whose constants are given."""
-    return [name for name in white_box.known if name not in white_box.context_nodes]
-
-
 def _codes(white_box: MotorWhiteBox) -> list[int]:
     """Codes of the unknown terms without inductance, then of the known ones: their places in TERMS."""
     places = list(TERMS)
-    return [places.index(name) for name in (*white_box.context_nodes[1:], *_told(white_box))]
+    return [places.index(name) for name in (*white_box.context_nodes[1:], *white_box.given)]

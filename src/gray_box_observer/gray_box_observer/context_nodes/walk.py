@@ -27,6 +27,11 @@ START_RELATIVE_STD = 0.3
 """What is left open of every coordinate where a walk is looked for from the beginning."""
 
 
+def heating(parameters: tuple[Parameter, ...]) -> Array:
+    """Return one for every parameter that heats, zero for the others, shape (parameter,)."""
+    return np.array([float(p.heats) for p in parameters])
+
+
 @dataclass(frozen=True, slots=True)
 class Walk:
     """Freedom to drift: variance per second of the coordinates' logarithms, zero for a motor that keeps still.
@@ -38,16 +43,6 @@ class Walk:
 
     direction: Array
     rate: Array
-
-    @classmethod
-    def still(cls, parameters: tuple[Parameter, ...], motors: int) -> Walk:
-        """Return a walk that goes nowhere."""
-        return cls(np.array([float(p.heats) for p in parameters]), np.zeros(motors))
-
-    @property
-    def walking(self) -> bool:
-        """Whether a parameter of any motor is taken to drift."""
-        return bool(np.any(self.rate))
 
     def spread(self, seconds: Array) -> Array:
         """Return the variance after so many seconds, shape (motor, coordinate, coordinate)."""

@@ -90,8 +90,13 @@ class MotorWhiteBox:
         return [TERMS[name] for name in self.context_nodes[1:]]
 
     @cached_property
+    def given(self) -> tuple[str, ...]:
+        """Names of the terms whose values are known and not identified."""
+        return tuple(name for name in self.known if name not in self.context_nodes)
+
+    @cached_property
     def _known_terms(self) -> Sequence[tuple[Term, Any]]:
-        return [(TERMS[name], value) for name, value in self.known.items() if name not in self.context_nodes]
+        return [(TERMS[name], self.known[name]) for name in self.given]
 
     def state(self, torque_nm: Array) -> Array:
         """Current in A from torque, ``i = T / Kt`` (thesis 4.3)."""
