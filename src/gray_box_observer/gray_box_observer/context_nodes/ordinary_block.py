@@ -132,6 +132,11 @@ class OrdinaryBlocks:
             self._library = found
             self._describe(white_box, rules, replay)
 
+    @property
+    def compiled(self) -> bool:
+        """Whether there is compiled code that knows this physics; else no block counts as ordinary."""
+        return self._library is not None
+
     def _describe(self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
         """Write down what never changes."""
         motors, told = replay.motors, white_box.given
