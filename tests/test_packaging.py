@@ -201,7 +201,7 @@ def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> No
     source = ROOT / 'src' / 'gray_box_observer'
     copy = tmp_path / 'gray_box_observer'
     shutil.copytree(source, copy, ignore=shutil.ignore_patterns('*.so', '__pycache__', '*.egg-info', 'build'))
-    library = f'gray_box_observer/context_nodes/_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}'
+    library = f'gray_box_observer/context_nodes/_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
     (copy / library).write_text('of an earlier version')
     command = [sys.executable, 'setup.py', '--quiet', 'build_ext', '--inplace']
     environment = os.environ | {'CC': '/bin/false', 'LDSHARED': '/bin/false'}

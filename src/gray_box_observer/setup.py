@@ -8,9 +8,9 @@ from setuptools.command.build_ext import build_ext
 PACKAGE = 'gray_box_observer'
 
 # Without a C compiler the package is built all the same: numpy then learns what this would, only slower.
-ORDINARY_BLOCK = Extension(
-    f'{PACKAGE}.context_nodes._ordinary_block',
-    [f'{PACKAGE}/context_nodes/ordinary_block.c'],
+COMPILED = Extension(
+    f'{PACKAGE}.context_nodes._compiled',
+    [f'{PACKAGE}/context_nodes/ordinary_{what}.c' for what in ('block', 'estimate')],
     include_dirs=[PACKAGE],
     depends=[str(path) for path in sorted(Path(PACKAGE, 'white_box').glob('*.h'))],
     # Products fused with sums would make results depend on the processor; vectors are passed inside one file only.
@@ -37,7 +37,7 @@ setup(
     name=PACKAGE,
     version='0.1.0',
     packages=find_packages(),
-    ext_modules=[ORDINARY_BLOCK],
+    ext_modules=[COMPILED],
     cmdclass={'build_ext': BuildOrNone},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

@@ -11,7 +11,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate, ordinary_block
+from gray_box_observer.context_nodes import RecursiveUpdate, compiled, ordinary_block
 from gray_box_observer.context_nodes.normal_equations import inverted
 from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
@@ -35,14 +35,23 @@ class Count:
 
     def watch(self, nodes: RecursiveUpdate) -> None:
         """Count what these context nodes do."""
-        within = nodes._learner.update_ordinary
+        ordinary = nodes._learner.ordinary
+        within, of_these = ordinary.learn_due, ordinary.learn
 
-        def update(*arguments):  # type: ignore[no-untyped-def]
-            known, ordinary = within(*arguments)
-            self.given, self.learnt = self.given + ordinary.size, self.learnt + int((ordinary > 0).sum())
-            return known, ordinary
+        def count(told: np.ndarray) -> None:
+            self.given, self.learnt = self.given + told.size, self.learnt + int((told > 0).sum())
 
-        nodes._learner.update_ordinary = update  # type: ignore[method-assign]
+        def learn_due(*arguments):  # type: ignore[no-untyped-def]
+            known, turn = within(*arguments)
+            count(turn.told)
+            return known, turn
+
+        def learn(*arguments):  # type: ignore[no-untyped-def]
+            known, told = of_these(*arguments)
+            count(told)
+            return known, told
+
+        ordinary.learn_due, ordinary.learn = learn_due, learn  # type: ignore[method-assign]
 
 
 def both(
@@ -122,9 +131,9 @@ def test_samples_that_are_not_in_memory_are_not_read(thesis_box: MotorWhiteBox, 
     for sample in simulated('R[5,15]D[0.2,3]', 10.0):
         nodes.learn(sample)
     known, index = nodes._learnt, np.zeros(1, dtype=int)
-    _, gone, _ = nodes.replay.streams
+    _, gone, _, _ = nodes.replay.streams
     gone[:] = known.at - column
-    _, told = nodes._learner.update_ordinary(known, index, nodes._due, nodes._plain)
+    _, told = nodes._learner.ordinary.learn(known, index, nodes._due, nodes._plain)
     assert told.tolist() == [0]
 
 
@@ -264,7 +273,7 @@ def test_a_state_that_was_saved_is_not_written_to(thesis_box: MotorWhiteBox, dis
 def test_without_compiled_code_numpy_learns_everything(
     monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(ordinary_block.sysconfig, 'get_config_var', lambda name: '.is-not-there')
+    monkeypatch.setattr(compiled.sysconfig, 'get_config_var', lambda name: '.is-not-there')
     assert ordinary_block.library() is None
     nodes, count = RecursiveUpdate(thesis_box, START), Count()
     count.watch(nodes)

@@ -52,6 +52,9 @@ class Learner:
         rules: settings.
         replay: samples of all motors.
         following: examines those that seem to have changed.
+
+    Attributes:
+        ordinary: learns what is out of the ordinary in nothing; the rest is for :meth:`update`.
     """
 
     def __init__(
@@ -63,7 +66,7 @@ class Learner:
         self._holds = Holds(white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured)
         self._drift = DriftTest(rules.drift_threshold)
         self._heats = walk.heating(white_box.parameters)
-        self._ordinary = OrdinaryBlocks(white_box, rules, replay)
+        self.ordinary = OrdinaryBlocks(white_box, rules, replay)
 
     def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -91,17 +94,14 @@ class Learner:
         covariance[:, 1:, 1:] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
-    def update_ordinary(
-        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
-    ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
-        """As :meth:`OrdinaryBlocks.learn`, and do what is left besides; reckon anew what is due beyond LEARNT."""
-        known, told = self._ordinary.learn(known, motors, due, plain)
-        if (told > LEARNT).any():
-            if (long := motors[told & LONG_HOLD > 0]).size:
-                put(known.belief, long, self._holds.cut(chosen(known.hold, long), chosen(known.belief, long)))
-            if (far := motors[told & ANCHOR_DUE > 0]).size:
-                self._move_anchors(known, far)
-        return known, told
+    def attend(self, known: Learnt, motors: NDArray[np.intp], told: NDArray[np.uint8]) -> None:
+        """Do what is left of blocks that :attr:`ordinary` has learnt: reckon anew what is due beyond LEARNT."""
+        if not (told > LEARNT).any():
+            return
+        if (long := motors[told & LONG_HOLD > 0]).size:
+            put(known.belief, long, self._holds.cut(chosen(known.hold, long), chosen(known.belief, long)))
+        if (far := motors[told & ANCHOR_DUE > 0]).size:
+            self._move_anchors(known, far)
 
     def update(self, motors: Motors, samples: int) -> None:
         """Learn one block of samples; ask for an examination where the motor seems to have changed."""

@@ -33,7 +33,7 @@ typedef struct {
     /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
     const double *data;
     int64_t signal_stride, column_stride, columns;
-    const int64_t *gone, *begin;
+    const int64_t *gone, *end, *begin;
     /* what is believed of the motors; written to */
     const double *current_a, *gain, *walk_rate;
     const int64_t *anchored, *next_fit;
@@ -505,6 +505,37 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         examine(u, &t);
         conclude(u, &t, told + begin);
     }
+}
+
+/* A turn: learn the next block of every motor that is due for one, where these are no more than `most`. Tell how many
+ * they are, and in `wait` in how many samples somebody is due again; 0 where there is more to do than was done here. */
+int64_t learn_due(
+    const Update *u, int64_t most, int64_t *motors, uint8_t *told, uint8_t *changed, int64_t *wait)
+{
+    int64_t count = 0, next = INT64_MAX;
+    int more = 0;
+    for (int64_t motor = 0; motor < u->motors; motor++) {
+        changed[motor] = 0;
+        if (u->gone[motor] + u->end[motor] < u->due[motor]) continue;
+        if (!u->plain[motor])
+            more = 1;
+        else if (count++ < most)
+            motors[count - 1] = motor;
+    }
+    *wait = 0;
+    if (count > most) return count;
+    learn_blocks(u, motors, count, told);
+    for (int64_t i = 0; i < count; i++) {
+        changed[motors[i]] = told[i] > 0;
+        more |= told[i] != LEARNT;
+    }
+    if (more) return count;
+    for (int64_t motor = 0; motor < u->motors; motor++) {
+        const int64_t left = u->due[motor] - u->gone[motor] - u->end[motor];
+        next = left < next ? left : next;
+    }
+    *wait = next > 1 ? next : 1;
+    return count;
 }
 
 /* Basis function of a term and its derivatives, of one motor; for a test. Returns whether there is such a term here. */

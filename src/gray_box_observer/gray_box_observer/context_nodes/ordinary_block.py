@@ -8,15 +8,13 @@ either; so can a workspace that was built without a C compiler, only slower.
 from __future__ import annotations
 
 import ctypes
-import sysconfig
 from operator import attrgetter, is_
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import drift
+from gray_box_observer.context_nodes import compiled, drift
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.learnt import Learnt, copied
@@ -70,6 +68,10 @@ _READ = {
     'hold_begun': 'hold.begun',
 }
 _of_learnt = attrgetter(*_READ.values(), *_WRITTEN.values())
+_parts = attrgetter(*dict.fromkeys(name.partition('.')[0] for name in (*_READ.values(), *_WRITTEN.values())))
+"""Where these stand in it: arrays, and what is frozen and never gets other ones."""
+
+_NOTHING_TOLD = np.empty(0, dtype=np.uint8)
 
 
 class _Update(ctypes.Structure):
@@ -89,30 +91,38 @@ class _Update(ctypes.Structure):
         *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
         *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
-        *((name, _POINTER) for name in ('gone', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
+        *((name, _POINTER) for name in ('gone', 'end', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
     )
 
 
 def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None where the workspace was built without it, or with another ``Update``.
-
-    The latter is told by its size alone: whoever changes the order of its entries has to build anew.
-    """
-    if np.dtype(int).itemsize != ctypes.sizeof(_COUNT):  # of a processor of 32 bits
-        return None
-    path = Path(__file__).with_name(f'_ordinary_block{sysconfig.get_config_var("EXT_SUFFIX")}')
-    try:
-        loaded = ctypes.CDLL(str(path))
-        loaded.update_size.restype = _COUNT
-        if loaded.update_size() != ctypes.sizeof(_Update):
-            return None
-    except (OSError, AttributeError):
+    """Load the compiled code; None where the workspace was built without it, or with another ``Update``."""
+    loaded = compiled.library('update_size', _Update)
+    if loaded is None:
         return None
     loaded.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
     loaded.learn_blocks.restype = None
+    loaded.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
+    loaded.learn_due.restype = _COUNT
     loaded.term_values.argtypes = (_COUNT, _NUMBER, _NUMBER, ctypes.POINTER(_NUMBER))
     loaded.term_values.restype = _COUNT
     return loaded
+
+
+class Turn(NamedTuple):
+    """What became of the motors of a group at one of its samples.
+
+    Attributes:
+        motors: places of those whose block was looked at; None where they were too many, and nothing was done.
+        told: what became of each block, as of :meth:`OrdinaryBlocks.learn`.
+        changed: shape (motor,), of all motors: whether it has learnt.
+        wait: samples until somebody is due again; 0 where there is more to do now.
+    """
+
+    motors: NDArray[np.int64] | None
+    told: NDArray[np.uint8]
+    changed: NDArray[np.bool_]
+    wait: int
 
 
 class OrdinaryBlocks:
@@ -142,13 +152,14 @@ class OrdinaryBlocks:
         motors, told = replay.motors, white_box.given
         lower, upper = bounds(white_box.parameters)
         keep = drift.keep()
-        data, gone, begin = replay.streams
+        data, gone, end, begin = replay.streams
         constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
         self._kept = (  # what pointers point to
             np.array(constants, dtype=float).reshape(len(told), motors),
             np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
             data,
             gone,
+            end,
             begin,
         )
         places = [array.ctypes.data for array in self._kept]
@@ -186,8 +197,12 @@ class OrdinaryBlocks:
             column_stride=data.strides[2] // data.itemsize,
             columns=data.shape[2],
             gone=places[3],
-            begin=places[4],
+            end=places[4],
+            begin=places[5],
         )
+        self._turn = np.empty(motors, dtype=int), np.empty(motors, dtype=np.uint8), np.zeros(motors, dtype=bool)
+        self._wait = _COUNT()
+        self._turned = (*(array.ctypes.data for array in self._turn), ctypes.byref(self._wait))
 
     def learn(
         self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
@@ -210,19 +225,48 @@ class OrdinaryBlocks:
         told = np.zeros(motors.size, dtype=np.uint8)
         if self._library is None:
             return known, told
-        arrays = (*_of_learnt(known), due, plain)
-        if not (self._pointed and all(map(is_, arrays, self._pointed))):
-            if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
-                known = copied(known)
-                arrays = (*_of_learnt(known), due, plain)
-            for name, array in zip((*_READ, *_WRITTEN, 'due', 'plain'), arrays, strict=True):
-                setattr(self._update, name, array.ctypes.data)
-            self._pointed = arrays
+        known = self._point(known, due, plain)
         self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, told.ctypes.data)
         return known, told
 
+    def learn_due(
+        self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_], most: int
+    ) -> tuple[Learnt, Turn]:  # fmt: skip
+        """Learn the next block of every motor that is due for one, as :meth:`learn` does.
 
-def _fits(compiled: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
+        Args:
+            known: of all motors; written to; the samples must have been settled.
+            due: as there.
+            plain: as there.
+            most: how many motors at most; where more are due nothing is done, nor without compiled code.
+
+        Returns:
+            What is known then, and the turn.
+        """
+        if self._library is None:
+            return known, Turn(None, _NOTHING_TOLD, np.zeros(due.size, dtype=bool), 0)
+        known = self._point(known, due, plain)
+        count = self._library.learn_due(self._update, most, *self._turned)
+        motors, told, changed = self._turn
+        done = None if count > most else motors[:count].copy()
+        return known, Turn(done, told[:count].copy(), changed.copy(), self._wait.value)
+
+    def _point(self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_]) -> Learnt:
+        """Let the compiled code write where this is known, or where a copy of it is that it may write to."""
+        parts = (*_parts(known), due, plain)
+        if self._pointed and all(map(is_, parts, self._pointed)):
+            return known
+        arrays = (*_of_learnt(known), due, plain)
+        if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
+            known = copied(known)
+            arrays = (*_of_learnt(known), due, plain)
+        for name, array in zip((*_READ, *_WRITTEN, 'due', 'plain'), arrays, strict=True):
+            setattr(self._update, name, array.ctypes.data)
+        self._pointed = (*_parts(known), due, plain)
+        return known
+
+
+def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
     """Whether `ordinary_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 3)()
     return (
@@ -230,7 +274,7 @@ def _fits(compiled: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(compiled.term_values(code, 0.0, 0.0, values) for code in _codes(white_box))
+        and all(found.term_values(code, 0.0, 0.0, values) for code in _codes(white_box))
     )
 
 

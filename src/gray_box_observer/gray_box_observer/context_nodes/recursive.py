@@ -28,7 +28,8 @@ from gray_box_observer.context_nodes.holds import HoldState
 from gray_box_observer.context_nodes.learner import WALK_AGAIN, Learner
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.motors import Motors
-from gray_box_observer.context_nodes.ordinary_block import LEARNT
+from gray_box_observer.context_nodes.ordinary_block import LEARNT, Turn
+from gray_box_observer.context_nodes.ordinary_estimate import OrdinaryEstimates
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -82,6 +83,7 @@ class RecursiveUpdate:
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._following = Following(white_box.parameters, self._rules)
+        self._ordinary = OrdinaryEstimates(white_box.parameters, motors)
         self._learner = Learner(white_box, self._rules, self.replay, self._following)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
@@ -132,14 +134,19 @@ class RecursiveUpdate:
 
     def estimate(self, which: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
-        belief = self._learnt.belief
+        belief, parameters = self._learnt.belief, self._white_box.parameters
+        everyone = isinstance(which, slice) and which == slice(None)
+        motors = None if everyone else np.arange(self._due.size)[which]
+        told = None if self._frozen else self._ordinary.of(belief, motors, self.verdict_rules)
+        if told is not None:
+            return Estimate(self._stamp_ns, parameters, *told)
         theta = to_parameters(belief.p[which])
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
         covariance, theta = parameter_covariance(theta, posterior), theta.clip(self._lower, self._upper)
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
         std = np.sqrt(covariance.diagonal(0, 1, 2))
-        verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
-        return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
+        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen)
+        return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample and do what is due. Tell whether an estimate has changed; ``changed`` says whose."""
@@ -156,33 +163,35 @@ class RecursiveUpdate:
         self.replay.append(sample, self._speed)
         if self.replay.total < self._wake:
             return False
-        with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
-            return self._serve()
+        self.replay.settle()
+        most = max(UPDATES, self._due.size // 16)
+        self._learnt, turn = self._learner.ordinary.learn_due(self._learnt, self._due, self._plain, most)
+        self._changed = turn.changed
+        if turn.wait:
+            self._wake = self.replay.total + turn.wait
+        else:
+            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # absurd samples; results are checked
+                self._serve(turn)
+        return bool(self._changed.any())
 
-    def _serve(self) -> bool:
-        """Do what is due, as much of it as one sample's turn allows."""
+    def _serve(self, turn: Turn) -> None:
+        """Do what is due and has not been done, as much of it as one sample's turn allows."""
         received = self.replay.received
-        self._changed = self._nobody.copy()
-        self._update(received)
+        if turn.motors is None:
+            motors = self._first_in_line(((received >= self._due) & self._plain).nonzero()[0], received, UPDATES)
+            self._learnt, told = self._learner.ordinary.learn(self._learnt, motors, self._due, self._plain)
+        else:
+            motors, told = turn.motors, turn.told
+        self._changed[motors] = told > 0
+        self._learner.attend(self._learnt, motors, told)
+        if (more := motors[told > LEARNT]).size:
+            self._reckon(more)
+        if (others := motors[told == 0]).size:
+            careful = self._first_in_line(others, received, CAREFUL)
+            self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
         while self._heavy(received) > self.replay.capacity // 4:  # what is to be read must still be remembered
             pass
         self._wake = self.replay.total + max(1, int((self._due - received).min()))
-        return bool(self._changed.any())
-
-    def _update(self, received: NDArray[np.int_]) -> None:
-        """Learn the blocks of motors that are due: by compiled code, or with care where one is not ordinary."""
-        due = ((received >= self._due) & self._plain).nonzero()[0]
-        if due.size == 0:
-            return
-        motors = self._first_in_line(due, received, UPDATES)
-        self._learnt, told = self._learner.update_ordinary(self._learnt, motors, self._due, self._plain)
-        learnt = told > 0
-        self._changed[motors] = learnt
-        if (more := motors[told > LEARNT]).size:
-            self._reckon(more)
-        if not learnt.all():
-            careful = self._first_in_line(motors[~learnt], received, CAREFUL)
-            self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
 
     def _first_in_line(
         self, motors: NDArray[np.intp], received: NDArray[np.int_], most: int

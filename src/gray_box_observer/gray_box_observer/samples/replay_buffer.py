@@ -70,9 +70,9 @@ class ReplayBuffer:
         self._staged += 1
         self.total += 1
         if self._staged == self._present.shape[0]:
-            self._settle()
+            self.settle()
 
-    def _settle(self) -> None:
+    def settle(self) -> None:
         """Count what is staged to those motors that were there."""
         count, self._staged = self._staged, 0
         if count == 0:
@@ -112,24 +112,25 @@ class ReplayBuffer:
             columns = np.minimum((self._end - keep)[:, None] + np.arange(most), self._rows.shape[0] - 1)
             self._data[:, :, :most] = self._data[:, np.arange(self._end.size)[:, None], columns]
         self._gone += self._end - keep
-        self._end = keep
+        self._end[:] = keep
         self._find_top()
 
     @property
     def received(self) -> NDArray[np.int_]:
         """Place of every motor's newest sample in its stream, shape (motor,)."""
-        self._settle()
+        self.settle()
         received: NDArray[np.int_] = self._gone + self._end
         return received
 
     @property
-    def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_]]:
-        """The storage, shape (signal, motor, column), and two places in each stream, shape (motor,).
+    def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
+        """The storage, shape (signal, motor, column), and what is known of each stream, shape (motor,).
 
-        The place before column 0, and that before the oldest sample that has not been told to be forgotten. All stay
-        where they are as long as the buffer lives; for compiled code, after :attr:`received` has been asked.
+        The place before column 0, the columns that are taken, and the place before the oldest sample that has not been
+        told to be forgotten. All stay where they are as long as the buffer lives; for compiled code, after
+        :meth:`settle`.
         """
-        return self._data, self._gone, self._begin
+        return self._data, self._gone, self._end, self._begin
 
     def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
         """Return the place before the oldest sample that has not been told to be forgotten, shape (motor,)."""
@@ -160,7 +161,7 @@ class ReplayBuffer:
             which: index of the motors.
             until: place in each stream of the last one; None: the newest.
         """
-        self._settle()
+        self.settle()
         ends = self._end[which] if until is None else until - self._gone[which]
         end = int(ends[0])
         if ends.size == 1 or np.all(ends == end):
@@ -197,7 +198,7 @@ class ReplayBuffer:
             gone: how many samples stood before them in each stream.
             begin: place before the oldest that has not been told to be forgotten.
         """
-        self._settle()
+        self.settle()
         keep = min(content.shape[2], self.capacity + self.capacity // 2)
         cut = content.shape[2] - keep
         self._data[:, which, :keep] = content[:, :, cut:]

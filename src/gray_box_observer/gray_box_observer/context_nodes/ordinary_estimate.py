@@ -1,0 +1,101 @@
+"""Ordinary estimates by compiled code, `ordinary_estimate.c`; numpy (:mod:`estimate`) stands behind it.
+
+An estimate is ordinary where no parameter is known so vaguely that the spread of its logarithm is not that of its
+value. After the first seconds all are, and controllers wait for them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import compiled
+from gray_box_observer.context_nodes.belief import Belief
+from gray_box_observer.context_nodes.estimate import LOG_NORMAL, Verdict, VerdictRules
+from gray_box_observer.white_box.base import Array, Parameter, bounds
+
+MOST_PARAMETERS = 5
+"""Room in `ordinary_estimate.c`."""
+
+_VERDICTS = tuple(Verdict)
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance')
+
+
+class _Believed(ctypes.Structure):
+    """``Believed`` of `ordinary_estimate.c`."""
+
+    _fields_ = (
+        ('parameters', _COUNT),
+        *((name, _NUMBER * MOST_PARAMETERS) for name in ('lower', 'upper')),
+        *((name, _NUMBER) for name in (*_RULES, 'log_normal')),
+        *((name, _POINTER) for name in ('p', 'covariance', 'noise')),
+    )
+
+
+class OrdinaryEstimates:
+    """Works out values, covariance and verdicts.
+
+    Args:
+        parameters: of every motor.
+        motors: how many.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], motors: int) -> None:
+        n = len(parameters)
+        # it keeps the interpreter lock, which takes longer to get back than this takes
+        self._library = None if n > MOST_PARAMETERS else compiled.library('believed_size', _Believed, ctypes.PyDLL)
+        if self._library is None:
+            return
+        self._library.tell_estimates.argtypes = (_POINTER, _POINTER, _COUNT, *3 * (_POINTER,))
+        self._library.tell_estimates.restype = _COUNT
+        lower, upper = bounds(parameters)
+        self._believed = _Believed(n, tuple(lower.tolist()), tuple(upper.tolist()), log_normal=LOG_NORMAL)
+        self._about = ctypes.byref(self._believed)
+        self._places = np.empty(motors, dtype=np.int64)
+        self._told = np.empty((motors, n)), np.empty((motors, n, n)), np.empty((motors, n), dtype=np.uint8)
+        self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._told)
+        self._belief: Belief | None = None
+        self._rules: VerdictRules | None = None
+
+    def of(
+        self, belief: Belief, motors: NDArray[np.int64] | None, rules: VerdictRules
+    ) -> tuple[Array, Array, tuple[tuple[Verdict, ...], ...]] | None:  # fmt: skip
+        """Return values, shape (place, parameter), covariances and verdicts of some motors.
+
+        None where one of them is not ordinary, or where there is no compiled code.
+
+        Args:
+            belief: of all motors.
+            motors: places of those that are meant; None: all.
+            rules: when a parameter counts as identified.
+        """
+        if self._library is None or not self._point(belief, rules):
+            return None
+        places, told = self._at
+        if motors is None:
+            count, where = self._places.size, None
+        else:
+            count, where = motors.size, places
+            self._places[:count] = motors
+        if not self._library.tell_estimates(self._about, where, count, *told):
+            return None
+        value, covariance, codes = self._told
+        verdicts = tuple(tuple(_VERDICTS[code] for code in row) for row in codes[:count].tolist())
+        return value[:count].copy(), covariance[:count].copy(), verdicts
+
+    def _point(self, belief: Belief, rules: VerdictRules) -> bool:
+        """Let the compiled code read this belief; tell whether it can."""
+        if rules is not self._rules:
+            for name in _RULES:
+                setattr(self._believed, name, getattr(rules, name))
+            self._rules = rules
+        if belief is not self._belief:
+            arrays = belief.p, belief.covariance, belief.noise
+            if not all(array.flags.c_contiguous for array in arrays):
+                return False
+            self._believed.p, self._believed.covariance, self._believed.noise = (a.ctypes.data for a in arrays)
+            self._belief = belief
+        return True
