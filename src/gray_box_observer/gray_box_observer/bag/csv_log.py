@@ -33,6 +33,9 @@ SIGNAL_QOS = {
     'avoid_ros_namespace_conventions': False,
 }
 
+_BEYOND_NS = 2.0**31 * 1e9
+"""The first stamp that no message can tell; an integer of 64 bits can."""
+
 
 @dataclass(frozen=True, slots=True)
 class CsvSummary:
@@ -115,7 +118,8 @@ def csv_to_bag(
     if not kept.size or not passes[kept].any():
         raise BagError(f'{path}: none of {row_count} rows can be used ({filtered} filtered)')
     motors = [expressions.signals(name, table) for name in mapping.motors]
-    stamps_ns = mapping.first_stamp_ns + np.rint((time_s[kept] - time_s[kept[0]]) * 1e9).astype(np.int64)
+    passed_ns = np.rint((time_s[kept] - time_s[kept[0]]) * 1e9)
+    stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
     messages = _write(folder, options, mapping, motors, kept, stamps_ns, passes)
     return CsvSummary(
