@@ -10,8 +10,9 @@ import pytest
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.context_nodes.belief import Prior
+from gray_box_observer.data_sheet import contradiction
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer
 from gray_box_observer.white_box.flow import to_coordinates, to_parameters
@@ -88,6 +89,33 @@ def test_a_data_sheet_that_is_too_sure_of_itself_yields_to_plain_data(record: Ca
     recording = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01)
     estimate = feed(observer(TRUTH * [1.0, 1.5, 1.0], [0.01, 0.01, 0.01]), recording).estimates()['motor']
     assert np.all(np.abs(estimate.value[0] / TRUTH - 1.0) < 0.03)
+
+
+def test_what_was_found_far_from_the_data_sheet_is_told(record: Callable[..., Recording]) -> None:
+    recording, told = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01), [0.2, 0.1, 0.0]
+
+    def doubt(**given: Any) -> str | None:
+        one = feed(observer(TRUTH, told, **given), recording)
+        return contradiction(one.configuration.motors['motor'], one.estimates()['motor'])
+
+    assert doubt() is None
+    doubled = doubt(**{'motor.torque_constant': 0.02})  # L and R come out twice as large
+    assert doubled is not None
+    assert doubled.startswith('inductance of 1 H is 3.5 standard deviations from the 0.5 H +- 20 % given, resistance of ')
+    assert 'torque_constant' in doubled
+    assert 'hysteresis' not in doubled  # nothing was given of it
+
+
+@pytest.mark.parametrize(('relative_std', 'doubtful'), [(0.1, True), (0.3, False), (0.0, False)])
+def test_only_what_is_identified_contradicts_only_what_was_given(relative_std: float, doubtful: bool) -> None:
+    one = observer(TRUTH, [relative_std] * 3)
+    motor, parameters = one.configuration.motors['motor'], one.known('motor')[0].parameters
+    value = np.array([TRUTH * 1.6])
+    covariance = np.diag((0.001 * value[0]) ** 2)[None]
+    sure = Estimate(0, parameters, value, covariance, ((Verdict.IDENTIFIED,) * 3,))
+    unsure = Estimate(0, parameters, value, covariance, ((Verdict.CONVERGING,) * 3,))
+    assert (contradiction(motor, sure) is not None) == doubtful
+    assert contradiction(motor, unsure) is None
 
 
 def test_with_little_data_the_error_is_what_the_covariance_says(record: Callable[..., Recording]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from gray_box_observer.data_sheet import contradiction
 from gray_box_observer.offline import Outcome
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.samples import Rejection
@@ -14,6 +15,8 @@ def warnings_of(outcome: Outcome) -> list[str]:
     """Return everything that the user should know of a run, one sentence each."""
     observer = outcome.observer
     unseen = [name for name in observer.configuration.motors if name not in observer.motors]
+    motors = observer.configuration.motors
+    doubts = {name: contradiction(motors[name], estimate) for name, estimate in observer.estimates().items()}
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
     return [
         *outcome.warnings,
@@ -29,6 +32,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
             if course.alarms_s
         ),
         *(complaint for complaint in complaints if complaint is not None),
+        *(f'motor {name}: {doubt}' for name, doubt in doubts.items() if doubt is not None),
     ]
 
 

@@ -85,6 +85,20 @@ def test_refusals_name_what_to_look_at(rig, record):
     rig.wait_for_level(DiagnosticStatus.WARN, '(NaN or infinity: is the sensor connected?)')
 
 
+def test_an_estimate_far_from_the_data_sheet_is_told(rig, record):
+    recording = record(EXCITATION, 40.0, torque_noise_relative=0.01)
+    rig.start(motor__initial__resistance=0.5, motor__initial_relative_std__resistance=0.05)
+    rest, told = iter(range(0, 4000, CHUNK)), 'from the 0.5 ohm +- 5 % given: check torque_constant'
+
+    def is_told() -> bool:
+        if (k := next(rest, None)) is not None:
+            rig.send(recording, range(k, k + CHUNK))
+        statuses = [status for array in rig.diagnostics for status in array.status]
+        return any(status.level == DiagnosticStatus.WARN and told in status.message for status in statuses)
+
+    rig.peer.wait(is_told, 'the word that R is not what was given')
+
+
 def test_a_change_that_is_followed_is_told_as_one(rig, record):
     recording = record(EXCITATION, 16.0, torque_noise_relative=0.01, schedule=('motor.resistance=2.0@8.0',))
     rig.start(**{'predictor': 'true', 'training__period': 100000}, alarm__learn=300)

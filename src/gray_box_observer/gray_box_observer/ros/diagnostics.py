@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.data_sheet import contradiction
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor.alarm import REMEDY
@@ -207,6 +208,9 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
         if at:
             names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at]
             return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
+    doubt = contradiction(now.observer.configuration.motors[motor], estimate)
+    if doubt is not None:
+        return DiagnosticStatus.WARN, doubt
     changed = now.traffic.motors[motor].changes
     if estimate.identified(0):
         followed = ': the motor has changed and was followed' if changed else ''
