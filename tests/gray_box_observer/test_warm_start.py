@@ -101,7 +101,8 @@ def test_what_was_found_far_from_the_data_sheet_is_told(record: Callable[..., Re
     assert doubt() is None
     doubled = doubt(**{'motor.torque_constant': 0.02})  # L and R come out twice as large
     assert doubled is not None
-    assert doubled.startswith('inductance of 1 H is 3.5 standard deviations from the 0.5 H +- 20 % given, resistance of ')
+    said = 'inductance of 1 H is 3.5 standard deviations from the 0.5 H +- 20 % given, resistance of '
+    assert doubled.startswith(said)
     assert 'torque_constant' in doubled
     assert 'hysteresis' not in doubled  # nothing was given of it
 
