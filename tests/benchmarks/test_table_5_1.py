@@ -248,7 +248,7 @@ def test_the_report_says_all_rows_and_quotes_the_thesis() -> None:
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, str(PROGRAM), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=110, env=environment, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, env=environment, check=False)
 
 
 def test_the_smallest_run_ends_with_one_line_of_json_that_judges_nothing() -> None:

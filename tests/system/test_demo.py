@@ -134,7 +134,7 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path):
 @pytest.mark.system
 def test_a_short_demo_identifies_the_motor_and_loses_no_sample(tmp_path: Path):
     demo = start_demo('--duration', '8', '--excitation', 'R[5,15]D[0.1,1]', '--runs', tmp_path)
-    output, errors = demo.communicate(timeout=110)
+    output, errors = demo.communicate(timeout=240)
     assert demo.returncode == 0, errors
     assert len(output.splitlines()) == 1
     answer = json.loads(output)

@@ -35,7 +35,7 @@ def samples(record: Callable[..., Recording], samples_of: Callable[..., list[Sam
     return samples_of(record('R[5,15]D[0.2,2]', 8.0))
 
 
-@pytest.mark.timeout(90)
+@pytest.mark.timeout(180)
 @pytest.mark.parametrize('variant', [Variant.MAIN, Variant.PHYSICS])
 def test_a_process_of_its_own_trains_the_same_weights(
     thesis_box: MotorWhiteBox, samples: list[Sample], variant: Variant
@@ -67,7 +67,7 @@ def test_a_process_of_its_own_trains_the_same_weights(
         process.close()
 
 
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(180)
 def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteBox) -> None:
     process = ProcessTraining({**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}})
     try:
@@ -84,7 +84,7 @@ def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteB
         process.close()
 
 
-@pytest.mark.timeout(90)
+@pytest.mark.timeout(180)
 def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhiteBox) -> None:
     before = set(psutil.Process().children())
     process = ProcessTraining(configuration(thesis_box, SMALL))
@@ -96,7 +96,7 @@ def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhi
         time.sleep(0.01)
 
 
-@pytest.mark.timeout(90)
+@pytest.mark.timeout(180)
 def test_training_rests_until_its_share_of_a_core_is_kept(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
     process = ProcessTraining(configuration(thesis_box, replace(SMALL, core_share=1e-4)))
     try:

@@ -28,7 +28,7 @@ CHUNK = 20
 """Messages that are sent before their arrival is acknowledged; also the publishers' depth: with a full history DDS asks
 its readers at once, else every three seconds."""
 SENDER_QOS = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
-ACKNOWLEDGE_TIMEOUT_S = 20.0
+ACKNOWLEDGE_TIMEOUT_S = 60.0
 ORPHAN_END_S = 120.0
 """What an observer had started has ended so long after it."""
 
@@ -63,11 +63,18 @@ class Rig:
 
     def signals(self) -> tuple[Any, Any]:
         """The publishers of voltage and torque, once the observer listens."""
+        listens = bool(self._senders)
         for name in ('voltage', 'torque'):
             topic = f'{self.namespace}/motor/{name}'
             if name not in self._senders:
                 self._senders[name] = self.peer.publisher(JointState, topic, SENDER_QOS)
+            listens &= self._senders[name].get_subscription_count() > 0
             self.peer.wait(self._senders[name].get_subscription_count, f'the observer to listen to {topic}')
+        if not listens:
+            # What comes before its executor knows of a new subscription is served topic by topic, not as it came. The
+            # executor hears of one right after the call in which it was made: behind the first answer from then on.
+            for _ in range(2):
+                self.lifecycle_state()
         return self._senders['voltage'], self._senders['torque']
 
     def send(self, recording, indices: Sequence[int]) -> None:

@@ -33,7 +33,7 @@ from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
 pytestmark = pytest.mark.system
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 60.0
 RECORDER, PLAYER = 'gray_box_observer.ros.recorder_node', 'gray_box_observer.ros.player_node'
 
 
