@@ -138,6 +138,7 @@ def _predictor(
         variant=Variant(configuration['variant']),
         horizon_s=configuration['horizon_s'],
         voltage_limits_v=(low_v, high_v),
+        device=configuration['device'],
         **configuration.group('training'),
     )
     initial, seed = np.array(first.initial()), _seed(configuration, first)

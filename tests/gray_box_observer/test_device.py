@@ -1,0 +1,65 @@
+"""The parameter `device`: what it asks for is said to be missing in one line, and reaches everything that computes."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from gray_box_observer import observer
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.device import torch_device
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.observer import Observer
+from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.torch_network import TorchNetwork
+
+
+def sees(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """Let torch see so many GPUs."""
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: count > 0)
+    monkeypatch.setattr(torch.cuda, 'device_count', lambda: count)
+
+
+def test_the_processor_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, 'torch', None)
+    assert torch_device('cpu') is None
+    with pytest.raises(ConfigurationError, match='pip install torch') as caught:
+        torch_device('cuda')
+    assert '\n' not in str(caught.value)
+
+
+def test_a_device_that_torch_does_not_see_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    sees(monkeypatch, 0)
+    with pytest.raises(ConfigurationError, match=r'device is cuda:1, but torch sees no GPU.*set device to cpu'):
+        Observer(Configuration.from_flat({'device': 'cuda:1'}))
+    sees(monkeypatch, 2)
+    assert [torch_device(name) for name in ('cuda', 'cuda:1')] == ['cuda', 'cuda:1']
+    with pytest.raises(ConfigurationError, match=r'cuda:2, but torch sees 2 of them, cuda:0 to cuda:1'):
+        torch_device('cuda:2')
+
+
+def test_networks_are_taught_where_the_parameter_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observer, 'torch_device', lambda name: name)
+    asked: list[dict[str, Any]] = []
+
+    def training(job: dict[str, Any]) -> InlineTraining:
+        asked.append(job)
+        return InlineTraining({**job, 'rules': {**job['rules'], 'device': 'cpu'}})
+
+    one = Observer(Configuration.from_flat({'device': 'cuda:1'}), training)
+    for k in range(3):
+        one.voltage('motor', k * 10_000_000, 9.0)
+        one.torque('motor', k * 10_000_000, 0.01 * k)
+    assert [job['rules']['device'] for job in asked] == ['cuda:1']
+
+
+def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
+    assert {p.device.type for p in TorchNetwork(5, 3, 'meta').parameters()} == {'meta'}
+    weights = Weights.initial(5, 3, 1)
+    for name, array in TorchNetwork.of(weights, 'cpu').export().arrays().items():
+        np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
