@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from gray_box_observer import observer
+from gray_box_observer import assembly, observer
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import device_blocks, learner
 from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer
@@ -43,8 +44,12 @@ def test_a_device_that_torch_does_not_see_is_refused_with_the_remedy(monkeypatch
         torch_device('cuda:2')
 
 
-def test_networks_are_taught_where_the_parameter_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(observer, 'torch_device', lambda name: name)
+def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (observer, assembly):
+        monkeypatch.setattr(module, 'torch_device', lambda name: name)
+    monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
+    blocks: list[str] = []
+    monkeypatch.setattr(device_blocks, 'DeviceBlocks', lambda *given: blocks.append(given[-1]))
     asked: list[dict[str, Any]] = []
 
     def training(job: dict[str, Any]) -> InlineTraining:
@@ -56,6 +61,7 @@ def test_networks_are_taught_where_the_parameter_says(monkeypatch: pytest.Monkey
         one.voltage('motor', k * 10_000_000, 9.0)
         one.torque('motor', k * 10_000_000, 0.01 * k)
     assert [job['rules']['device'] for job in asked] == ['cuda:1']
+    assert set(blocks) == {'cuda:1'}
 
 
 def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:

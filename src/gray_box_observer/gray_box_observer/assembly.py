@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes import (
     VerdictRules,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.parameters import KNOWN_PARAMETERS
@@ -100,9 +101,8 @@ def context_nodes(
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts)
     known = np.array([motor.initial_relative_std() for motor in motors])
-    return RecursiveUpdate(
-        white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts, known
-    )
+    rules, device = RecursiveRules(**configuration.group('recursive')), torch_device(configuration['device'])
+    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, known, device)
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:

@@ -7,7 +7,7 @@ Every motor of the group goes its own way: which of its samples are read is sett
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,26 @@ from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+if TYPE_CHECKING:  # needs torch
+    from gray_box_observer.context_nodes.device_blocks import DeviceBlocks
+
+UPDATES = 1024
+"""Motors, at least, whose blocks compiled code looks at at one sample of the group; of many motors a sixteenth."""
 
 WALK_AGAIN = -1
 """Asked of a motor that drifts: does it still, and how fast? What is above 0 asks to examine so many samples."""
 
 AT_REST = 4
 """Times a first fit's, samples at most that are kept when a motor first moves: more of a level tell nothing."""
+
+DEVICE_FROM = 4096
+"""Motors due together from which on a device learns their blocks: its hundreds of calls take some 5 ms however few
+they are, compiled code takes some 3 us a motor."""
+
+DEVICE_TURN = 65_536
+"""Motors whose blocks a device learns at one sample of the group, some tens of ms."""
 
 LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""
@@ -52,11 +66,20 @@ class Learner:
         rules: settings.
         replay: samples of all motors.
         following: examines those that seem to have changed.
+        device: torch's, that learns the ordinary blocks of very many motors; None: compiled code learns them all.
+
+    Attributes:
+        turn: motors whose ordinary blocks are learnt at one sample of the group.
     """
 
     def __init__(
-        self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer, following: Following
-    ) -> None:  # fmt: skip
+        self,
+        white_box: WhiteBox,
+        rules: RecursiveRules,
+        replay: ReplayBuffer,
+        following: Following,
+        device: str | None = None,
+    ) -> None:
         self._rules = rules
         self._replay = replay
         self._following = following
@@ -64,6 +87,13 @@ class Learner:
         self._drift = DriftTest(rules.drift_threshold)
         self._heats = walk.heating(white_box.parameters)
         self._ordinary = OrdinaryBlocks(white_box, rules, replay)
+        self._on_device: DeviceBlocks | None = None
+        self.turn = UPDATES
+        if device is not None and replay.motors >= DEVICE_FROM and isinstance(white_box, MotorWhiteBox):
+            from gray_box_observer.context_nodes.device_blocks import DeviceBlocks
+
+            self._on_device = DeviceBlocks(white_box, rules, replay, device)
+            self.turn = DEVICE_TURN
 
     def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -94,8 +124,12 @@ class Learner:
     def update_ordinary(
         self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
-        """As :meth:`OrdinaryBlocks.learn`, and do what is left besides; reckon anew what is due beyond LEARNT."""
-        known, told = self._ordinary.learn(known, motors, due, plain)
+        """As :meth:`OrdinaryBlocks.learn`, of very many on the device, and do what is left besides.
+
+        What is due has to be reckoned anew of those of which more is told than LEARNT.
+        """
+        many = None if motors.size < DEVICE_FROM else self._on_device
+        known, told = (many or self._ordinary).learn(known, motors, due, plain)
         if (told > LEARNT).any():
             if (long := motors[told & LONG_HOLD > 0]).size:
                 put(known.belief, long, self._holds.cut(chosen(known.hold, long), chosen(known.belief, long)))

@@ -38,7 +38,7 @@ LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
 
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
-_WRITTEN = {
+WRITTEN = {
     'at': 'at',
     'p': 'belief.p',
     'state': 'belief.state',
@@ -59,9 +59,9 @@ _WRITTEN = {
     'hold_covariance': 'hold.covariance',
     'hold_settled_now': 'hold.settled',
 }
-"""What the compiled code writes, and where that stands in :class:`~.learnt.Learnt`."""
+"""What an ordinary block changes, and where that stands in :class:`~.learnt.Learnt`."""
 
-_READ = {
+READ = {
     'current_a': 'belief.current_a',
     'gain': 'belief.gain',
     'walk_rate': 'walk_rate',
@@ -69,7 +69,9 @@ _READ = {
     'next_fit': 'next_fit',
     'hold_begun': 'hold.begun',
 }
-_of_learnt = attrgetter(*_READ.values(), *_WRITTEN.values())
+"""What else is asked of a motor, and where that stands."""
+
+_of_learnt = attrgetter(*READ.values(), *WRITTEN.values())
 
 
 class _Update(ctypes.Structure):
@@ -89,7 +91,7 @@ class _Update(ctypes.Structure):
         *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
         *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
-        *((name, _POINTER) for name in ('gone', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
+        *((name, _POINTER) for name in ('gone', 'begin', *READ, *WRITTEN, 'due', 'plain')),
     )
 
 
@@ -215,7 +217,7 @@ class OrdinaryBlocks:
             if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
                 known = copied(known)
                 arrays = (*_of_learnt(known), due, plain)
-            for name, array in zip((*_READ, *_WRITTEN, 'due', 'plain'), arrays, strict=True):
+            for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
                 setattr(self._update, name, array.ctypes.data)
             self._pointed = arrays
         self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, told.ctypes.data)

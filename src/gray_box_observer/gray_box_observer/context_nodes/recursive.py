@@ -36,9 +36,6 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
 
-UPDATES = 1024
-"""Motors, at least, whose blocks are looked at at one sample of the group; of many motors a sixteenth."""
-
 CAREFUL = 128
 """Of these, motors at least whose blocks are no ordinary ones and are learnt with care; of many motors a sixteenth."""
 
@@ -59,6 +56,7 @@ class RecursiveUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known, relative to them; 0: as
             vaguely as the rules say. None: all of them.
+        device: torch's, that learns the blocks of very many motors (:mod:`device_blocks`); None: the processor does.
     """
 
     def __init__(
@@ -69,6 +67,7 @@ class RecursiveUpdate:
         rules: RecursiveRules | None = None,
         verdict_rules: VerdictRules | None = None,
         initial_relative_std: Array | None = None,
+        device: str | None = None,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
@@ -82,7 +81,7 @@ class RecursiveUpdate:
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._following = Following(white_box.parameters, self._rules)
-        self._learner = Learner(white_box, self._rules, self.replay, self._following)
+        self._learner = Learner(white_box, self._rules, self.replay, self._following, device)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
         self._due, self._plain = np.zeros(motors, dtype=int), self._nobody.copy()
@@ -174,7 +173,7 @@ class RecursiveUpdate:
         due = ((received >= self._due) & self._plain).nonzero()[0]
         if due.size == 0:
             return
-        motors = self._first_in_line(due, received, UPDATES)
+        motors = self._first_in_line(due, received, self._learner.turn)
         self._learnt, told = self._learner.update_ordinary(self._learnt, motors, self._due, self._plain)
         learnt = told > 0
         self._changed[motors] = learnt
