@@ -149,7 +149,10 @@ def _predictor(
         'seed': seed,
     }
     measured = white_box.speed_measured
-    return Predictor(white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed)
+    device = torch_device(configuration['device'])
+    return Predictor(
+        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
+    )  # fmt: skip
 
 
 def _seed(configuration: Configuration, motor: MotorConfiguration) -> int:

@@ -29,6 +29,16 @@ class TorchOps:
         """Return an array on the device; not copied where that is the processor, so it must not be written to."""
         return torch.from_numpy(np.asarray(array)).to(self.device)
 
+    def taken(self, signal: Any) -> torch.Tensor:
+        """Return a signal on the device, where it may be already."""
+        return signal if isinstance(signal, torch.Tensor) else self.tensor(signal)
+
+    def where(self, condition: torch.Tensor, then: Any, otherwise: Any) -> torch.Tensor:
+        """Choose entry by entry; of two numbers in double precision."""
+        if not isinstance(then, torch.Tensor) and not isinstance(otherwise, torch.Tensor):
+            then = torch.tensor(then, dtype=torch.float64, device=self.device)
+        return torch.where(condition, then, otherwise)
+
     @staticmethod
     def max(values: torch.Tensor, axis: int | None = None, initial: float | None = None) -> torch.Tensor:
         """Largest value, not a number where one is none; at least ``initial``."""

@@ -31,6 +31,7 @@ from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.device import DEVICE_FROM
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -46,10 +47,6 @@ WALK_AGAIN = -1
 
 AT_REST = 4
 """Times a first fit's, samples at most that are kept when a motor first moves: more of a level tell nothing."""
-
-DEVICE_FROM = 4096
-"""Motors due together from which on a device learns their blocks: its hundreds of calls take some 5 ms however few
-they are, compiled code takes some 3 us a motor."""
 
 DEVICE_TURN = 65_536
 """Motors whose blocks a device learns at one sample of the group, some tens of ms."""
