@@ -9,9 +9,10 @@ from gray_box_observer.errors import ConfigurationError
 CPU = 'cpu'
 """No device of its own: numpy and compiled code; networks are taught by torch on the processor."""
 
-DEVICE_FROM = 4096
-"""Motors at once from which on a device is worth its while: however few they are, its some thousand calls a block of
-samples, or a prediction, take some 5 ms; the processor takes 1 to 3 us a motor."""
+DEVICE_FROM = 8192
+"""Motors at once from which on a device is worth its while. However few they are, a block of samples is 1,100 calls and
+a prediction 350 to 750, some 6 us each; the processor takes some 1 us for a motor's block and 0.3 us or more for its
+prediction."""
 
 NAME = re.compile(r'cpu|cuda(:(0|[1-9]\d{0,3}))?')
 """Names of devices: ``cpu``, ``cuda`` (the one that is current), ``cuda:1`` (the second one)."""

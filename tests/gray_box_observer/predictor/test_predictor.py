@@ -369,7 +369,9 @@ def test_many_motors_are_predicted_alike_on_a_device(
     many = MotorWhiteBox(box.context_nodes, box.torque_constant * constant, known, box.speed_measured)
     values = np.array(theta) * random.uniform(0.7, 1.4, (motors, len(theta)))
     both = [
-        Predictor(many, motors, np.array(theta), TrainingRules(), idle, speed_measured=box.speed_measured, device=device)
+        Predictor(
+            many, motors, np.array(theta), TrainingRules(), idle, speed_measured=box.speed_measured, device=device
+        )
         for device in (None, 'cpu')
     ]
     voltage = random.uniform(-15.0, 15.0, motors)

@@ -6,9 +6,10 @@ an interval is :mod:`~gray_box_observer.white_box.flow` itself, so every term of
 motors are learnt too.
 
 What is believed stays on the host, where everything else reads it, and so do samples. For a block of 32 samples and
-three parameters a motor sends 1,056 bytes of samples and 640 of belief, and 650 come back: 2.3 kB, a tenth of a
-microsecond at 25 GB/s. The arithmetic, some 400 operations a sample, is 13,000: with what is brought from and to the
-device's own memory in between, about as long. Work is handed over in some 600 calls, whoever many motors there are.
+three parameters a motor sends 1,056 bytes of samples and 640 of belief, and 626 come back: 2.3 kB, a tenth of a
+microsecond at 25 GB/s. Its arithmetic, some 400 operations a sample, is next to nothing beside the 180 kB that pass
+through the device's own memory in between: 0.06 microseconds at 3 TB/s. Work is handed over in 1,100 calls, however
+many motors there are.
 """
 
 from __future__ import annotations

@@ -274,13 +274,14 @@ class RecursiveUpdate:
             arrays |= {f'{part}.{f.name}': getattr(content, f.name).copy() for f in fields(content)}
         return plain, arrays
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave, for one motor.
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int | slice = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor, or for each of several.
 
         Raises:
             ConfigurationError: it was learnt of other parameters.
         """
-        names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
+        names = [p.name for p in self._white_box.parameters]
+        which = motor if isinstance(motor, slice) else slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
         content, begin, new = arrays['replay'], plain['begin'], plain['new']
@@ -313,7 +314,7 @@ class RecursiveUpdate:
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         if plain['resumes']:
             self._resumes = np.zeros_like(self._nobody) if self._resumes is None else self._resumes
-            self._resumes[motor] = True
+            self._resumes[which] = True
         self._reckon(which)
         self._wake = 0
 
