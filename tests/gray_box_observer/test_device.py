@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 import torch
 
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
 from gray_box_observer import assembly, observer
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import device_blocks, learner
 from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer
-from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.predictor import InlineTraining, predictor
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.torch_network import TorchNetwork
 
@@ -69,3 +71,35 @@ def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
     weights = Weights.initial(5, 3, 1)
     for name, array in TorchNetwork.of(weights, 'cpu').export().arrays().items():
         np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
+
+
+def test_a_group_is_observed_alike_by_torch_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole observer, with torch on the processor in place of a GPU: estimates, predictions, training."""
+    for module in (observer, assembly):
+        monkeypatch.setattr(module, 'torch_device', lambda name: None if name == 'cpu' else 'cpu')
+    for module in (learner, predictor):
+        monkeypatch.setattr(module, 'DEVICE_FROM', 2)
+    names = ('a', 'b', 'c')
+    plants = {name: PlantParameters(resistance=1.0 + 0.2 * k) for k, name in enumerate(names)}
+    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=3, torque_noise_std=1e-4).record(20.0)
+    both = [
+        Observer(Configuration.from_flat({'motors': list(names), 'group_from': 2, 'device': device}), InlineTraining)
+        for device in ('cpu', 'cuda')
+    ]
+    compared = 0
+    for k, stamp_ns in enumerate(r.stamp_ns.tolist()):
+        said = []
+        for one in both:
+            one.take('voltage', names, stamp_ns, r.voltage_v[:, k])
+            said.append(one.forecast_group(one.group_of('a'), stamp_ns))
+            one.take('torque', names, stamp_ns, r.torque_nm[:, k])
+        if said[0] is not None and said[1] is not None:
+            np.testing.assert_allclose(said[1], said[0], rtol=1e-6, atol=1e-12)
+            compared += 1
+    assert compared > 1000
+    for name in names:
+        (ours, _), (theirs, _) = (one.known(name) for one in reversed(both))
+        np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-9)
+        np.testing.assert_allclose(ours.covariance, theirs.covariance, rtol=1e-6, atol=1e-30)
+        assert ours.verdicts == theirs.verdicts
+        np.testing.assert_allclose(ours.value[0], [0.5, plants[name].resistance, 10.0], rtol=0.02)

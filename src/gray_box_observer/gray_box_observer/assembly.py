@@ -19,7 +19,7 @@ from gray_box_observer.context_nodes import (
     VerdictRules,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
-from gray_box_observer.device import torch_device
+from gray_box_observer.device import CPU, torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.parameters import KNOWN_PARAMETERS
@@ -134,11 +134,12 @@ def _predictor(
 ) -> Predictor:
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
+    device = torch_device(configuration['device'])
     rules = TrainingRules(
         variant=Variant(configuration['variant']),
         horizon_s=configuration['horizon_s'],
         voltage_limits_v=(low_v, high_v),
-        device=configuration['device'],
+        device=device or CPU,
         **configuration.group('training'),
     )
     initial, seed = np.array(first.initial()), _seed(configuration, first)
@@ -149,7 +150,6 @@ def _predictor(
         'seed': seed,
     }
     measured = white_box.speed_measured
-    device = torch_device(configuration['device'])
     return Predictor(
         white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
     )  # fmt: skip

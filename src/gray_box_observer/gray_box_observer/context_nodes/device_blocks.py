@@ -14,7 +14,7 @@ many motors there are.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -23,72 +23,23 @@ import torch
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import drift
-from gray_box_observer.context_nodes.batch_fit import CREDIBLE
+from gray_box_observer.context_nodes.device_path import Given, Predicted, Tensor, predict
 from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.learnt import Learnt, copied
-from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, READ, WRITTEN
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.context_nodes.walk import heating
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box.base import bounds
-from gray_box_observer.white_box.flow import flow
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 TOGETHER = 65_536
 """Motors that are computed at once: what is worked with on the way is then some 2 GB."""
 
-Tensor = torch.Tensor
-
 _SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
          'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'walk_rate')  # fmt: skip
 _OF_LEARNT = {name: attrgetter(path) for name, path in {**READ, **WRITTEN}.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class _Given:
-    """Blocks and what is believed before them; every tensor with the motor axis first, samples 0 ... k behind it."""
-
-    box: MotorWhiteBox
-    interval: Tensor
-    voltage: Tensor
-    measured: Tensor
-    speed: Tensor
-    p: Tensor
-    state: Tensor
-    covariance: Tensor
-    noise: Tensor
-    gain: Tensor
-    current_a: Tensor
-
-    def of(self, index: Tensor) -> _Given:
-        """Return the blocks of the chosen motors."""
-        tensors = (getattr(self, field.name)[index] for field in fields(self)[1:])
-        return _Given(self.box.of_motors(index), *tensors)
-
-
-@dataclass(frozen=True, slots=True)
-class _Path:
-    """Predicted blocks, with their normal equations: what the C code calls by the same names."""
-
-    sound: Tensor
-    state: Tensor
-    factor: Tensor
-    error: Tensor
-    kept: Tensor
-    by_start: Tensor
-    by_coordinate: Tensor
-    used: Tensor
-    squares: Tensor
-    info: Tensor
-    right: Tensor
-
-    def put(self, index: Tensor, other: _Path) -> None:
-        """Take over the paths of some motors."""
-        for field in fields(self):
-            getattr(self, field.name)[index] = getattr(other, field.name)
 
 
 class DeviceBlocks:
@@ -139,7 +90,7 @@ class DeviceBlocks:
         which = _neighbours(motors)
         before = {name: self._ops.borrowed(_OF_LEARNT[name](known)[which]) for name in _SENT}
         given = self._given(known, motors, which, before)
-        path, fine = self._predict(given)
+        path, fine = predict(self._ops, given)
         score, information, left_out = self._examine(given, path, before, fine)
         after = self._conclude(given, path, before, fine)
         after |= {'score': score, 'information': information, 'left_out': left_out}
@@ -155,69 +106,17 @@ class DeviceBlocks:
         told[good] = self._reckon(known, chosen, settled[good], outliers.cpu().numpy()[good], due, plain)
         return told
 
-    def _given(self, known: Learnt, motors: NDArray[np.int64], which: Any, before: dict[str, Tensor]) -> _Given:
+    def _given(self, known: Learnt, motors: NDArray[np.int64], which: Any, before: dict[str, Tensor]) -> Given:
         """Bring the samples in."""
         k = self._rules.block
         signals = self._ops.borrowed(self._replay.newest(k + 1, which, known.at[motors] + k))
         interval, voltage, torque, speed = signals.contiguous()
         box = self._box.of_motors(which if isinstance(which, slice) else self._ops.tensor(which))
         believed = (before[name] for name in ('p', 'state', 'covariance', 'noise', 'gain', 'current_a'))
-        return _Given(box, interval, voltage, box.state(torque), speed, *believed)  # type: ignore[arg-type]
-
-    def _predict(self, given: _Given) -> tuple[_Path, Tensor]:
-        """Predict blocks, and tell their good samples from the others; and who has an ordinary one so far."""
-        reach = CREDIBLE * given.current_a[:, None]
-        about = given.measured.clamp(-reach, reach)
-        about[:, 0] = given.state
-        path = self._follow(given, about, None)
-        fine = path.sound & (given.interval[:, 1:] > 0.0).all(dim=1)
-        odd = self._ops.flatnonzero(fine & ~path.kept.all(dim=1))
-        if odd.numel():
-            some, about, near = given.of(odd), about[odd], path.kept[odd]
-            fine[odd] &= ~_kicked(path.error[odd], path.factor[odd], KICK * some.noise[:, None])
-            again = self._follow(some, about, near)
-            about[:, 1:] = torch.where(again.kept, about[:, 1:], again.state)
-            path.put(odd, self._follow(some, about, near))
-            fine &= path.sound
-        return path, fine
-
-    def _follow(self, given: _Given, about: Tensor, near: Tensor | None) -> _Path:
-        """The trajectory with its derivatives, and the normal equations; all samples tell of the state, or those near.
-
-        Sources: trajectory.py, linearise and follow; blocks.py, _from.
-        """
-        start, measured, speed = about[:, :-1], given.measured, given.speed
-        signals = given.voltage[:, 1:], speed[:, :-1], speed[:, 1:], given.interval[:, 1:], self._ops
-        moved: Any = flow(given.box, given.p, start, *signals)  # type: ignore[arg-type]
-        limit = FAR * (measured.abs().amax(dim=1, keepdim=True) + 1e-9)
-        decay, gain = moved.by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
-        if near is not None:
-            gain = torch.cat([gain[:, :1], torch.where(near[:, :-1], gain[:, 1:], 0.0)], dim=1)
-        factor = decay * (1.0 - gain)
-        offset = moved.end - decay * start + decay * gain * measured[:, :-1]
-        rows = _recurrence(factor, offset, moved.by_coordinate, given.state)
-        units = torch.cat([given.current_a[:, None], given.p], dim=1)
-        jacobian = (rows[1:] * units.T[..., None]).permute(1, 2, 0)
-        error = measured[:, 1:] - rows[0]
-        spread = 1.0 + ((jacobian @ given.covariance) * jacobian).sum(dim=2).clamp_min(0.0)
-        kept = error**2 <= (OUTLIER * given.noise)[:, None] ** 2 * spread
-        counts = torch.where(kept[..., None], jacobian, 0.0).transpose(1, 2)
-        return _Path(
-            sound=(moved.end.abs() <= limit).all(dim=1),
-            state=rows[0],
-            factor=factor,
-            error=error,
-            kept=kept,
-            by_start=rows[1, :, -1].clone(),
-            by_coordinate=rows[2:, :, -1].T.clone(),
-            used=kept.sum(dim=1, dtype=error.dtype),
-            squares=torch.where(kept, error**2 / spread, 0.0).sum(dim=1),
-            info=counts @ jacobian,
-            right=(counts @ error[..., None])[..., 0],
-        )
+        return Given(box, interval, voltage, box.state(torque), speed, *believed)  # type: ignore[arg-type]
 
     def _examine(
-        self, given: _Given, path: _Path, before: dict[str, Tensor], fine: Tensor
+        self, given: Given, path: Predicted, before: dict[str, Tensor], fine: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
         """Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take; learner.py."""
         unit, shares, n = given.noise[:, None] ** -2, before['sensitivity'], given.p.shape[1]
@@ -238,7 +137,7 @@ class DeviceBlocks:
         fine &= (path.used >= 0.5 * samples) & (left_out <= drift.LEFT_OUT)
         return score, information, left_out
 
-    def _conclude(self, given: _Given, path: _Path, before: dict[str, Tensor], fine: Tensor) -> dict[str, Tensor]:
+    def _conclude(self, given: Given, path: Predicted, before: dict[str, Tensor], fine: Tensor) -> dict[str, Tensor]:
         """Learn: blocks.py, learn; learner.py, _follow_noise."""
         p, size, variance = given.p, given.current_a[:, None], given.noise**2
         posterior = _solved(_plus_unit(given.covariance @ path.info), given.covariance, fine)
@@ -266,7 +165,7 @@ class DeviceBlocks:
         after = {'p': found, 'state': state, 'covariance': covariance, 'sensitivity': reached / size}
         return {**after, 'noise': noise, 'noise_count': count}
 
-    def _hold(self, given: _Given, path: _Path, before: dict[str, Tensor]) -> dict[str, Tensor]:
+    def _hold(self, given: Given, path: Predicted, before: dict[str, Tensor]) -> dict[str, Tensor]:
         """Where motors stand in a hold of the voltage: holds.py, take; and whether the transition to it is over."""
         level, voltage, speed = before['hold_level'], given.voltage[:, 1:], given.speed[:, 1:]
         low, high = voltage.amin(dim=1), voltage.amax(dim=1)
@@ -302,31 +201,6 @@ class DeviceBlocks:
         far = at - known.anchored[motors] >= rules.replay_capacity // np.where(walking, 2, 1)
         told: NDArray[np.uint8] = (LEARNT + LONG_HOLD * long + ANCHOR_DUE * far).astype(np.uint8)
         return told
-
-
-def _recurrence(factor: Tensor, offset: Tensor, by_coordinate: Tensor, state: Tensor) -> Tensor:
-    """States and their derivatives by the start and the coordinates, samples 1 ... k: shape (row, motor, k)."""
-    inputs = torch.cat([offset[None], torch.zeros_like(offset)[None], by_coordinate])
-    value = torch.zeros_like(inputs[..., 0])
-    value[0], value[1] = state, 1.0
-    rows = []
-    for left, added in zip(factor.T.contiguous(), inputs.permute(2, 0, 1).contiguous(), strict=True):
-        value = left * value + added
-        rows.append(value)
-    return torch.stack(rows, dim=2)
-
-
-def _kicked(error: Tensor, factor: Tensor, limit: Tensor) -> Tensor:
-    """Whether the state was kicked: trajectory.py, find_kicks."""
-    zero, end = torch.zeros_like(limit), torch.full_like(limit, torch.inf)
-    jump = error - factor * torch.cat([zero, error[:, :-1]], dim=1)
-    change = jump.abs()
-    before, after = torch.cat([zero, change[:, :-1]], dim=1), torch.cat([change[:, 1:], end], dim=1)
-    earlier = torch.cat([zero, before[:, :-1]], dim=1)
-    both = (jump + factor * torch.cat([zero, jump[:, :-1]], dim=1)).abs()
-    one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
-    two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
-    return (one | two).any(dim=1) & (change > limit).any(dim=1)
 
 
 def _plus_unit(matrix: Tensor) -> Tensor:

@@ -82,7 +82,7 @@ class Learnt:
 
     def anchor_here(self, which: NDArray[np.bool_]) -> None:
         """Reckon the likelihood of a drift from the present belief on, for some of the motors."""
-        index = np.flatnonzero(which)
+        index = np.flatnonzero(which)  # in place: of very many motors some at a time move theirs
         put(self.anchor, index, chosen(self.belief, index))
         self.anchored[index] = self.at[index]
 
