@@ -73,10 +73,10 @@ def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
         np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
 
 
-def test_a_group_is_observed_alike_by_torch_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The whole observer, with torch on the processor in place of a GPU: estimates, predictions, training."""
+def test_a_group_is_observed_alike_by_torch_and_without(monkeypatch: pytest.MonkeyPatch, torch_name: str) -> None:
+    """The whole observer, with torch on the processor where there is no GPU: estimates, predictions, training."""
     for module in (observer, assembly):
-        monkeypatch.setattr(module, 'torch_device', lambda name: None if name == 'cpu' else 'cpu')
+        monkeypatch.setattr(module, 'torch_device', lambda name: None if name == 'cpu' else torch_name)
     for module in (learner, predictor):
         monkeypatch.setattr(module, 'DEVICE_FROM', 2)
     names = ('a', 'b', 'c')

@@ -31,10 +31,10 @@ needs_it = pytest.mark.skipif(ordinary_block.library() is None, reason='built wi
 
 
 @pytest.fixture(params=[pytest.param('compiled', marks=needs_it), 'device'])
-def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str | None:
-    """Who learns ordinary blocks: compiled code, or torch, here on the processor, however few motors there are."""
+def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, torch_name: str) -> str | None:
+    """Who learns ordinary blocks: compiled code, or torch, however few motors there are."""
     monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
-    return None if request.param == 'compiled' else 'cpu'
+    return None if request.param == 'compiled' else torch_name
 
 
 class Count:
@@ -257,7 +257,7 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
 @needs_it
 @pytest.mark.parametrize('case', ['plain', 'speed', 'held', 'disturbed', 'gone wrong'])
 def test_a_device_tells_and_writes_what_compiled_code_does_of_every_block(
-    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, disturbed: list[Sample], case: str
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, disturbed: list[Sample], torch_name: str, case: str
 ) -> None:
     rules, start = RecursiveRules(long_hold_s=5.0, replay_capacity=512), START
     if case == 'disturbed':
@@ -273,7 +273,7 @@ def test_a_device_tells_and_writes_what_compiled_code_does_of_every_block(
         samples, held = simulated('R[5,15]D[0.2,3]', 20.0, motors=11), simulated('C[9]', 20.0, motors=11)
         samples = [*samples, held[0].beginning(), *held[1:]] if case == 'held' else samples
     monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
-    nodes, told_of = RecursiveUpdate(box, start, rules=rules, device='cpu'), []
+    nodes, told_of = RecursiveUpdate(box, start, rules=rules, device=torch_name), []
     by_compiled = OrdinaryBlocks(box, rules, nodes.replay)
     within = nodes._learner.update_ordinary
 

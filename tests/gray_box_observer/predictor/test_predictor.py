@@ -359,9 +359,9 @@ def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_mov
 
 
 def test_many_motors_are_predicted_alike_on_a_device(
-    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, theta: list[float], idle: Any
+    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, theta: list[float], idle: Any, torch_name: str
 ) -> None:
-    """Torch on the processor against numpy, with pauses, missing values, and voltages that move or are held."""
+    """Torch against numpy, with pauses, missing values, and voltages that move or are held."""
     monkeypatch.setattr(predictor_module, 'DEVICE_FROM', 2)
     motors, random = 7, np.random.default_rng(1)
     constant = random.uniform(0.5, 2.0, motors)
@@ -372,7 +372,7 @@ def test_many_motors_are_predicted_alike_on_a_device(
         Predictor(
             many, motors, np.array(theta), TrainingRules(), idle, speed_measured=box.speed_measured, device=device
         )
-        for device in (None, 'cpu')
+        for device in (None, torch_name)
     ]
     voltage = random.uniform(-15.0, 15.0, motors)
     for k in range(60):
