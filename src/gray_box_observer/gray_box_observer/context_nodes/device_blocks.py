@@ -1,14 +1,14 @@
 """Ordinary blocks of very many motors at once by torch, on a device of its own such as a GPU.
 
 What `ordinary_block.c` does eight motors at a time, with the same formulas and the same answers to rounding: a block
-with a restart, a kick, many outliers or doubt about the motor is left as it was, and numpy learns it. The motion over
-an interval is :mod:`~gray_box_observer.white_box.flow` itself, so every term of a white box is known here, and stiff
-motors are learnt too.
+with a restart, a kick, many outliers or doubt about the motor is left as it was, and numpy learns it; so is that of a
+stiff motor. The motion over an interval is :mod:`~gray_box_observer.white_box.flow` itself, so every term of a white
+box is known here.
 
 What is believed stays on the host, where everything else reads it, and so do samples. For a block of 32 samples and
 three parameters a motor sends 1,056 bytes of samples and 640 of belief, and 626 come back: 2.3 kB, a tenth of a
-microsecond at 25 GB/s. Its arithmetic, some 400 operations a sample, is next to nothing beside the 180 kB that pass
-through the device's own memory in between: 0.06 microseconds at 3 TB/s. Work is handed over in 1,100 calls, however
+microsecond at 25 GB/s. Its arithmetic, some 400 operations a sample, is next to nothing beside the 200 kB that pass
+through the device's own memory in between: 0.07 microseconds at 3 TB/s. Work is handed over in 1,200 calls, however
 many motors there are.
 """
 
@@ -29,13 +29,11 @@ from gray_box_observer.context_nodes.learnt import Learnt, copied
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, READ, WRITTEN
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.walk import heating
+from gray_box_observer.device import DEVICE_TURN
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box.base import bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-TOGETHER = 65_536
-"""Motors that are computed at once: what is worked with on the way is then some 2 GB."""
 
 _SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
          'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'walk_rate')  # fmt: skip
@@ -78,8 +76,8 @@ class DeviceBlocks:
         there = (column >= 0) & (column < data.shape[2] - self._rules.block)
         there &= known.hold.begun[motors] & (at > begin[motors])
         places = np.flatnonzero(there)
-        for first in range(0, places.size, TOGETHER):
-            part = places[first : first + TOGETHER]
+        for first in range(0, places.size, DEVICE_TURN):
+            part = places[first : first + DEVICE_TURN]
             told[part] = self._learn(known, motors[part], due, plain)
         return known, told
 

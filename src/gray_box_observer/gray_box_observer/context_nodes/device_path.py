@@ -14,7 +14,7 @@ from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.torch_ops import TorchOps
-from gray_box_observer.white_box.flow import flow
+from gray_box_observer.white_box.flow import flow, is_stiff
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 Tensor = torch.Tensor
@@ -47,7 +47,7 @@ class Predicted:
     """Predicted blocks, with their normal equations.
 
     Attributes:
-        sound: shape (motor,): whether the motion went nowhere absurd.
+        sound: shape (motor,): whether the motion went nowhere absurd, and in not too many steps.
         state: shape (motor, k): predicted current.
         factor: shape (motor, k): how much of an error every interval leaves.
         error: shape (motor, k): measured less predicted current.
@@ -100,8 +100,9 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
     Sources: trajectory.py, linearise and follow; blocks.py, _from.
     """
     start, measured, speed = about[:, :-1], given.measured, given.speed
-    signals = given.voltage[:, 1:], speed[:, :-1], speed[:, 1:], given.interval[:, 1:], ops
-    moved: Any = flow(given.box, given.p, start, *signals)  # type: ignore[arg-type]
+    voltage, interval, box = given.voltage[:, 1:], given.interval[:, 1:], given.box
+    moved: Any = flow(box, given.p, start, voltage, speed[:, :-1], speed[:, 1:], interval, ops)  # type: ignore[arg-type]
+    stiff: Any = is_stiff(box, given.p, start, voltage, speed[:, :-1], interval, ops)  # type: ignore[arg-type]
     limit = FAR * (measured.abs().amax(dim=1, keepdim=True) + 1e-9)
     decay, gain = moved.by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
     if near is not None:
@@ -116,7 +117,7 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
     kept = error**2 <= (OUTLIER * given.noise)[:, None] ** 2 * spread
     counts = torch.where(kept[..., None], jacobian, 0.0).transpose(1, 2)
     return Predicted(
-        sound=(moved.end.abs() <= limit).all(dim=1),
+        sound=(moved.end.abs() <= limit).all(dim=1) & ~stiff,
         state=rows[0],
         factor=factor,
         error=error,

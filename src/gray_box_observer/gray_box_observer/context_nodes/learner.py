@@ -31,7 +31,7 @@ from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
-from gray_box_observer.device import DEVICE_FROM
+from gray_box_observer.device import DEVICE_FROM, DEVICE_TURN
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -47,9 +47,6 @@ WALK_AGAIN = -1
 
 AT_REST = 4
 """Times a first fit's, samples at most that are kept when a motor first moves: more of a level tell nothing."""
-
-DEVICE_TURN = 65_536
-"""Motors whose blocks a device learns at one sample of the group, some tens of ms."""
 
 LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""

@@ -135,7 +135,7 @@ def flow(
     """
     interval = _Interval(voltage_v, speed_rad_s, end_speed, interval_s)
     here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
-    stiffness = ops.max(abs(here[1]) * interval_s, axis=1, initial=0.0)
+    stiffness = _stiffness(ops, here, interval_s)
     if ops.all(stiffness <= LARGEST_STEP):
         return _runge_kutta_step(ops, white_box, p, start, here, interval)
     steps = ops.where(stiffness <= MAX_STEPS * LARGEST_STEP, ops.ceil(stiffness / LARGEST_STEP), STIFF)
@@ -150,6 +150,20 @@ def flow(
         moved = _in_steps(ops, box, p[which], start[which], rate, own, int(count))
         ends[which], slopes[which], forced[:, which] = moved.end, moved.by_state, moved.by_coordinate
     return Flow(ends, slopes, forced)
+
+
+def is_stiff(
+    white_box: WhiteBox, p: Array, start: Array, voltage_v: Array, speed_rad_s: Array, interval_s: Array, ops: Any = np
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Tell for whom :func:`flow` takes exponential steps, shape (motor,); arguments as there."""
+    here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
+    stiff: NDArray[np.bool_] = ~(_stiffness(ops, here, interval_s) <= MAX_STEPS * LARGEST_STEP)
+    return stiff
+
+
+def _stiffness(ops: Any, here: _Rate, interval_s: Array) -> Any:
+    """Largest product of interval and decay rate, shape (motor,)."""
+    return ops.max(abs(here[1]) * interval_s, axis=1, initial=0.0)
 
 
 def _in_steps(
