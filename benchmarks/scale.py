@@ -1,9 +1,10 @@
 """What does a motor-sample cost when there are more motors? Against as many filterpy filters, and against the machine.
 
-One process, one thread, CPU time (so that a busy machine does not count against anybody), everything in one run. Motors
-are the thesis's, identified before the clock starts, each with its own noise; what is timed is the context nodes'
-update and, apart from it, the prediction. The first minute, with the seven fits of settling in, is told beside it.
-Ends with one line of JSON.
+One process, one thread, CPU time (so that a busy machine does not count against anybody), everything in one run; where
+torch sees a GPU, or with ``--device``, up to a million motors on it too, in wall time, for what it does is no CPU time.
+Motors are the thesis's, identified before the clock starts, each with its own noise; what is timed is the context
+nodes' update and, apart from it, the prediction. The first minute, with the seven fits of settling in, is told beside
+it. Ends with one line of JSON.
 
 The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what it has to compute
 (:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
@@ -28,6 +29,8 @@ from typing import Any
 os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
 
 import numpy as np
+from common.many_motors import NOISE_NM, one_predictor, rule, sample
+from common.on_device import TORCH_ON_CPU, device_of, rows_on_device
 
 MOTORS = (1, 10, 100, 1000, 10_000)
 TAUGHT = 6000
@@ -67,6 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; return the exit status."""
     parser = argparse.ArgumentParser(prog='scale', description=str(__doc__).partition('\n')[0])
     parser.add_argument('--quick', action='store_true', help='fewer samples, up to 1,000 motors: no verdicts')
+    parser.add_argument(
+        '--device',
+        help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU that torch sees, if it '
+        f'sees one; {TORCH_ON_CPU}: a try of these rows without a GPU, of few motors',
+    )
     options = parser.parse_args(arguments)
     if importlib.util.find_spec('filterpy') is None:
         print(
@@ -76,6 +84,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     from common.figures import Figure, last_line, table
 
+    from gray_box_observer.errors import GrayBoxError
+
+    try:
+        device = device_of(options.device)
+    except GrayBoxError as error:
+        print(f'scale: error: {error}', file=sys.stderr)
+        return 2
     counts = [n for n in MOTORS if n <= 1000 or not options.quick]
     repeats = 2 if options.quick else 5
     nodes, samples = taught()
@@ -103,6 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     settle_us = {n: settling(n, 1500 if options.quick else 6000) for n in (1, 100)}
     for n, cost_us in settle_us.items():
         print(f'the first {15 if options.quick else 60} s, fits included, {n:,} motors: {cost_us:.2f} us')
+    figures_on_device = [] if device is None else rows_on_device(device, nodes, samples, quick=options.quick)
     whole = not options.quick
     thousand, cores = update_us[1000], 0.1 * (update_us[1000] + predict_us[1000])
     figures = [
@@ -112,6 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Figure('update, 1,000 motors, times the limit', thousand / limit_us, 10.0, whole),
         Figure('update and prediction, 1,000 motors at 100 Hz, cores', cores, 1.0, whole),
         Figure('memory of context nodes, kB a motor at 1,000', kilobytes[1000], None),
+        *figures_on_device,
     ]
     print(last_line('scale', 1, figures))
     return 0
@@ -128,33 +145,6 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
     for k in range(TAUGHT):
         nodes.learn(sample(k, np.array([voltage[max(k - 1, 0)]]), np.array([torque[k] + noise[k]])))
     return nodes, [(float(voltage[k - 1]), float(torque[k])) for k in range(TAUGHT, recording.stamp_ns.size)]
-
-
-NOISE_NM = 1e-4
-STEP_NS = 10_000_000
-
-
-def rule(motors: int) -> Any:
-    """Context nodes that know nothing yet."""
-    from gray_box_observer.context_nodes import RecursiveUpdate
-
-    return RecursiveUpdate(white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)))
-
-
-def white_box(motors: int) -> Any:
-    """Physics of the thesis, of one motor or many."""
-    from gray_box_observer.white_box import MotorWhiteBox
-
-    constant: Any = 0.01 if motors == 1 else np.full(motors, 0.01)
-    return MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), constant, {'back_emf_constant': constant})
-
-
-def sample(k: int, voltage_v: Any, torque_nm: Any) -> Any:
-    """Sample k of motors that run alike."""
-    from gray_box_observer.samples import Sample
-
-    interval_s = np.full(voltage_v.size, 0.01 if k else 0.0)
-    return Sample(k * STEP_NS, interval_s, voltage_v, torque_nm, np.full(voltage_v.size, np.nan))
 
 
 def stream(
@@ -180,8 +170,7 @@ def update(
     nodes = rule(motors)
     for _ in range(ROWS):
         nodes.replay.append(sample(0, np.zeros(motors), np.zeros(motors)))
-    for motor in range(motors):
-        nodes.restore(plain, arrays, motor)
+    nodes.restore(plain, arrays, slice(None))
     count = 4 * BLOCK if motors > 100 else 16 * BLOCK
     costs = []
     for run in range(repeats + 1):
@@ -195,11 +184,7 @@ def update(
 
 def prediction(samples: Sequence[tuple[float, float]], motors: int, repeats: int) -> float:
     """CPU time in us of predicting and scoring a motor-sample."""
-    from gray_box_observer.predictor import Predictor, TrainingRules
-
-    theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))
-    rules = TrainingRules(period=10**9)
-    predictor = Predictor(white_box(motors), motors, theta[0], rules, NoTraining(), speed_measured=False)
+    predictor, theta = one_predictor(motors)
     given = stream(samples, motors, 64 if motors > 100 else 256)
     costs = []
     for _ in range(repeats + 1):
@@ -208,24 +193,6 @@ def prediction(samples: Sequence[tuple[float, float]], motors: int, repeats: int
             predictor.learn(s, predictor.predict(s.interval_s, s.voltage_v, theta), theta)
         costs.append(1e6 * (time.process_time() - begin_s) / len(given) / motors)
     return min(costs[1:])
-
-
-class NoTraining:
-    """Trains nothing: only the prediction is timed."""
-
-    busy = False
-    resting = True
-    failure = None
-    share = 0.0
-
-    def submit(self, job: dict[str, Any]) -> None:
-        """Nothing is handed over while resting."""
-
-    def collect(self) -> None:
-        """Nothing was handed over."""
-
-    def close(self) -> None:
-        """Nothing runs."""
 
 
 def settling(motors: int, count: int) -> float:

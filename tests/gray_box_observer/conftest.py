@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
@@ -104,3 +105,9 @@ def write_bag() -> Callable[..., Path]:
         return folder
 
     return make
+
+
+@pytest.fixture(scope='session')
+def torch_name() -> str:
+    """Device on which torch is tried: a GPU where it sees one, else the processor."""
+    return 'cuda' if torch.cuda.is_available() else 'cpu'

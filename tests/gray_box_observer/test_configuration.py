@@ -290,3 +290,8 @@ def test_a_thousand_motors_need_one_line_and_one_group() -> None:
 def test_a_range_that_makes_no_names_is_refused(motors: list[str]) -> None:
     with pytest.raises(ConfigurationError, match='motors'):
         Configuration.from_flat({'motors': motors})
+
+
+@pytest.mark.parametrize('device', ['gpu', 'cuda:', 'cuda:-1', 'cuda:01', 'CPU', ''])
+def test_what_names_no_device_is_refused(device: str) -> None:
+    refuse(f'parameter device must be cpu, cuda or cuda:N .*, got {device!r}', device=device)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.bag.joint_state import encode_joint_state
@@ -429,3 +430,14 @@ def test_bags_in_the_wrong_order_do_not_make_a_negative_duration(
     code, out, _ = identify(new, old, '--json', '-', '--skip-predictor', '--report', tmp_path / 'r.html')
     assert code == 0
     assert json.loads(out)['motors']['motor']['duration_s'] == pytest.approx(2 * 9.99)
+
+
+def test_a_device_that_is_not_there_ends_it_with_one_line(
+    identify: Run, bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: False)
+    parameters = tmp_path / 'parameters.yaml'
+    parameters.write_text('/**:\n  ros__parameters:\n    device: cuda\n')
+    code, out, err = identify(bag, '--params', parameters)
+    assert (code, out) == (2, '')
+    assert 'device is cuda, but torch sees no GPU' in one_line(err)

@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes import (
     VerdictRules,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.device import CPU, torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.parameters import KNOWN_PARAMETERS
@@ -100,9 +101,8 @@ def context_nodes(
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts)
     known = np.array([motor.initial_relative_std() for motor in motors])
-    return RecursiveUpdate(
-        white_box, initial, seed, RecursiveRules(**configuration.group('recursive')), verdicts, known
-    )
+    rules, device = RecursiveRules(**configuration.group('recursive')), torch_device(configuration['device'])
+    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, known, device)
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
@@ -134,10 +134,12 @@ def _predictor(
 ) -> Predictor:
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
+    device = torch_device(configuration['device'])
     rules = TrainingRules(
         variant=Variant(configuration['variant']),
         horizon_s=configuration['horizon_s'],
         voltage_limits_v=(low_v, high_v),
+        device=device or CPU,
         **configuration.group('training'),
     )
     initial, seed = np.array(first.initial()), _seed(configuration, first)
@@ -148,7 +150,9 @@ def _predictor(
         'seed': seed,
     }
     measured = white_box.speed_measured
-    return Predictor(white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed)
+    return Predictor(
+        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
+    )  # fmt: skip
 
 
 def _seed(configuration: Configuration, motor: MotorConfiguration) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.device import check_name
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.parameters import KNOWN_PARAMETERS, MOTOR_PARAMETERS, OBSERVER_PARAMETERS, SIGNALS
 from gray_box_observer.white_box import MotorWhiteBox
@@ -124,6 +125,7 @@ class Configuration:
                 f'parameter horizon_s must be 0 with variant {values["variant"]}, got {values["horizon_s"]!r}: '
                 'only variant physics looks beyond the next sample'
             )
+        check_name(values['device'])
         for name in SIGNALS:
             _check_signal(name, values)
         common = {spec.name: rest.pop(f'{DEFAULTS}.{spec.name}', spec.default) for spec in MOTOR_PARAMETERS}

@@ -24,6 +24,7 @@ from gray_box_observer.assembly import (
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.group import Group, GroupResult, Result
 from gray_box_observer.grouping import Grouping, Part, Values
@@ -53,9 +54,13 @@ class Observer:
     Args:
         configuration: parameters of the observer and of every motor.
         training: makes the trainer of a motor from its configuration; None: no predictor.
+
+    Raises:
+        ConfigurationError: there is no such device as the configuration asks for.
     """
 
     def __init__(self, configuration: Configuration, training: TrainingFactory | None = None) -> None:
+        torch_device(configuration['device'])  # said before the first sample comes
         self.configuration = configuration
         self._training = training if configuration['predictor'] else None
         self._frozen = bool(configuration['freeze'])

@@ -126,6 +126,11 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'horizon_s', 0.0, 'Horizon of ~/forecast_torque, in s (variant physics); 0: none.', 0.0, 1e6, live=True
     ),
+    ParameterSpec(
+        'device',
+        'cpu',
+        'Where many motors are computed and networks are taught: cpu, or by torch on cuda or cuda:N.',
+    ),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec(

@@ -9,7 +9,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate, Verdict, recursive
+from gray_box_observer.context_nodes import RecursiveUpdate, Verdict, learner, recursive
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -92,7 +92,7 @@ def test_whoever_has_to_wait_learns_the_same_later(
     alone: tuple[list[list[bytes]], list[RecursiveUpdate]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(recursive, 'UPDATES', 2)
+    monkeypatch.setattr(learner, 'UPDATES', 2)
     monkeypatch.setattr(recursive, 'CAREFUL', 1)
     monkeypatch.setattr(recursive, 'HEAVY', 100)
     together = learnt_by(RecursiveUpdate(BOX, START), samples)

@@ -1,17 +1,19 @@
-"""Compiled code learns what numpy learns, of every block that it does not leave to numpy."""
+"""Compiled code and a device learn what numpy learns, of every block that they do not leave to numpy."""
 
 from __future__ import annotations
 
 import ctypes
 import shutil
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate, compiled, ordinary_block
+from gray_box_observer.context_nodes import RecursiveUpdate, compiled, learner, ordinary_block
+from gray_box_observer.context_nodes.learnt import copied
 from gray_box_observer.context_nodes.normal_equations import inverted
 from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
@@ -28,15 +30,22 @@ KNOWN = {'back_emf_constant': 0.01}
 needs_it = pytest.mark.skipif(ordinary_block.library() is None, reason='built without a C compiler')
 
 
+@pytest.fixture(params=[pytest.param('compiled', marks=needs_it), 'device'])
+def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, torch_name: str) -> str | None:
+    """Who learns ordinary blocks: compiled code, or torch, however few motors there are."""
+    monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
+    return None if request.param == 'compiled' else torch_name
+
+
 class Count:
-    """How many blocks compiled code was given, and how many it has learnt."""
+    """How many blocks compiled code, or a device, was given, and how many it has learnt."""
 
     given = learnt = 0
 
     def watch(self, nodes: RecursiveUpdate) -> None:
         """Count what these context nodes do."""
-        ordinary = nodes._learner.ordinary
-        within, of_these = ordinary.learn_due, ordinary.learn
+        learner = nodes._learner
+        within, of_these = learner.learn_due, learner.learn_ordinary
 
         def count(told: np.ndarray) -> None:
             self.given, self.learnt = self.given + told.size, self.learnt + int((told > 0).sum())
@@ -51,26 +60,27 @@ class Count:
             count(told)
             return known, told
 
-        ordinary.learn_due, ordinary.learn = learn_due, learn  # type: ignore[method-assign]
+        learner.learn_due, learner.learn_ordinary = learn_due, learn  # type: ignore[method-assign]
 
 
 def both(
-    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, start: np.ndarray, samples: list[Sample], rules: RecursiveRules
+    monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray, samples: list[Sample],
+    rules: RecursiveRules,
 ) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
-    """Learn samples by compiled code and by numpy; the estimates must agree whenever one changes."""
+    """Learn samples by compiled code or a device, and by numpy; the estimates must agree whenever one changes."""
     count = Count()
-    compiled = RecursiveUpdate(box, start, rules=rules)
-    count.watch(compiled)
+    quick = RecursiveUpdate(box, start, rules=rules, device=device)
+    count.watch(quick)
     monkeypatch.setattr(ordinary_block, 'library', lambda: None)
     by_numpy = RecursiveUpdate(box, start, rules=rules)
     for sample in samples:
-        assert compiled.learn(sample) == by_numpy.learn(sample)
-        np.testing.assert_array_equal(compiled.changed, by_numpy.changed)
-        np.testing.assert_allclose(compiled.theta, by_numpy.theta, rtol=1e-7)
-    one, other = compiled.estimate(), by_numpy.estimate()
+        assert quick.learn(sample) == by_numpy.learn(sample)
+        np.testing.assert_array_equal(quick.changed, by_numpy.changed)
+        np.testing.assert_allclose(quick.theta, by_numpy.theta, rtol=1e-7)
+    one, other = quick.estimate(), by_numpy.estimate()
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-5, atol=1e-30)
-    assert compiled.counters() == by_numpy.counters()
-    return compiled, by_numpy, count
+    assert quick.counters() == by_numpy.counters()
+    return quick, by_numpy, count
 
 
 def simulated(
@@ -124,25 +134,27 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
         assert not OrdinaryBlocks(box, RecursiveRules(), replay).compiled
 
 
-@needs_it
 @pytest.mark.parametrize('column', [-10_000_000, 0, 10_000_000])
-def test_samples_that_are_not_in_memory_are_not_read(thesis_box: MotorWhiteBox, column: int) -> None:
-    nodes = RecursiveUpdate(thesis_box, START)
+def test_samples_that_are_not_in_memory_are_not_read(
+    thesis_box: MotorWhiteBox, device: str | None, column: int
+) -> None:
+    nodes = RecursiveUpdate(thesis_box, START, device=device)
     for sample in simulated('R[5,15]D[0.2,3]', 10.0):
         nodes.learn(sample)
     known, index = nodes._learnt, np.zeros(1, dtype=int)
     _, gone, _, _ = nodes.replay.streams
     gone[:] = known.at - column
-    _, told = nodes._learner.ordinary.learn(known, index, nodes._due, nodes._plain)
+    _, told = nodes._learner.learn_ordinary(known, index, nodes._due, nodes._plain)
     assert told.tolist() == [0]
 
 
-@needs_it
 @pytest.mark.parametrize('motors', [1, 11])
-def test_ordinary_blocks_are_learnt_as_numpy_learns_them(monkeypatch: pytest.MonkeyPatch, motors: int) -> None:
+def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
+    monkeypatch: pytest.MonkeyPatch, device: str | None, motors: int
+) -> None:
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
     samples = simulated('R[5,15]D[0.2,3]', 30.0, motors=motors)
-    nodes, by_numpy, count = both(monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveRules())
+    nodes, by_numpy, count = both(monkeypatch, device, box, np.tile(START, (motors, 1)), samples, RecursiveRules())
     assert count.given >= 80 * motors
     assert count.learnt >= 0.98 * count.given
     (_, ours), (_, theirs) = nodes.state(motors - 1), by_numpy.state(motors - 1)
@@ -152,36 +164,35 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(monkeypatch: pytest.Mon
         np.testing.assert_allclose(array, theirs[name], rtol=1e-5, atol=1e-7 * scale, err_msg=name)
 
 
-@needs_it
 @pytest.mark.parametrize(
     'names', [THESIS[:2], (*THESIS, 'back_emf_constant'), (*THESIS, 'back_emf_constant', 'brush_drop')]
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
-    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...]
 ) -> None:  # fmt: skip
     known = {'back_emf_constant': 0.01, 'brush_drop': 0.1}
     known = {name: value for name, value in known.items() if name not in names}
     box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
-    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
     assert count.learnt > 0.5 * count.given > 30
 
 
-@needs_it
-def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
+    monkeypatch: pytest.MonkeyPatch, device: str | None
+) -> None:
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
-    nodes, _, count = both(monkeypatch, box, START, samples, RecursiveRules())
+    nodes, _, count = both(monkeypatch, device, box, START, samples, RecursiveRules())
     assert count.learnt > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
 
-@needs_it
-def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch, device: str | None) -> None:
     box, rules = MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(long_hold_s=5.0, replay_capacity=512)
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
-    _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
+    _, _, count = both(monkeypatch, device, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
     assert count.learnt > 0.9 * count.given
     plant = PlantParameters()
     warm = Simulation({'m': plant}, 'R[5,15]D[0.2,3]', seed=4, schedule=('m.resistance=1..1.3@0..60',)).record(60.0)
@@ -191,7 +202,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.Monkey
             zip(warm.stamp_ns, np.roll(warm.voltage_v[0], 1), warm.torque_nm[0], strict=True)
         )
     ]
-    nodes, _, _ = both(monkeypatch, box, START, samples, rules)
+    nodes, _, _ = both(monkeypatch, device, box, START, samples, rules)
     assert nodes.counters()['motors that drift'] + nodes.counters()['motor changes'] > 0
 
 
@@ -212,11 +223,10 @@ def disturbed(record: Callable[..., Recording], samples_of: Callable[..., list[S
     return made
 
 
-@needs_it
 def test_what_is_out_of_the_ordinary_is_left_to_numpy(
-    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, disturbed: list[Sample]
+    monkeypatch: pytest.MonkeyPatch, device: str | None, thesis_box: MotorWhiteBox, disturbed: list[Sample]
 ) -> None:
-    nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveRules())
+    nodes, _, count = both(monkeypatch, device, thesis_box, START, disturbed, RecursiveRules())
     assert 0 < count.learnt < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
@@ -224,9 +234,8 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     assert told['motor changes'] > 0
 
 
-@needs_it
-@pytest.mark.parametrize('seed', [14, 20])
-def test_so_is_a_group_in_which_nearly_everything_goes_wrong(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def gone_wrong(seed: int) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
+    """A group in which nearly everything goes wrong: its physics, a start, samples."""
     random, motors = np.random.default_rng(seed), 9
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, bool(seed % 4))
     current, voltage, samples = np.zeros(motors), np.zeros(motors), []
@@ -242,9 +251,79 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(monkeypatch: pytest
         interval = np.where(random.random(motors) < 0.003, random.choice([0.0, 0.02, 0.03]), 0.01)
         present = None if random.random() < 0.9 else random.random(motors) < 0.9
         samples.append(Sample(k * 10_000_000, interval, *signals, present))
-    start = np.tile(START, (motors, 1))
-    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    return box, np.tile(START, (motors, 1)), samples
+
+
+@pytest.mark.parametrize('seed', [14, 20])
+def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
+    monkeypatch: pytest.MonkeyPatch, device: str | None, seed: int
+) -> None:
+    box, start, samples = gone_wrong(seed)
+    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
     assert 0 < count.learnt < count.given
+
+
+@needs_it
+@pytest.mark.parametrize('case', ['plain', 'speed', 'stiff', 'held', 'disturbed', 'gone wrong'])
+def test_a_device_tells_and_writes_what_compiled_code_does_of_every_block(
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, disturbed: list[Sample], torch_name: str, case: str
+) -> None:
+    rules, start = RecursiveRules(long_hold_s=5.0, replay_capacity=512), START
+    if case == 'disturbed':
+        box, samples = thesis_box, disturbed
+    elif case == 'gone wrong':
+        box, start, samples = gone_wrong(14)
+    elif case == 'stiff':
+        box, start = thesis_box, np.array([[3e-3, 3.0, 30.0]])
+        samples = simulated('R[5,15]D[0.05,0.3]', 10.0, inductance=1e-3, resistance=1.6)
+    elif case == 'speed':
+        names = (*THESIS, 'back_emf_constant', 'brush_drop')
+        box, start = MotorWhiteBox(names, 0.01, speed_measured=True), np.array([[1.5, 3.0, 30.0, 0.03, 0.2]])
+        samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
+    else:
+        box, start = MotorWhiteBox(THESIS, np.full(11, 0.01), KNOWN), START.repeat(11, 0)
+        samples, held = simulated('R[5,15]D[0.2,3]', 20.0, motors=11), simulated('C[9]', 20.0, motors=11)
+        samples = [*samples, held[0].beginning(), *held[1:]] if case == 'held' else samples
+    monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
+    nodes, told_of = RecursiveUpdate(box, start, rules=rules, device=torch_name), []
+    by_compiled = OrdinaryBlocks(box, rules, nodes.replay)
+    within = nodes._learner.learn_ordinary
+
+    def update(known, motors, due, plain):  # type: ignore[no-untyped-def]
+        theirs, others = copied(known), (due.copy(), plain.copy())
+        theirs, told = by_compiled.learn(theirs, motors, *others)
+        mine, own = copied(known), (due.copy(), plain.copy())
+        assert nodes._learner._on_device is not None
+        mine, answer = nodes._learner._on_device.learn(mine, motors, *own)
+        np.testing.assert_array_equal(answer, told)
+        for ours, other in zip(own, others, strict=True):
+            np.testing.assert_array_equal(ours, other)
+        for path in ordinary_block.WRITTEN.values():
+            found, expected = (attrgetter(path)(learnt) for learnt in (mine, theirs))
+            finite = np.isfinite(expected)
+            np.testing.assert_array_equal(np.isfinite(found), finite, err_msg=path)
+            for motor in motors:  # what has been added up may nearly cancel: in units of a motor's largest entry
+                scale = float(np.max(np.abs(expected[motor]), where=finite[motor], initial=0.0))
+                close = {'rtol': 1e-10, 'atol': 1e-10 * scale, 'err_msg': path}
+                np.testing.assert_allclose(found[motor], expected[motor], **close)
+        told_of.extend(told.tolist())
+        return within(known, motors, due, plain)
+
+    nodes._learner.learn_ordinary = update  # type: ignore[method-assign]
+    for sample in samples:
+        nodes.learn(sample)
+    assert 0 < told_of.count(0) < len(told_of) > 20
+    assert any(told & ordinary_block.LONG_HOLD for told in told_of) == (case == 'held')
+
+
+def test_few_motors_are_not_worth_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(learner, 'DEVICE_FROM', 3)
+    monkeypatch.setattr(learner, 'UPDATES', 2)
+    for motors, turn in ((2, 2), (3, learner.DEVICE_TURN)):
+        box = MotorWhiteBox(THESIS, np.full(motors, 0.01), KNOWN)
+        nodes = RecursiveUpdate(box, START.repeat(motors, 0), device='cpu')
+        assert nodes._learner.turn == turn
+        assert (nodes._learner._on_device is None) == (motors < 3)
 
 
 def test_a_motor_whose_matrix_is_singular_ends_nobody() -> None:

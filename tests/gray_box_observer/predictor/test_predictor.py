@@ -13,6 +13,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import Predictor, TrainingRules, Variant
+from gray_box_observer.predictor import predictor as predictor_module
 from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import course, flow
@@ -355,3 +356,44 @@ def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_mov
     before, after = (job['voltage_v'].shape[1] for job in rounds)
     assert before <= 1200
     assert 1000 <= after <= 1400  # nothing of the motor that it was
+
+
+def test_many_motors_are_predicted_alike_on_a_device(
+    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, theta: list[float], idle: Any, torch_name: str
+) -> None:
+    """Torch against numpy, with pauses, missing values, and voltages that move or are held."""
+    monkeypatch.setattr(predictor_module, 'DEVICE_FROM', 2)
+    motors, random = 7, np.random.default_rng(1)
+    constant = random.uniform(0.5, 2.0, motors)
+    known = {name: value * constant for name, value in box.known.items()}
+    many = MotorWhiteBox(box.context_nodes, box.torque_constant * constant, known, box.speed_measured)
+    values = np.array(theta) * random.uniform(0.7, 1.4, (motors, len(theta)))
+    both = [
+        Predictor(
+            many, motors, np.array(theta), TrainingRules(), idle, speed_measured=box.speed_measured, device=device
+        )
+        for device in (None, torch_name)
+    ]
+    voltage = random.uniform(-15.0, 15.0, motors)
+    for k in range(60):
+        voltage = np.where(random.random(motors) < 0.2, random.uniform(-15.0, 15.0, motors), voltage)
+        interval = np.where(random.random(motors) < 0.03, 0.0, 0.01) if k else np.zeros(motors)
+        present = None if random.random() < 0.7 else random.random(motors) < 0.9
+        torque, speed = random.normal(0.0, 0.05, motors), random.normal(0.0, 5.0, motors)
+        sample = Sample(k * 10_000_000, interval, voltage, torque, speed, present)
+        said = [one.predict(interval, voltage, values) for one in both]
+        for name in ('torque_nm', 'white_box_torque_nm'):
+            by_numpy, on_device = (getattr(prediction, name) for prediction in said)
+            assert isinstance(on_device, np.ndarray)
+            np.testing.assert_allclose(on_device, by_numpy, rtol=1e-9, atol=1e-15, err_msg=name)
+        ahead = [one.forecast(0.3, voltage, values, since) for one, since in zip(both, said, strict=True)]
+        np.testing.assert_allclose(ahead[1], ahead[0], rtol=1e-9, atol=1e-15)
+        for one, prediction in zip(both, said, strict=True):
+            one.learn(sample, prediction, values)
+    assert np.isfinite(by_numpy).sum() > motors // 2
+    other = Weights.initial(5, 12, 3).arrays()
+    for one in both:
+        one.restore(other)
+    said = [one.predict(np.full(motors, 0.01), voltage, values) for one in both]
+    np.testing.assert_allclose(said[1].torque_nm, said[0].torque_nm, rtol=1e-9, atol=1e-15)
+    np.testing.assert_array_equal(both[1].state()['input'], other['input'])

@@ -15,7 +15,7 @@ from gray_box_observer.context_nodes import walk
 from gray_box_observer.context_nodes.batch_fit import Fit, batch_fit
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.drift import CHANGE_EVIDENCE, UNCHANGED, changes, evidence_for
-from gray_box_observer.context_nodes.learnt import Learnt, put
+from gray_box_observer.context_nodes.learnt import Learnt, copied, put
 from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
@@ -98,7 +98,8 @@ class Following:
             freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
             jump = walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
         still = walk.Walk(self._heats, known.walk_rate)
-        rate, after = walk.likeliest(motors.white_box, known.anchor, stretch, still, self._rules.block, jump)
+        anchor = copied(known.anchor)  # what comes of it may be its arrays, and both are written to
+        rate, after = walk.likeliest(motors.white_box, anchor, stretch, still, self._rules.block, jump)
         walking: NDArray[np.bool_] = rate > 0.0
         known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
         known.walk_rate = rate

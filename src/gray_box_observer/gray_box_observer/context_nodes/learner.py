@@ -7,7 +7,7 @@ Every motor of the group goes its own way: which of its samples are read is sett
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,19 @@ from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.motors import Motors
-from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks
+from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks, Turn
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.device import DEVICE_FROM, DEVICE_TURN
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+if TYPE_CHECKING:  # needs torch
+    from gray_box_observer.context_nodes.device_blocks import DeviceBlocks
+
+UPDATES = 1024
+"""Motors, at least, whose blocks compiled code looks at at one sample of the group; of many motors a sixteenth."""
 
 WALK_AGAIN = -1
 """Asked of a motor that drifts: does it still, and how fast? What is above 0 asks to examine so many samples."""
@@ -52,21 +60,34 @@ class Learner:
         rules: settings.
         replay: samples of all motors.
         following: examines those that seem to have changed.
+        device: torch's, that learns the ordinary blocks of very many motors; None: compiled code learns them all.
 
     Attributes:
-        ordinary: learns what is out of the ordinary in nothing; the rest is for :meth:`update`.
+        turn: motors whose ordinary blocks are learnt at one sample of the group.
     """
 
     def __init__(
-        self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer, following: Following
-    ) -> None:  # fmt: skip
+        self,
+        white_box: WhiteBox,
+        rules: RecursiveRules,
+        replay: ReplayBuffer,
+        following: Following,
+        device: str | None = None,
+    ) -> None:
         self._rules = rules
         self._replay = replay
         self._following = following
         self._holds = Holds(white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured)
         self._drift = DriftTest(rules.drift_threshold)
         self._heats = walk.heating(white_box.parameters)
-        self.ordinary = OrdinaryBlocks(white_box, rules, replay)
+        self._ordinary = OrdinaryBlocks(white_box, rules, replay)
+        self._on_device: DeviceBlocks | None = None
+        self.turn = max(UPDATES, replay.motors // 16)
+        if device is not None and replay.motors >= DEVICE_FROM and isinstance(white_box, MotorWhiteBox):
+            from gray_box_observer.context_nodes.device_blocks import DeviceBlocks
+
+            self._on_device = DeviceBlocks(white_box, rules, replay, device)
+            self.turn = max(DEVICE_TURN, replay.motors // 16)
 
     def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -94,8 +115,23 @@ class Learner:
         covariance[:, 1:, 1:] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
+    def learn_due(
+        self, known: Learnt, due: NDArray[np.int_], plain: NDArray[np.bool_]
+    ) -> tuple[Learnt, Turn]:  # fmt: skip
+        """As :meth:`OrdinaryBlocks.learn_due`; where there is a device for very many, all is left to do."""
+        if self._on_device is not None:
+            return known, Turn.left(due.size)
+        return self._ordinary.learn_due(known, due, plain, self.turn)
+
+    def learn_ordinary(
+        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
+    ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
+        """As :meth:`OrdinaryBlocks.learn`, of very many on the device."""
+        many = None if motors.size < DEVICE_FROM else self._on_device
+        return (many or self._ordinary).learn(known, motors, due, plain)
+
     def attend(self, known: Learnt, motors: NDArray[np.intp], told: NDArray[np.uint8]) -> None:
-        """Do what is left of blocks that :attr:`ordinary` has learnt: reckon anew what is due beyond LEARNT."""
+        """Do what is left of ordinary blocks; what is due has to be reckoned anew where more is told than LEARNT."""
         if not (told > LEARNT).any():
             return
         if (long := motors[told & LONG_HOLD > 0]).size:

@@ -82,8 +82,9 @@ class Learnt:
 
     def anchor_here(self, which: NDArray[np.bool_]) -> None:
         """Reckon the likelihood of a drift from the present belief on, for some of the motors."""
-        self.anchor = copied(self.anchor.overwritten(self.belief, which))
-        self.anchored = np.where(which, self.at, self.anchored)
+        index = np.flatnonzero(which)  # in place: of very many motors some at a time move theirs
+        put(self.anchor, index, chosen(self.belief, index))
+        self.anchored[index] = self.at[index]
 
 
 def chosen(state: _T, index: Any) -> _T:

@@ -36,7 +36,7 @@ LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
 
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
-_WRITTEN = {
+WRITTEN = {
     'at': 'at',
     'p': 'belief.p',
     'state': 'belief.state',
@@ -57,9 +57,9 @@ _WRITTEN = {
     'hold_covariance': 'hold.covariance',
     'hold_settled_now': 'hold.settled',
 }
-"""What the compiled code writes, and where that stands in :class:`~.learnt.Learnt`."""
+"""What an ordinary block changes, and where that stands in :class:`~.learnt.Learnt`."""
 
-_READ = {
+READ = {
     'current_a': 'belief.current_a',
     'gain': 'belief.gain',
     'walk_rate': 'walk_rate',
@@ -67,11 +67,11 @@ _READ = {
     'next_fit': 'next_fit',
     'hold_begun': 'hold.begun',
 }
-_of_learnt = attrgetter(*_READ.values(), *_WRITTEN.values())
-_parts = attrgetter(*dict.fromkeys(name.partition('.')[0] for name in (*_READ.values(), *_WRITTEN.values())))
-"""Where these stand in it: arrays, and what is frozen and never gets other ones."""
+"""What else is asked of a motor, and where that stands."""
 
-_NOTHING_TOLD = np.empty(0, dtype=np.uint8)
+_of_learnt = attrgetter(*READ.values(), *WRITTEN.values())
+_parts = attrgetter(*dict.fromkeys(name.partition('.')[0] for name in (*READ.values(), *WRITTEN.values())))
+"""Where these stand in it: arrays, and what is frozen and never gets other ones."""
 
 
 class _Update(ctypes.Structure):
@@ -91,7 +91,7 @@ class _Update(ctypes.Structure):
         *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
         *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
-        *((name, _POINTER) for name in ('gone', 'end', 'begin', *_READ, *_WRITTEN, 'due', 'plain')),
+        *((name, _POINTER) for name in ('gone', 'end', 'begin', *READ, *WRITTEN, 'due', 'plain')),
     )
 
 
@@ -123,6 +123,11 @@ class Turn(NamedTuple):
     told: NDArray[np.uint8]
     changed: NDArray[np.bool_]
     wait: int
+
+    @classmethod
+    def left(cls, motors: int) -> Turn:
+        """Return a turn in which nothing was done."""
+        return cls(None, np.empty(0, dtype=np.uint8), np.zeros(motors, dtype=bool), 0)
 
 
 class OrdinaryBlocks:
@@ -244,7 +249,7 @@ class OrdinaryBlocks:
             What is known then, and the turn.
         """
         if self._library is None:
-            return known, Turn(None, _NOTHING_TOLD, np.zeros(due.size, dtype=bool), 0)
+            return known, Turn.left(due.size)
         known = self._point(known, due, plain)
         count = self._library.learn_due(self._update, most, *self._turned)
         motors, told, changed = self._turn
@@ -260,7 +265,7 @@ class OrdinaryBlocks:
         if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
             known = copied(known)
             arrays = (*_of_learnt(known), due, plain)
-        for name, array in zip((*_READ, *_WRITTEN, 'due', 'plain'), arrays, strict=True):
+        for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
             setattr(self._update, name, array.ctypes.data)
         self._pointed = (*_parts(known), due, plain)
         return known

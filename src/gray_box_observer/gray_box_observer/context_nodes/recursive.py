@@ -37,9 +37,6 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
 
-UPDATES = 1024
-"""Motors, at least, whose blocks are looked at at one sample of the group; of many motors a sixteenth."""
-
 CAREFUL = 128
 """Of these, motors at least whose blocks are no ordinary ones and are learnt with care; of many motors a sixteenth."""
 
@@ -60,6 +57,7 @@ class RecursiveUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known, relative to them; 0: as
             vaguely as the rules say. None: all of them.
+        device: torch's, that learns the blocks of very many motors (:mod:`device_blocks`); None: the processor does.
     """
 
     def __init__(
@@ -70,6 +68,7 @@ class RecursiveUpdate:
         rules: RecursiveRules | None = None,
         verdict_rules: VerdictRules | None = None,
         initial_relative_std: Array | None = None,
+        device: str | None = None,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
@@ -84,7 +83,7 @@ class RecursiveUpdate:
         self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
         self._following = Following(white_box.parameters, self._rules)
         self._ordinary = OrdinaryEstimates(white_box.parameters, motors)
-        self._learner = Learner(white_box, self._rules, self.replay, self._following)
+        self._learner = Learner(white_box, self._rules, self.replay, self._following, device)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
         self._due, self._plain = np.zeros(motors, dtype=int), self._nobody.copy()
@@ -164,8 +163,7 @@ class RecursiveUpdate:
         if self.replay.total < self._wake:
             return False
         self.replay.settle()
-        most = max(UPDATES, self._due.size // 16)
-        self._learnt, turn = self._learner.ordinary.learn_due(self._learnt, self._due, self._plain, most)
+        self._learnt, turn = self._learner.learn_due(self._learnt, self._due, self._plain)
         self._changed = turn.changed
         if turn.wait:
             self._wake = self.replay.total + turn.wait
@@ -178,8 +176,9 @@ class RecursiveUpdate:
         """Do what is due and has not been done, as much of it as one sample's turn allows."""
         received = self.replay.received
         if turn.motors is None:
-            motors = self._first_in_line(((received >= self._due) & self._plain).nonzero()[0], received, UPDATES)
-            self._learnt, told = self._learner.ordinary.learn(self._learnt, motors, self._due, self._plain)
+            due = ((received >= self._due) & self._plain).nonzero()[0]
+            motors = self._first_in_line(due, received, self._learner.turn)
+            self._learnt, told = self._learner.learn_ordinary(self._learnt, motors, self._due, self._plain)
         else:
             motors, told = turn.motors, turn.told
         self._changed[motors] = told > 0
@@ -187,7 +186,7 @@ class RecursiveUpdate:
         if (more := motors[told > LEARNT]).size:
             self._reckon(more)
         if (others := motors[told == 0]).size:
-            careful = self._first_in_line(others, received, CAREFUL)
+            careful = self._first_in_line(others, received, max(CAREFUL, self._due.size // 16))
             self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
         while self._heavy(received) > self.replay.capacity // 4:  # what is to be read must still be remembered
             pass
@@ -196,8 +195,7 @@ class RecursiveUpdate:
     def _first_in_line(
         self, motors: NDArray[np.intp], received: NDArray[np.int_], most: int
     ) -> NDArray[np.intp]:  # fmt: skip
-        """Those that have waited longest, in order of their places; of many motors a sixteenth."""
-        most = max(most, self._due.size // 16)
+        """Those that have waited longest, in order of their places."""
         if motors.size <= most:
             return motors
         waited = received[motors] - self._due[motors]
@@ -284,13 +282,14 @@ class RecursiveUpdate:
             arrays |= {f'{part}.{f.name}': getattr(content, f.name).copy() for f in fields(content)}
         return plain, arrays
 
-    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave, for one motor.
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int | slice = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor, or for each of several.
 
         Raises:
             ConfigurationError: it was learnt of other parameters.
         """
-        names, which = [p.name for p in self._white_box.parameters], slice(motor, motor + 1)
+        names = [p.name for p in self._white_box.parameters]
+        which = motor if isinstance(motor, slice) else slice(motor, motor + 1)
         if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
             raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
         content, begin, new = arrays['replay'], plain['begin'], plain['new']
@@ -323,7 +322,7 @@ class RecursiveUpdate:
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         if plain['resumes']:
             self._resumes = np.zeros_like(self._nobody) if self._resumes is None else self._resumes
-            self._resumes[motor] = True
+            self._resumes[which] = True
         self._reckon(which)
         self._wake = 0
 

@@ -5,7 +5,7 @@ Streaming inference needs no torch: one step is two small matrix products. Train
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
@@ -74,15 +74,16 @@ class Weights:
         return int(self.recurrent.shape[1])
 
     @cached_property
-    def halved(self) -> tuple[Array, Array, Array]:
-        """Matrices by which rows of inputs and of hidden units become gates, and their bias; of all but the cell half.
+    def matrices(self) -> tuple[Array, ...]:
+        """What :func:`advance` needs: three for the gates, of all but the cell half of the weights; two for the output.
 
+        The first make gates of rows of inputs and of hidden units, and are followed by the bias.
         The logistic function of a gate is ``(1 + tanh(gate / 2)) / 2``: so one call squashes all of them.
         """
         factor = np.full(4 * self.hidden, 0.5)
         factor[2 * self.hidden : 3 * self.hidden] = 1.0
         matrices = (np.ascontiguousarray((self.input * factor[:, None]).T), self.recurrent * factor[:, None])
-        return matrices[0], np.ascontiguousarray(matrices[1].T), self.bias * factor
+        return matrices[0], np.ascontiguousarray(matrices[1].T), self.bias * factor, self.output, self.output_bias
 
     def arrays(self) -> dict[str, Array]:
         """Return every array by its name."""
@@ -101,16 +102,16 @@ class Memory:
         """Return the memory of a network that has seen nothing."""
         return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
 
-    def where(self, motors: Mask, other: Memory) -> Memory:
+    def where(self, motors: Mask, other: Memory, ops: Any = np) -> Memory:
         """Return this memory for the motors that a mask of shape (motor,) marks, another for the rest."""
         chosen = motors[:, None]
-        return Memory(np.where(chosen, self.hidden, other.hidden), np.where(chosen, self.cell, other.cell))
+        return Memory(ops.where(chosen, self.hidden, other.hidden), ops.where(chosen, self.cell, other.cell))
 
-    def cleared(self, motors: Mask) -> Memory:
+    def cleared(self, motors: Mask, ops: Any = np) -> Memory:
         """Return this memory, blank for the motors that a mask of shape (motor,) marks."""
         if not motors.any():
             return self
-        return Memory(*(np.where(motors[:, None], 0.0, part) for part in (self.hidden, self.cell)))
+        return Memory(*(ops.where(motors[:, None], 0.0, part) for part in (self.hidden, self.cell)))
 
 
 def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory]:
@@ -124,9 +125,15 @@ def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory
     Returns:
         The output, shape (motor,), normalised, and the new memory.
     """
-    n, (by_input, by_hidden, bias) = weights.hidden, weights.halved
-    gates = np.tanh(inputs @ by_input + memory.hidden @ by_hidden + bias)
+    return advance(np, weights.matrices, memory, inputs)
+
+
+def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> tuple[Any, Memory]:
+    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices` are in its form."""
+    by_input, by_hidden, bias, output, output_bias = matrices
+    n = output.shape[0]
+    gates = ops.tanh(inputs @ by_input + memory.hidden @ by_hidden + bias)
     squashed = 0.5 * (1.0 + gates)  # the logistic function, safe at both ends
     cell = squashed[:, n : 2 * n] * memory.cell + squashed[:, :n] * gates[:, 2 * n : 3 * n]
-    hidden = squashed[:, 3 * n :] * np.tanh(cell)
-    return hidden @ weights.output + weights.output_bias, Memory(hidden, cell)
+    hidden = squashed[:, 3 * n :] * ops.tanh(cell)
+    return hidden @ output + output_bias, Memory(hidden, cell)

@@ -58,7 +58,7 @@ class PhysicsTrainer:
         self._running = first_network(self._rules, self._seed)
         self._pupil: Pupil | None = None
         self._refused = 0
-        self._residual = ResidualTrainer(self._seed)
+        self._residual = ResidualTrainer(self._seed, self._rules.device)
         self._family = _HeldOut(draw_family(np.random.default_rng([self._seed, 2]), HELD_OUT, LENGTH))
 
     def train(self, job: Message) -> Message:
@@ -72,7 +72,7 @@ class PhysicsTrainer:
             self._white_box = self._group.of_motors(slice(motor, motor + 1))
         told = self._teach(job)
         if job.get('residual_anew'):
-            self._residual = ResidualTrainer(self._seed)
+            self._residual = ResidualTrainer(self._seed, self._rules.device)
         if job.get('residual'):
             told |= self._residual.learn(self._running, histories(self._white_box, job))
         return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
@@ -113,7 +113,7 @@ class PhysicsTrainer:
     def _restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`_state` gave; start over where that was not saved."""
         self._pupil = None
-        self._residual = ResidualTrainer(self._seed)
+        self._residual = ResidualTrainer(self._seed, self._rules.device)
         if 'random' not in arrays:
             return
         self._random, self._refused = random_state.unpack(arrays['random']), int(arrays['refused'])
@@ -122,12 +122,14 @@ class PhysicsTrainer:
         if pupil:
             from gray_box_observer.predictor.teaching import Pupil
 
-            self._pupil = Pupil.of(pupil, self._rules.learning_rate, self._rules.gradient_clip)
+            rules = self._rules
+            self._pupil = Pupil.of(pupil, rules.learning_rate, rules.gradient_clip, rules.device)
 
     def _enrol(self) -> Pupil:
         from gray_box_observer.predictor.teaching import Pupil
 
-        return Pupil(self._running, self._rules.learning_rate, self._rules.gradient_clip)
+        rules = self._rules
+        return Pupil(self._running, rules.learning_rate, rules.gradient_clip, rules.device)
 
     def _draw(self, random: np.random.Generator, job: Message, seen: OperatingRange, count: int) -> Sequences:
         limits_v = seen.voltages(self._rules.voltage_limits_v)

@@ -11,6 +11,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from gray_box_observer.device import DEVICE_FROM
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Forecaster, Question
@@ -68,6 +69,7 @@ class Predictor:
         training: where jobs run.
         speed_measured: whether speed is a signal.
         seed: of a fresh network.
+        device: torch's, on which very many motors are predicted (variant ``physics``); None: by numpy.
 
     Attributes:
         residual: the correction of what the physics says.
@@ -77,16 +79,18 @@ class Predictor:
 
     def __init__(
         self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules, training: Training,
-        *, speed_measured: bool, seed: int = 0,
+        *, speed_measured: bool, seed: int = 0, device: str | None = None,
     ) -> None:  # fmt: skip
-        self._white_box = white_box
+        is_physics = rules.variant is Variant.PHYSICS
+        device = device if is_physics and motors >= DEVICE_FROM else None
+        self._axis = Axis(motors, device)
+        self._white_box = self._axis.white_box(white_box)
         self._rules = rules
         self._motors = motors
-        self._axis = Axis(motors)
         self._speed_measured = speed_measured
         self._forecaster: Forecaster
-        if rules.variant is Variant.PHYSICS:
-            self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed))
+        if is_physics:
+            self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed), device)
         else:
             layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
             self._forecaster = WindowForecaster(motors, layout, rules)
@@ -128,7 +132,7 @@ class Predictor:
         if axis.single:
             end = flow(ops, self._white_box, question.way, start, length_s)
         else:
-            end = flow_each(self._white_box, question.way, start, length_s)
+            end = flow_each(ops, self._white_box, question.way, start, length_s)
         rollout_nm: Array = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
         return rollout_nm
 

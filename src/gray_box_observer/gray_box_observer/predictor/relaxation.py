@@ -9,8 +9,9 @@ of the chord from where it is to where it is going. Hence, exactly and for every
 ``c`` begins at ``c(i0)`` and ends at ``lambda_s = -d rate/di (s)``; both follow from the identified parameters. What
 does not follow without integrating is the mean, and that is what the network says (:func:`exponent`).
 
-Every function takes plain floats (``ops`` is :class:`Floats`) or arrays with a leading motor axis (``ops`` is numpy);
-``theta`` is one entry a parameter, each a float or an array that broadcasts against the signals.
+Every function takes plain floats (``ops`` is :class:`Floats`), arrays (numpy) or tensors
+(:class:`~gray_box_observer.torch_ops.TorchOps`), the latter with a leading motor axis; ``theta`` is one entry a
+parameter, each a float or what broadcasts against the signals.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.base import WhiteBox
 
 NEWTON_LIMIT = 80
 """More than safeguarded Newton ever needed; every third step at least halves the bracket."""
@@ -176,17 +177,16 @@ def _scale(ops: Any, way: Course, here: Any, interval_s: Any) -> tuple[Any, Any]
     return fastest, ops.log1p(fastest * interval_s)
 
 
-def flow_each(white_box: WhiteBox, way: Course, state: Array, interval_s: Array) -> Array:
+def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Any:
     """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take alone."""
-    length = _scale(np, way, chord(np, white_box, way, state), interval_s)[1]
-    counts = np.maximum(1.0, np.ceil(length / FLOW_STEP))
-    end = np.empty_like(state)
-    for count in np.unique(counts):
-        which = np.flatnonzero(counts == count)
-        if which.size == state.size:
-            whole: Array = flow(np, white_box, way, state, interval_s)
-            return whole
-        end[which] = flow(np, white_box.of_motors(which), way.of(which), state[which], interval_s[which])
+    length = _scale(ops, way, chord(ops, white_box, way, state), interval_s)[1]
+    counts = ops.maximum(ops.ceil(length / FLOW_STEP), 1.0)
+    end = ops.empty_like(state)
+    for count in ops.unique(counts).tolist():
+        which = ops.flatnonzero(counts == count)
+        if len(which) == len(state):
+            return flow(ops, white_box, way, state, interval_s)
+        end[which] = flow(ops, white_box.of_motors(which), way.of(which), state[which], interval_s[which])
     return end
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Question
-from gray_box_observer.predictor.network import Mask, Memory, Weights, step
+from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, step
 from gray_box_observer.predictor.relaxation import INPUTS, Course, after, relaxation
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -21,13 +21,14 @@ class RelaxingForecaster:
         white_box: the physics.
         motors: number of motors.
         weights: the network to begin with.
+        device: torch's, on which it runs; None: by numpy.
     """
 
-    def __init__(self, white_box: WhiteBox, motors: int, weights: Weights) -> None:
-        self._white_box = white_box
-        self._axis = Axis(motors)
-        self._weights = weights
-        self._memory = Memory.blank(motors, weights.hidden)
+    def __init__(self, white_box: WhiteBox, motors: int, weights: Weights, device: str | None = None) -> None:
+        self._axis = Axis(motors, device)
+        self._white_box = self._axis.white_box(white_box)
+        self._run(weights)
+        self._memory = self._blank()
         self._current = self._axis.take(np.full(motors, np.nan))
 
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
@@ -38,8 +39,8 @@ class RelaxingForecaster:
         interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
         interval = relaxation(ops, self._white_box, question.way, start, interval_s)
         columns = interval.inputs(ops)
-        inputs = np.array([columns]) if axis.single else np.stack(columns, axis=-1)
-        readout, memory = step(self._weights, memory, inputs)
+        inputs = np.array([columns]) if axis.single else ops.stack(columns, -1)
+        readout, memory = advance(axis.arrays, self._matrices, memory, inputs)
         end = after(ops, interval, axis.take(readout))
         torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
         return axis.give(torque_nm), memory
@@ -74,23 +75,35 @@ class RelaxingForecaster:
         if question.origin is None:
             return self._current, self._memory
         torque_nm, memory = question.origin
-        return self._axis.take(self._white_box.state(torque_nm)), memory
+        return self._white_box.state(self._axis.take(torque_nm)), memory
 
     def remember(
         self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None
     ) -> None:
         """Go on from the forecast; from the measured torque where a history begins."""
-        begins = anew | ~np.isfinite(torque_nm)
+        axis, begins = self._axis, anew | ~np.isfinite(torque_nm)
         before = self._memory, self._current
-        self._memory = (self._memory if memory is None else memory).cleared(begins)
-        self._current = self._axis.take(self._white_box.state(np.where(begins, measured_nm, torque_nm)))
+        self._memory = self._memory if memory is None else memory
+        if begins.any():
+            torque_nm = np.where(begins, measured_nm, torque_nm)
+            self._memory = self._memory.cleared(axis.array(begins), axis.arrays)
+        self._current = self._white_box.state(axis.take(torque_nm))
         if present is not None:
-            self._memory = self._memory.where(present, before[0])
-            self._current = np.where(present, self._current, before[1])
+            present = axis.array(present)
+            self._memory = self._memory.where(present, before[0], axis.arrays)
+            self._current = axis.arrays.where(present, self._current, before[1])
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a better network run from here on."""
-        self._weights = Weights.of(result)
+        self._run(Weights.of(result))
+
+    def _run(self, weights: Weights) -> None:
+        self._weights = weights
+        self._matrices = [self._axis.array(matrix) for matrix in weights.matrices]
+
+    def _blank(self) -> Memory:
+        blank = Memory.blank(self._axis.motors, self._weights.hidden)
+        return Memory(self._axis.array(blank.hidden), self._axis.array(blank.cell))
 
     def state(self) -> dict[str, Array]:
         """The network."""
@@ -104,8 +117,8 @@ class RelaxingForecaster:
             raise ConfigurationError(
                 'the checkpoint holds a network of the thesis, expected variant physics: see variant'
             )
-        self._weights = Weights.of(arrays, self._weights.hidden, INPUTS)
-        self._memory = Memory.blank(self._memory.hidden.shape[0], self._weights.hidden)
+        self._run(Weights.of(arrays, self._weights.hidden, INPUTS))
+        self._memory = self._blank()
 
     def start(self) -> dict[str, Any]:
         """The network, for a job."""

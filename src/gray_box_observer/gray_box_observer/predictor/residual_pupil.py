@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from gray_box_observer.device import CPU
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual import WARM
 from gray_box_observer.predictor.torch_network import TorchNetwork, give_moments, moments_of
@@ -35,13 +36,14 @@ class ResidualPupil:
         inputs: number of inputs.
         hidden: number of hidden units.
         seed: of its first weights.
+        device: torch's, on which it is taught.
     """
 
-    def __init__(self, inputs: int, hidden: int, seed: int) -> None:
+    def __init__(self, inputs: int, hidden: int, seed: int, device: str = CPU) -> None:
         torch.set_num_threads(1)
         fresh = Weights.initial(inputs, hidden, seed)
         mute = replace(fresh, output=np.zeros_like(fresh.output), output_bias=np.zeros(1))
-        self._network = TorchNetwork.of(mute)
+        self._network = TorchNetwork.of(mute, device)
         self._optimiser = torch.optim.AdamW(self._network.trainable(), LEARNING_RATE, weight_decay=DECAY)
 
     @property
@@ -77,12 +79,11 @@ class ResidualPupil:
             anew: shape (time,): where a history begins, the first among them.
             steps: number of steps.
         """
-        x, y = (torch.as_tensor(array, dtype=torch.float32) for array in (inputs, residual))
-        counts = torch.as_tensor(teaching, dtype=torch.float32)
+        x, y, counts = (self._network.single(array) for array in (inputs, residual, teaching))
         size = float(np.mean(np.abs(residual))) + 1e-12
         for _ in range(steps):
-            motor = torch.as_tensor(random.integers(inputs.shape[0], size=WINDOWS)[:, None])
-            at, heard = (torch.as_tensor(array) for array in windows(random, anew))
+            motor = torch.as_tensor(random.integers(inputs.shape[0], size=WINDOWS)[:, None], device=x.device)
+            at, heard = (torch.as_tensor(array, device=x.device) for array in windows(random, anew))
             error = (torch.tanh(self._network(x[motor, at])) - y[motor, at]) / size
             weight = counts[at] * heard
             zero = torch.zeros_like(error)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.device import CPU
 from gray_box_observer.predictor import random_state, traces
 from gray_box_observer.predictor.evidence import PARTS, borne_out
 from gray_box_observer.predictor.histories import History
@@ -89,11 +90,13 @@ class ResidualTrainer:
 
     Args:
         seed: of everything random.
+        device: torch's, on which the network is taught.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, device: str = CPU) -> None:
         self._random = np.random.default_rng([seed, 5])
         self._seed = seed
+        self._device = device
         self._pupil: ResidualPupil | None = None
         self._sizes: tuple[Array, float] | None = None
         self._best: list[Correction] = []
@@ -143,7 +146,7 @@ class ResidualTrainer:
             from gray_box_observer.predictor.residual_pupil import ResidualPupil
 
             self._sizes = arrays['size'].copy(), float(arrays['limit_a'])
-            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed)
+            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
             self._pupil.restore({name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')})
         best = Correction.of({name[5:]: array for name, array in arrays.items() if name.startswith('best_')})
         self._best = [] if best is None else [best]
@@ -154,7 +157,7 @@ class ResidualTrainer:
 
         now = _sizes(run)
         if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
-            self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed)
+            self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
         size, limit_a = self._sizes
         pace_s = float(np.median(run.interval_s))
         support = np.zeros((BINS, BINS))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from gray_box_observer.device import CPU
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.inputs import Variant
 
@@ -36,6 +37,7 @@ class TrainingRules:
             that has learnt nothing.
         residual: learn what the physics does not explain, where held-out samples bear it out (variant ``physics``).
         horizon_s: longest forecast wanted of variant ``physics``, in s; 0: none beyond a sample interval.
+        device: torch's, on which networks are taught.
         voltage_limits_v: lowest and highest voltage to be ready for; equal: learnt from what was seen.
     """
 
@@ -57,6 +59,7 @@ class TrainingRules:
     residual: bool = True
     horizon_s: float = 0.0
     voltage_limits_v: tuple[float, float] = (0.0, 0.0)
+    device: str = CPU
 
     def __post_init__(self) -> None:
         for name in ('hidden', 'context', 'minibatch', 'steps', 'period', 'replay_capacity'):

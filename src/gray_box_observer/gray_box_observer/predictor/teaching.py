@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import torch
 
+from gray_box_observer.device import CPU
 from gray_box_observer.predictor.lessons import Lesson
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import Relaxation, exponent
@@ -27,14 +28,17 @@ def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
         lesson: intervals along the network's own prediction; they are held while the weights are changed.
         readout: shape (sequence, time): the network's answers.
     """
-    interval = Relaxation(
-        **{f.name: torch.as_tensor(getattr(lesson.intervals, f.name), dtype=torch.float32) for f in fields(Relaxation)}
-    )
+    interval = Relaxation(**{f.name: _like(readout, getattr(lesson.intervals, f.name)) for f in fields(Relaxation)})
     moved = interval.distance * torch.expm1(-exponent(torch, interval, readout))
-    defect = moved - torch.as_tensor(lesson.moved, dtype=torch.float32)
+    defect = moved - _like(readout, lesson.moved)
     adds_up = -torch.expm1(-interval.duration.clamp_min(SHORTEST))
     loss: torch.Tensor = (defect.abs() / adds_up).mean()
     return loss
+
+
+def _like(tensor: torch.Tensor, array: Array) -> torch.Tensor:
+    """Return an array in single precision, on the device of a tensor."""
+    return torch.as_tensor(array, dtype=torch.float32, device=tensor.device)
 
 
 class Pupil:
@@ -44,11 +48,12 @@ class Pupil:
         weights: where it begins.
         learning_rate: of Adam.
         gradient_clip: largest norm of a gradient.
+        device: torch's, on which it is taught.
     """
 
-    def __init__(self, weights: Weights, learning_rate: float, gradient_clip: float) -> None:
+    def __init__(self, weights: Weights, learning_rate: float, gradient_clip: float, device: str = CPU) -> None:
         torch.set_num_threads(1)  # several cost more than so small a network needs in all
-        self._network = TorchNetwork.of(weights)
+        self._network = TorchNetwork.of(weights, device)
         self._clip = gradient_clip
         self.optimiser = torch.optim.Adam(self._network.trainable(), learning_rate)
 
@@ -62,15 +67,17 @@ class Pupil:
         return {**self.weights.arrays(), **moments_of(self.optimiser)}
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float) -> Pupil:
+    def of(
+        cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float, device: str = CPU
+    ) -> Pupil:  # fmt: skip
         """Return the pupil that goes on from what :meth:`state` gave."""
-        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip)
+        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip, device)
         give_moments(pupil.optimiser, arrays)
         return pupil
 
     def learn(self, lesson: Lesson) -> float:
         """Take one Adam step; return the loss before it."""
-        readout = self._network(torch.as_tensor(lesson.inputs, dtype=torch.float32))
+        readout = self._network(self._network.single(lesson.inputs))
         loss = defect_loss(lesson, readout)
         self.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]

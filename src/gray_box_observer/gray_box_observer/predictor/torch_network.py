@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import torch
 
+from gray_box_observer.device import CPU
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.white_box.base import Array
 
@@ -13,7 +15,7 @@ from gray_box_observer.white_box.base import Array
 def moments_of(optimiser: torch.optim.Optimizer) -> dict[str, Array]:
     """Return what Adam remembers of every weight, as arrays by ``adam_<place>_<name>``."""
     return {
-        f'adam_{place}_{name}': value.numpy().copy()
+        f'adam_{place}_{name}': value.cpu().numpy().copy()
         for place, of_one in optimiser.state_dict()['state'].items()
         for name, value in of_one.items()
     }
@@ -30,20 +32,29 @@ def give_moments(optimiser: torch.optim.Optimizer, arrays: Mapping[str, Array]) 
 
 
 class TorchNetwork(torch.nn.Module):
-    """One LSTM layer and a linear output; its second bias, which torch has to spare, stays zero."""
+    """One LSTM layer and a linear output; its second bias, which torch has to spare, stays zero.
 
-    def __init__(self, inputs: int, hidden: int) -> None:
+    Whatever device it is taught on, plain arrays go in and come out.
+
+    Args:
+        inputs: number of inputs.
+        hidden: number of hidden units.
+        device: torch's.
+    """
+
+    def __init__(self, inputs: int, hidden: int, device: str = CPU) -> None:
         super().__init__()
         self.lstm = torch.nn.LSTM(inputs, hidden, batch_first=True)
         self.readout = torch.nn.Linear(hidden, 1)
         spare = self.lstm.get_parameter('bias_hh_l0')
         spare.requires_grad_(False)
         spare.zero_()
+        self.to(device)
 
     @classmethod
-    def of(cls, weights: Weights) -> TorchNetwork:
+    def of(cls, weights: Weights, device: str = CPU) -> TorchNetwork:
         """Return the network with these weights."""
-        network = cls(weights.input.shape[1], weights.hidden)
+        network = cls(weights.input.shape[1], weights.hidden, device)
         network.load(weights)
         return network
 
@@ -59,9 +70,13 @@ class TorchNetwork(torch.nn.Module):
 
     def export(self) -> Weights:
         """Return the weights as plain arrays."""
-        arrays = {name: tensor.detach().numpy().astype(float) for name, tensor in self._tensors().items()}
+        arrays = {name: tensor.detach().cpu().numpy().astype(float) for name, tensor in self._tensors().items()}
         arrays['output'] = arrays['output'].reshape(-1)
         return Weights(**arrays)
+
+    def single(self, array: Any) -> torch.Tensor:
+        """Return an array in single precision, where the network is."""
+        return torch.as_tensor(array, dtype=torch.float32, device=self.readout.weight.device)
 
     def trainable(self) -> list[torch.nn.Parameter]:
         """Return what an optimiser may change."""

@@ -33,11 +33,14 @@ class WindowTrainer:
         self._description = configuration['white_box']
         self._rules = TrainingRules.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
-        self._white_box = MotorWhiteBox.from_dict(self._description, lambda v: torch.as_tensor(v, dtype=torch.float32))
+        device = self._rules.device
+        self._white_box = MotorWhiteBox.from_dict(
+            self._description, lambda v: torch.as_tensor(v, dtype=torch.float32, device=device)
+        )
         reference = np.asarray(configuration['theta_reference'], dtype=float)
         self._layout = InputLayout(reference, self._rules.variant.sees_theta, self._white_box.speed_measured)
         torch.set_num_threads(1)
-        self._network = TorchNetwork(self._layout.width, self._rules.hidden)
+        self._network = TorchNetwork(self._layout.width, self._rules.hidden, device)
         self._begin()
 
     def _begin(self) -> None:
@@ -141,13 +144,13 @@ class WindowTrainer:
         assert self._normalisation is not None
         columns = self._layout.columns(self._normalisation, signals['voltage_v'], signals['speed_rad_s'], theta)
         shaped = [c if c.ndim == 2 else np.repeat(c[:, None], self._rules.length, axis=1) for c in columns]
-        inputs = torch.as_tensor(np.stack(shaped, axis=-1), dtype=torch.float32)
-        tensors = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in signals.items()}
-        windows = Windows(**tensors, theta=torch.as_tensor(theta, dtype=torch.float32))
+        single = self._network.single
+        inputs = single(np.stack(shaped, axis=-1))
+        windows = Windows(**{name: single(value) for name, value in signals.items()}, theta=single(theta))
         predicted = self._normalisation.torque.denormalise(self._network(inputs))
         loss = stage_two_loss(
             self._rules.variant,
-            self._white_box.of_motors(torch.as_tensor(motor)),
+            self._white_box.of_motors(torch.as_tensor(motor, device=inputs.device)),
             windows,
             predicted,
             self._rules.context,

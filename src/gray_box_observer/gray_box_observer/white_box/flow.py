@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,6 +116,7 @@ def flow(
     speed_rad_s: Array,
     end_speed: Array,
     interval_s: Array,
+    ops: Any = np,
 ) -> Flow:
     """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
 
@@ -129,51 +131,71 @@ def flow(
         speed_rad_s: shape (motor, k): measured speed at its start.
         end_speed: shape (motor, k): measured speed at its end, in rad/s.
         interval_s: shape (motor, k).
+        ops: numpy, or :class:`~gray_box_observer.torch_ops.TorchOps` where everything is a tensor.
     """
     interval = _Interval(voltage_v, speed_rad_s, end_speed, interval_s)
-    here = _rate(white_box, p, start, voltage_v, speed_rad_s)
-    stiffness = np.max(np.abs(here[1]) * interval_s, axis=1, initial=0.0)
-    if np.all(stiffness <= LARGEST_STEP):
-        return _runge_kutta_step(white_box, p, start, here, interval)
-    steps = np.where(stiffness <= MAX_STEPS * LARGEST_STEP, np.ceil(stiffness / LARGEST_STEP), STIFF)
+    here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
+    stiffness = _stiffness(ops, here, interval_s)
+    if ops.all(stiffness <= LARGEST_STEP):
+        return _runge_kutta_step(ops, white_box, p, start, here, interval)
+    steps = ops.where(stiffness <= MAX_STEPS * LARGEST_STEP, ops.ceil(stiffness / LARGEST_STEP), STIFF)
     first = steps[0]
-    if np.all(steps == first):
-        return _in_steps(white_box, p, start, here, interval, int(first))
-    ends, slopes, forced = np.empty_like(start), np.empty_like(start), np.empty((p.shape[1], *start.shape))
-    for count in np.unique(steps).tolist():  # no motor moves otherwise than it would alone
-        which = np.flatnonzero(steps == count)
+    if ops.all(steps == first):
+        return _in_steps(ops, white_box, p, start, here, interval, int(first))
+    ends, slopes, forced = (ops.empty_like(like) for like in (start, start, here[2]))
+    for count in ops.unique(steps).tolist():  # no motor moves otherwise than it would alone
+        which = ops.flatnonzero(steps == count)
         rate = (here[0][which], here[1][which], here[2][:, which])
-        moved = _in_steps(white_box.of_motors(which), p[which], start[which], rate, interval.of(which), int(count))
+        box, own = white_box.of_motors(which), interval.of(which)
+        moved = _in_steps(ops, box, p[which], start[which], rate, own, int(count))
         ends[which], slopes[which], forced[:, which] = moved.end, moved.by_state, moved.by_coordinate
     return Flow(ends, slopes, forced)
 
 
-def _in_steps(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval, count: int) -> Flow:
+def is_stiff(
+    white_box: WhiteBox, p: Array, start: Array, voltage_v: Array, speed_rad_s: Array, interval_s: Array, ops: Any = np
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Tell for whom :func:`flow` takes exponential steps, shape (motor,); arguments as there."""
+    here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
+    stiff: NDArray[np.bool_] = ~(_stiffness(ops, here, interval_s) <= MAX_STEPS * LARGEST_STEP)
+    return stiff
+
+
+def _stiffness(ops: Any, here: _Rate, interval_s: Array) -> Any:
+    """Largest product of interval and decay rate, shape (motor,)."""
+    return ops.max(abs(here[1]) * interval_s, axis=1, initial=0.0)
+
+
+def _in_steps(
+    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval, count: int
+) -> Flow:  # fmt: skip
     """Move intervals on in equal steps; ``here`` is the rate at the start."""
     step, count = (_runge_kutta_step, max(1, count)) if count <= MAX_STEPS else (_exponential_step, MAX_STEPS)
     if count == 1:
-        return step(white_box, p, start, here, interval)
-    state, by_state = start, np.ones_like(start)
-    by_coordinate = np.zeros((p.shape[1], *start.shape))
+        return step(ops, white_box, p, start, here, interval)
+    state, by_state = start, ops.ones_like(start)
+    by_coordinate = ops.zeros_like(here[2])
     for j, part in enumerate(interval.parts(count)):
         if j > 0:
-            here = _rate(white_box, p, state, interval.voltage_v, part.speed_rad_s)
-        moved = step(white_box, p, state, here, part)
+            here = _rate(ops, white_box, p, state, interval.voltage_v, part.speed_rad_s)
+        moved = step(ops, white_box, p, state, here, part)
         state, by_state = moved.end, moved.by_state * by_state
         by_coordinate = moved.by_state * by_coordinate + moved.by_coordinate
     return Flow(state, by_state, by_coordinate)
 
 
-def _runge_kutta_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:
+def _runge_kutta_step(
+    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval
+) -> Flow:  # fmt: skip
     """One classical Runge-Kutta step of the state and its variational equation; ``here`` is the rate at the start."""
     voltage_v, step_s = interval.voltage_v, interval.length_s
     half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + interval.end_speed_rad_s)
     k1, l1, m1 = here
-    k2, a2, g2 = _rate(white_box, p, start + half * k1, voltage_v, middle)
+    k2, a2, g2 = _rate(ops, white_box, p, start + half * k1, voltage_v, middle)
     l2, m2 = a2 * (1.0 + half * l1), a2 * (half * m1) + g2
-    k3, a3, g3 = _rate(white_box, p, start + half * k2, voltage_v, middle)
+    k3, a3, g3 = _rate(ops, white_box, p, start + half * k2, voltage_v, middle)
     l3, m3 = a3 * (1.0 + half * l2), a3 * (half * m2) + g3
-    k4, a4, g4 = _rate(white_box, p, start + step_s * k3, voltage_v, interval.end_speed_rad_s)
+    k4, a4, g4 = _rate(ops, white_box, p, start + step_s * k3, voltage_v, interval.end_speed_rad_s)
     l4, m4 = a4 * (1.0 + step_s * l3), a4 * (step_s * m3) + g4
     sixth = step_s / 6.0
     return Flow(
@@ -183,16 +205,18 @@ def _runge_kutta_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, 
     )
 
 
-def _exponential_step(white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval) -> Flow:
+def _exponential_step(
+    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval
+) -> Flow:  # fmt: skip
     """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and L-stable."""
     rate, slope, by_coordinate = here
-    decay = np.minimum(slope, -1e-12)
-    left = np.exp(decay * interval.length_s)
+    decay = ops.minimum(slope, -1e-12)
+    left = ops.exp(decay * interval.length_s)
     reach = (left - 1.0) / decay
     return Flow(start + reach * rate, left, reach * by_coordinate)
 
 
-def _rate(white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array) -> _Rate:
+def _rate(ops: Any, white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array) -> _Rate:
     """Work out the rate and its derivatives."""
     speed = white_box.speed(state, speed_rad_s)
     drive = white_box.drive(voltage_v, state, speed)
@@ -205,4 +229,4 @@ def _rate(white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_r
         value = value - column * phi
         slope = slope - column * phi_slope
         by_coordinate.append(-phi)
-    return value, slope, np.stack(by_coordinate)
+    return value, slope, ops.stack(by_coordinate)

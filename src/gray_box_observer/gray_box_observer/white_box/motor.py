@@ -53,7 +53,8 @@ class MotorWhiteBox:
                 f'{blind[0]} cannot be told from resistance without measured speed: publish speed in '
                 "motor/torque's velocity or remove it from context_nodes"
             )
-        if not np.all(np.asarray(self.torque_constant) > 0.0):
+        positive = self.torque_constant > 0.0  # a number, an array, or a tensor on whatever device
+        if not (positive if isinstance(positive, bool) else bool(positive.all())):
             raise ConfigurationError(f'torque_constant must be positive, got {self.torque_constant}')
 
     def to_dict(self) -> dict[str, Any]:

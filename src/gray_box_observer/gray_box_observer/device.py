@@ -1,0 +1,64 @@
+"""Where large groups of motors are computed: by numpy and compiled code, or by torch on a device of its own."""
+
+from __future__ import annotations
+
+import re
+
+from gray_box_observer.errors import ConfigurationError
+
+CPU = 'cpu'
+"""No device of its own: numpy and compiled code; networks are taught by torch on the processor."""
+
+DEVICE_FROM = 8192
+"""Motors at once from which on a device is worth its while. However few they are, a block of samples is 1,200 calls and
+a prediction 350 to 750, some 6 us each; the processor takes some 1 us for a motor's block and 0.3 us or more for its
+prediction."""
+
+DEVICE_TURN = 65_536
+"""Motors whose blocks a device learns at once, and at one sample of the group unless there are more than a million.
+What it works with on the way is then some 2 GB."""
+
+NAME = re.compile(r'cpu|cuda(:(0|[1-9]\d{0,3}))?')
+"""Names of devices: ``cpu``, ``cuda`` (the one that is current), ``cuda:1`` (the second one)."""
+
+
+def check_name(name: str) -> None:
+    """Refuse what names no device; whether there is one is another question.
+
+    Raises:
+        ConfigurationError: neither ``cpu`` nor ``cuda`` nor ``cuda:N``.
+    """
+    if not NAME.fullmatch(name):
+        raise ConfigurationError(f'parameter device must be cpu, cuda or cuda:N (such as cuda:0), got {name!r}')
+
+
+def torch_device(name: str) -> str | None:
+    """Return the device of torch that large groups are computed on; None for ``cpu``, which needs no torch.
+
+    Raises:
+        ConfigurationError: the name is none, torch is missing, or it sees no such device.
+    """
+    check_name(name)
+    if name == CPU:
+        return None
+    try:
+        import torch
+    except ImportError as error:
+        raise ConfigurationError(
+            f'parameter device is {name}, which needs torch, and this Python has none: install it with '
+            '"pip install torch", or set device to cpu'
+        ) from error
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count == 0:
+        built = '' if torch.version.cuda or torch.version.hip else f' (torch {torch.__version__} is built without CUDA)'
+        raise ConfigurationError(
+            f'parameter device is {name}, but torch sees no GPU{built}: install a driver and a torch built for it, or '
+            'set device to cpu'
+        )
+    number = int(name.partition(':')[2] or 0)
+    if number >= count:
+        raise ConfigurationError(
+            f'parameter device is {name}, but torch sees {count} of them, cuda:0 to cuda:{count - 1}: name one of '
+            'these, or set device to cpu'
+        )
+    return name
