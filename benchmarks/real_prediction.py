@@ -9,6 +9,11 @@ sample of the log; parameters, delay, networks, their sizes and their stopping c
 * step logs: identified and taught on all but one, asked of that one; the command leads the current by another time in
   each run, which nobody can foretell, so that time is taken off for every predictor alike;
 * ramp: identified and taught on its first part, asked of the last, where the voltage goes beyond all that was taught.
+
+On the servo nothing can be learnt beside the white box: in the 40 samples of it that are valid and known the box misses
+1.8 mA, two counts of the converter, and every linear part is worse than none on held-out ones; in the segment that
+is asked for it misses 10 mA, all on one side, because the rotor begins to follow. The end of the ramp is level but for
+the ripple of commutation: the best constant in hindsight has an error of 77 %, and the voltage tells nothing more.
 """
 
 from __future__ import annotations

@@ -95,6 +95,12 @@ def test_rest_between_runs_does_not_speak_against_a_gain_and_one_block_alone_not
     assert not borne_out(np.zeros(6), np.zeros(6))
 
 
+def test_a_gain_in_one_regime_is_borne_out_where_no_other_loses() -> None:
+    had = np.array([1.0, 6.0, 5.0, 2.0, 3.0, 4.0])
+    assert borne_out(had, np.array([0.0, 2.0, 3.0, 0.0, 0.2, 0.2]))
+    assert not borne_out(had, np.array([0.0, 2.0, 3.0, -0.8, -1.5, 0.2]))
+
+
 def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:
     anew = np.zeros(2000, dtype=bool)
     anew[[0, 100, 1300]] = True

@@ -12,7 +12,7 @@ PARTS = 6
 GAIN = 0.02
 """Least fraction by which the mean absolute error must fall."""
 
-SIGNIFICANT = 2.5
+SIGNIFICANT = 2.0
 """Least gain, in its standard errors over the parts."""
 
 SPEAKING = 2.0

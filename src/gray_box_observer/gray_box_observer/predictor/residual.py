@@ -94,12 +94,12 @@ class Correction:
     @property
     def learnt(self) -> int:
         """How many numbers were learnt: weights of the network and of the linear part."""
-        return sum(array.size for array in self.weights.arrays().values()) + self.linear.weight.size
+        return sum(array.size for array in (*self.weights.arrays().values(), self.linear.weight, self.linear.bent))
 
     def arrays(self) -> dict[str, Array]:
         """Everything as arrays, for a message or a checkpoint."""
         own = {name: getattr(self, name) for name in ('size', 'limit_a', 'share', 'support', 'interval_s')}
-        linear = {'linear_weight': self.linear.weight, 'linear_reach': self.linear.reach}
+        linear = {f'linear_{name}': getattr(self.linear, name) for name in LinearPart.__dataclass_fields__}
         named = {**self.weights.arrays(), **linear, **own}
         return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in named.items()}
 
@@ -110,7 +110,7 @@ class Correction:
             return None
         own = {name.removeprefix(PREFIX): value for name, value in arrays.items() if name.startswith(PREFIX)}
         limit_a, share, interval_s = (float(own[name]) for name in ('limit_a', 'share', 'interval_s'))
-        linear = LinearPart(own['linear_weight'], own['linear_reach'])
+        linear = LinearPart(**{name[7:]: array for name, array in own.items() if name.startswith('linear_')})
         return cls(Weights.of(own), linear, own['size'], limit_a, share, own['support'], interval_s)
 
     def instants_s(self, horizon_s: float) -> Array:
