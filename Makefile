@@ -35,10 +35,9 @@ demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TOR
 		--torque-noise '$(TORQUE_NOISE)' $(if $(BAG),--bag '$(BAG)' --rate '$(RATE)') \
 		$(if $(PARAMS),--params '$(PARAMS)') $(DEMO_ARGS)
 
-# A test is tried again only where its whole process ended, as Fast DDS once did while a participant was being deleted;
-# a test that fails, fails. (`load`, for the other ways of dealing tests out wait for ever once a process has ended.)
+# `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
 test: setup  ## run every test (ARGS='-k pairing' WORKERS=2)
-	$(RUN) python -m pytest -n $(WORKERS) --dist load --reruns 1 --only-rerun 'said by no test' $(ARGS)
+	$(RUN) python -m pytest -n $(WORKERS) --dist load $(ARGS)
 
 lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 	$(RUN) python -m ruff check $(wildcard $(PYTHON_SOURCES))

@@ -147,6 +147,17 @@ def test_a_delay_that_was_not_declared_is_a_warning_with_its_remedy(identify: Ru
     assert 'Until then L is not to be trusted' in (tmp_path / 'r.html').read_text(encoding='utf-8')
 
 
+def test_a_value_far_from_the_data_sheet_is_a_warning(identify: Run, bag: Path, tmp_path: Path) -> None:
+    params = tmp_path / 'p.yaml'
+    sheet = 'initial: {resistance: 0.5}, initial_relative_std: {resistance: 0.1}'
+    params.write_text(f'/**:\n  ros__parameters:\n    motor: {{{sheet}}}\n')
+    code, _, said = identify(bag, '--json', '-', '--skip-predictor', '--params', params)
+    assert code == 0
+    (warning,) = said.splitlines()
+    assert warning.startswith('identify: warning: motor motor: resistance of 1 ohm is ')
+    assert 'from the 0.5 ohm +- 10 % given: check torque_constant' in warning
+
+
 def test_an_asked_for_delay_is_found_applied_and_reported(identify: Run, early: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
     params.write_text('/**:\n  ros__parameters:\n    motor: {delay: estimate}\n')

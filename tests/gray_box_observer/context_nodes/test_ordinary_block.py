@@ -371,3 +371,26 @@ def test_blocks_of_nothing_but_restarts_are_met_without_a_warning(
     for k, sample in enumerate(samples):
         nodes.learn(sample if k < 700 else sample.beginning())
     np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.01)
+
+
+@needs_it
+def test_a_fit_that_a_block_makes_due_is_done_at_the_same_sample(monkeypatch: pytest.MonkeyPatch) -> None:
+    motors = 40
+    monkeypatch.setattr(learner, 'UPDATES', 2)  # so that the last ones come to their block when a fit is due too
+    box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
+    nodes, late = RecursiveUpdate(box, START.repeat(motors, 0)), 0
+    within = nodes._learner.learn_due
+
+    def learn_due(known, due, plain):  # type: ignore[no-untyped-def]
+        nonlocal late
+        before = plain.copy()
+        known, turn = within(known, due, plain)
+        fits = (nodes.replay.received >= due) & ~plain
+        late += int((fits & before).sum())
+        assert not (turn.wait and fits.any())
+        return known, turn
+
+    nodes._learner.learn_due = learn_due  # type: ignore[method-assign]
+    for sample in simulated('R[5,15]D[0.2,3]', 12.0, motors=motors):
+        nodes.learn(sample)
+    assert late > 0

@@ -532,6 +532,7 @@ int64_t learn_due(
     if (more) return count;
     for (int64_t motor = 0; motor < u->motors; motor++) {
         const int64_t left = u->due[motor] - u->gone[motor] - u->end[motor];
+        if (left <= 0 && !u->plain[motor]) return count; /* what it has learnt makes a fit due */
         next = left < next ? left : next;
     }
     *wait = next > 1 ? next : 1;
