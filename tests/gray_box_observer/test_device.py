@@ -20,6 +20,7 @@ from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import InlineTraining, predictor
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.torch_ops import TorchOps
 
 
 def sees(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
@@ -97,6 +98,11 @@ def test_a_group_is_observed_alike_by_torch_and_without(monkeypatch: pytest.Monk
             np.testing.assert_allclose(said[1], said[0], rtol=1e-6, atol=1e-12)
             compared += 1
     assert compared > 1000
+    ours, theirs = (one.group_of('a').observer.predictor for one in both)
+    interval, voltage = np.full(3, 0.01), np.full(3, 9.0)
+    made = [one.predict(interval, voltage, np.tile([0.5, 1.0, 10.0], (3, 1))) for one in (ours, theirs)]
+    assert [type(one._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
+    assert [type(prediction.memory.hidden) for prediction in made] == [np.ndarray, torch.Tensor]
     for name in names:
         (ours, _), (theirs, _) = (one.known(name) for one in reversed(both))
         np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-9)
