@@ -41,6 +41,25 @@ def test_the_processor_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.parametrize('kind', [ImportError, OSError])
+def test_a_torch_that_cannot_be_imported_is_told_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+) -> None:
+    class Broken:
+        def find_spec(self, name: str, *_: Any) -> None:
+            if name == 'torch':
+                raise kind('libcudart.so.12: cannot open shared object file\nand more')
+
+    monkeypatch.delitem(sys.modules, 'torch')
+    monkeypatch.setattr(sys, 'meta_path', [Broken(), *sys.meta_path])
+    with pytest.raises(ConfigurationError) as caught:
+        torch_device('cuda')
+    assert str(caught.value) == (
+        'parameter device is cuda, which needs torch, and this Python cannot import it: libcudart.so.12: cannot open '
+        'shared object file: install it with "pip install torch", or set device to cpu'
+    )
+
+
 def test_a_device_that_torch_does_not_see_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     sees(monkeypatch, 0)
     with pytest.raises(ConfigurationError, match=r'device is cuda:1, but torch sees no GPU.*set device to cpu'):

@@ -45,10 +45,10 @@ def torch_device(name: str) -> str | None:
         return None
     try:
         import torch
-    except ImportError as error:
+    except (ImportError, OSError) as error:  # OSError: a library is missing that it was built for
         raise ConfigurationError(
-            f'parameter device is {name}, which needs torch, and this Python has none: install it with '
-            '"pip install torch", or set device to cpu'
+            f'parameter device is {name}, which needs torch, and this Python cannot import it: {_reason(error)}: '
+            'install it with "pip install torch", or set device to cpu'
         ) from error
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if count == 0:
@@ -96,7 +96,7 @@ def _try_out(device: str) -> None:
     torch.linalg.solve_ex(square, square)[0].cpu()
 
 
-def _reason(error: RuntimeError) -> str:
+def _reason(error: Exception) -> str:
     """The first line of what torch says; the others are advice on how to debug it."""
     lines = str(error).strip().splitlines()
     return lines[0].strip().rstrip('.') if lines else type(error).__name__
