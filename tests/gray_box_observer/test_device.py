@@ -194,7 +194,8 @@ def test_of_blocks_that_a_device_fails_at_nothing_is_learnt(
 def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (observer, assembly):
         monkeypatch.setattr(module, 'torch_device', lambda name: name)
-    monkeypatch.setattr(learner, 'DEVICE_FROM', 1)
+    for module in (learner, assembly):
+        monkeypatch.setattr(module, 'DEVICE_FROM', 1)
     blocks: list[str] = []
     monkeypatch.setattr(device_blocks, 'DeviceBlocks', lambda *given: blocks.append(given[-1]))
     asked: list[dict[str, Any]] = []
@@ -209,6 +210,25 @@ def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(monkeypa
         one.torque('motor', k * 10_000_000, 0.01 * k)
     assert [job['rules']['device'] for job in asked] == ['cuda:1']
     assert set(blocks) == {'cuda:1'}
+
+
+@pytest.mark.parametrize(('motors', 'device'), [(1, 'cpu'), (2, 'cpu'), (3, 'cuda:1')])
+def test_only_large_groups_are_taught_on_a_device(monkeypatch: pytest.MonkeyPatch, motors: int, device: str) -> None:
+    for module in (observer, assembly):
+        monkeypatch.setattr(module, 'torch_device', lambda name: name)
+    monkeypatch.setattr(assembly, 'DEVICE_FROM', 3)
+    names = tuple(f'm{k}' for k in range(motors))
+    asked: list[str] = []
+
+    def training(job: dict[str, Any]) -> InlineTraining:
+        asked.append(job['rules']['device'])
+        return InlineTraining({**job, 'rules': {**job['rules'], 'device': 'cpu'}})
+
+    one = Observer(Configuration.from_flat({'motors': list(names), 'group_from': 2, 'device': 'cuda:1'}), training)
+    for k in range(3):
+        one.take('voltage', names, k * 10_000_000, np.full(motors, 9.0))
+        one.take('torque', names, k * 10_000_000, np.full(motors, 0.01 * k))
+    assert asked == [device]
 
 
 def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
