@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from operator import attrgetter
 from typing import Any
 
@@ -19,7 +20,14 @@ from gray_box_observer.context_nodes.ordinary_block import WRITTEN
 from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer
-from gray_box_observer.predictor import InlineTraining, online_training, predictor, relaxing_forecaster
+from gray_box_observer.predictor import (
+    InlineTraining,
+    Predictor,
+    TrainingRules,
+    online_training,
+    predictor,
+    relaxing_forecaster,
+)
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.torch_network import TorchNetwork
 from gray_box_observer.samples import Sample
@@ -141,6 +149,36 @@ def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_
     assert saved is not None
     theta = one.group_of('a').observer.context_nodes.theta
     np.testing.assert_allclose(theta, np.tile([0.5, 1.0, 10.0], (2, 1)), rtol=0.1)
+
+
+def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, torch_name: str
+) -> None:
+    monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
+    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01})
+    rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
+    one = Predictor(
+        box, 2, theta[0], rules, InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
+        speed_measured=False, device=torch_name,
+    )  # fmt: skip
+    voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)
+    for k in range(2):
+        sample = Sample(k * 10_000_000, interval * k, voltage, torque, 0.0 * torque)
+        one.learn(sample, one.predict(sample.interval_s, voltage, theta), theta)
+    said, state = one.predict(interval, voltage, theta), one.state()
+    assert np.isfinite(one.forecast(0.1, voltage, theta)).all()
+    monkeypatch.setattr(relaxing_forecaster, 'relaxation', out_of_memory)
+    monkeypatch.setattr(relaxing_forecaster.RelaxingForecaster, '_blank', out_of_memory)
+    monkeypatch.setattr(predictor, 'flow_each', out_of_memory)
+    asked: list[Callable[[], Any]] = [
+        lambda: one.predict(interval, voltage, theta),
+        lambda: one.forecast(0.1, voltage, theta),
+        lambda: said.white_box_torque_nm,
+        lambda: one.restore(state),
+    ]
+    for ask in asked:
+        with pytest.raises(ConfigurationError, match=FAILED):
+            ask()
 
 
 @pytest.mark.parametrize('at', [0, 1, 2], ids=['at once', 'in the second turn', 'on the way back'])

@@ -182,6 +182,8 @@ def test_a_device_that_fails_beside_the_messages_asks_for_the_end(node, monkeypa
     one.trigger_configure()
     one.trigger_activate()
     monkeypatch.setattr(one._outputs, 'alarms', failed)
+    answer = one._save(Trigger.Request(), Trigger.Response())
+    assert (answer.success, answer.message) == (False, str(FAILED))
     one._chores['diagnostics'].do()
     assert one._stop.error is FAILED
 

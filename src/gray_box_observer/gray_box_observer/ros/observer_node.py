@@ -272,8 +272,8 @@ class ObserverNode(LifecycleNode):
         if self._observer is None:
             response.success, response.message = False, 'the node is not configured: nothing to save or load'
             return response
-        self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
         try:
+            self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
