@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import scale
 import torch
 from common import on_device
-from common.many_motors import rule, sample
+from common.many_motors import NOISE_NM, STEP_NS, one_predictor, rule
 
 from gray_box_observer.device import DEVICE_FROM
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.torch_ops import TorchOps
 
 
 def test_rows_on_a_device_learn_and_predict_every_motor(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -17,14 +19,22 @@ def test_rows_on_a_device_learn_and_predict_every_motor(monkeypatch: pytest.Monk
     nodes, samples = scale.taught()
     made = []
     monkeypatch.setattr(on_device, 'rule', lambda *given: made.append(rule(*given)) or made[-1])
-    assert on_device.update('cpu', nodes, samples, DEVICE_FROM, rounds=1) > 0.0
+    on_device.update('cpu', nodes, samples, DEVICE_FROM, rounds=1)
     assert made[0]._learner._on_device is not None
     assert made[0].replay.received.tolist() == [4 * on_device.BLOCK] * DEVICE_FROM
     assert (made[0].replay.received - made[0]._learnt.at).max() < on_device.BLOCK, 'nobody waits'
     assert made[0].theta.std(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
     assert abs(made[0].theta[:, 1] - 1.0).max() < 0.05
     assert len(set(made[0].theta[:, 1].tolist())) == DEVICE_FROM, 'each by its own noise'
-    assert on_device.prediction('cpu', samples, DEVICE_FROM, count=2) > 0.0
+    told = []
+    monkeypatch.setattr(on_device, 'one_predictor', lambda *a, **b: told.append(one_predictor(*a, **b)) or told[-1])
+    on_device.prediction('cpu', samples, DEVICE_FROM, count=2)
+    predictor, _ = told[0]
+    assert isinstance(predictor._axis.arrays, TorchOps)
+    for motor in (0, DEVICE_FROM - 1):
+        skill = predictor.scores.skill(motor)
+        assert skill.samples == on_device.WARM + 2 - 1, 'the first sample of a history is not predicted'
+        assert skill.skill_vs_white_box == pytest.approx(0.0, abs=0.01), 'it says what the physics does'
 
 
 def test_a_device_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -35,9 +45,11 @@ def test_a_device_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) 
     assert on_device.device_of('cpu') == 'cpu'
 
 
-def test_samples_of_many_motors_are_few_objects() -> None:
-    given = list(on_device.stream([(9.0, 0.05)] * 3, 10, 3))
-    assert [s.stamp_ns for s in given] == [
-        sample(k, given[0].voltage_v, given[0].torque_nm).stamp_ns for k in (1, 2, 3)
-    ]
-    assert given[0].torque_nm.std() > 0.0
+def test_motors_that_run_alike_have_noise_of_their_own_and_no_history_begins_on_the_way() -> None:
+    given = list(on_device.stream([(9.0, 0.05), (8.0, 0.04), (7.0, 0.03)], 10_000, 2))
+    assert [set(s.voltage_v.tolist()) for s in given] == [{9.0}, {8.0}]
+    assert all((s.interval_s == 0.01).all() for s in given)
+    assert given[1].stamp_ns - given[0].stamp_ns == STEP_NS
+    noise_nm = np.array([s.torque_nm - torque_nm for s, torque_nm in zip(given, (0.05, 0.04), strict=True)])
+    assert noise_nm.std(axis=1) == pytest.approx([NOISE_NM, NOISE_NM], rel=0.05)
+    assert abs(np.corrcoef(noise_nm)[0, 1]) < 0.05

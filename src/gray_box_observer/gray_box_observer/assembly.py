@@ -19,7 +19,7 @@ from gray_box_observer.context_nodes import (
     VerdictRules,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
-from gray_box_observer.device import CPU, torch_device
+from gray_box_observer.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.parameters import KNOWN_PARAMETERS
@@ -135,11 +135,13 @@ def _predictor(
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
+    # every trainer is a process with a context of its own on the device: one a motor would fill it
+    taught_on = device if device is not None and count >= DEVICE_FROM else CPU
     rules = TrainingRules(
         variant=Variant(configuration['variant']),
         horizon_s=configuration['horizon_s'],
         voltage_limits_v=(low_v, high_v),
-        device=device or CPU,
+        device=taught_on,
         **configuration.group('training'),
     )
     initial, seed = np.array(first.initial()), _seed(configuration, first)

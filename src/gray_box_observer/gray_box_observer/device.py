@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from gray_box_observer.errors import ConfigurationError
 
@@ -36,17 +38,17 @@ def torch_device(name: str) -> str | None:
     """Return the device of torch that large groups are computed on; None for ``cpu``, which needs no torch.
 
     Raises:
-        ConfigurationError: the name is none, torch is missing, or it sees no such device.
+        ConfigurationError: the name is none, torch is missing, it sees no such device, or that does not compute.
     """
     check_name(name)
     if name == CPU:
         return None
     try:
         import torch
-    except ImportError as error:
+    except (ImportError, OSError) as error:  # OSError: a library is missing that it was built for
         raise ConfigurationError(
-            f'parameter device is {name}, which needs torch, and this Python has none: install it with '
-            '"pip install torch", or set device to cpu'
+            f'parameter device is {name}, which needs torch, and this Python cannot import it: {_reason(error)}: '
+            'install it with "pip install torch", or set device to cpu'
         ) from error
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if count == 0:
@@ -61,4 +63,40 @@ def torch_device(name: str) -> str | None:
             f'parameter device is {name}, but torch sees {count} of them, cuda:0 to cuda:{count - 1}: name one of '
             'these, or set device to cpu'
         )
+    try:
+        _try_out(name)
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f'parameter device is {name}, but it does not compute: {_reason(error)}: install a torch built for it, '
+            'or set device to cpu'
+        ) from error
     return name
+
+
+@contextmanager
+def watched(device: str) -> Iterator[None]:
+    """Tell in one line of what fails on a device: out of memory, a GPU that is lost. Decorates functions too.
+
+    Raises:
+        ConfigurationError: instead of torch's `RuntimeError`.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f'device {device} failed: {_reason(error)}: set device to cpu, or let it have fewer motors'
+        ) from error
+
+
+def _try_out(device: str) -> None:
+    """Compute something as blocks do, in double precision: a GPU that torch sees may have no kernels in it."""
+    import torch
+
+    square = torch.eye(2, dtype=torch.float64, device=device)
+    torch.linalg.solve_ex(square, square)[0].cpu()
+
+
+def _reason(error: Exception) -> str:
+    """The first line of what torch says; the others are advice on how to debug it."""
+    lines = str(error).strip().splitlines()
+    return lines[0].strip().rstrip('.') if lines else type(error).__name__

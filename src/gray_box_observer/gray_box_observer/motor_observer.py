@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -152,7 +153,11 @@ class MotorObserver:
             return
         left.followed = True
         if self._predictor is not None and left.prediction is not None:
-            self._predictor.follow(left.sample, left.prediction)
+            try:
+                self._predictor.follow(left.sample, left.prediction)
+            except ConfigurationError:  # what a device has failed at is not tried again: a checkpoint is to be kept
+                self._aftermath = None
+                raise
 
     @property
     def predictor(self) -> Predictor | None:

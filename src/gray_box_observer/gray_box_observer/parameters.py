@@ -129,7 +129,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'device',
         'cpu',
-        'Where many motors are computed and networks are taught: cpu, or by torch on cuda or cuda:N.',
+        'Where groups of 8192 motors or more are computed, and taught: cpu, or by torch on cuda or cuda:N.',
     ),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),

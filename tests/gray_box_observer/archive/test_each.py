@@ -8,6 +8,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 
 import pytest
+import torch
 from pyarrow import parquet
 
 from gray_box_observer.archive.bag_work import BagResult, BagWork
@@ -191,3 +192,16 @@ def test_without_archives_neither_package_is_loaded(identify: Run, archive: Path
     command = [sys.executable, '-c', code, '--each', str(bag), '--params', str(params), '--skip-predictor']
     done = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_a_device_that_is_not_there_is_said_once_before_any_bag(
+    identify: Run, archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: False)
+    monkeypatch.setattr(SerialEngine, 'run', lambda *_: pytest.fail('a bag was read'))
+    params = tmp_path / 'params.yaml'
+    params.write_text('/**:\n  ros__parameters:\n    motors: [left, right]\n    device: cuda\n')
+    code, out, said = identify('--each', archive, '--params', params, '--json', tmp_path / 'told.json')
+    assert (code, out) == (2, '')
+    assert 'device is cuda, but torch sees no GPU' in one_line(said)
+    assert not (tmp_path / 'told.json').exists()

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from gray_box_observer.predictor.torch_network import TorchNetwork
 from gray_box_observer.white_box import MotorWhiteBox
 
 THETA = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0, 'back_emf_constant': 0.02, 'brush_drop': 0.4}
@@ -66,3 +67,17 @@ def box(request: pytest.FixtureRequest) -> MotorWhiteBox:
 def theta(box: MotorWhiteBox) -> list[float]:
     """Plausible values of the white box's parameters."""
     return [THETA[name] for name in box.context_nodes]
+
+
+@pytest.fixture
+def taught_on(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Devices on which networks of torch are made, in order."""
+    devices: list[str] = []
+    made = TorchNetwork.__init__
+
+    def make(self: TorchNetwork, inputs: int, hidden: int, device: str = 'cpu') -> None:
+        devices.append(device)
+        made(self, inputs, hidden, device)
+
+    monkeypatch.setattr(TorchNetwork, '__init__', make)
+    return devices

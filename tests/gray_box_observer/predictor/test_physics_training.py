@@ -331,3 +331,22 @@ def test_another_trainer_goes_on_from_what_a_result_tells(samples: list[Sample],
         assert found.keys() == expected.keys()
         for name, value in expected.items():
             np.testing.assert_array_equal(found[name], value, err_msg=name)
+
+
+def test_it_teaches_on_the_device_of_its_rules_and_so_does_whoever_goes_on(
+    samples: list[Sample], thesis_box: MotorWhiteBox, taught_on: list[str]
+) -> None:
+    told = configuration(thesis_box, replace(FRESH, device='cpu:0'))  # the processor by another name
+    one, other = PhysicsTrainer(told), PhysicsTrainer(told)
+    result = one.train(job_of(samples, HARD))
+    assert taught_on == ['cpu:0']
+    start = {f'start_{name}': array for name, array in fresh(FRESH.hidden, 5).arrays().items()}
+    start |= {f'start_{name}': array for name, array in result.items() if name.startswith('learning_')}
+    before = other._residual
+    other.train({**job_of(samples), **start})
+    assert taught_on == ['cpu:0', 'cpu:0']
+    restored = other._residual
+    other.train({**job_of(samples), 'residual_anew': True})
+    residuals = [before, restored, other._residual]
+    assert len({id(residual) for residual in residuals}) == 3
+    assert [residual._device for residual in residuals] == 3 * ['cpu:0']

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
@@ -19,6 +20,7 @@ from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.relaxation import course, flow
 from gray_box_observer.predictor.start import fresh
 from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box import MotorWhiteBox
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
@@ -374,6 +376,8 @@ def test_many_motors_are_predicted_alike_on_a_device(
         )
         for device in (None, torch_name)
     ]
+    assert both[0]._axis.arrays is np
+    assert isinstance(both[1]._axis.arrays, TorchOps)
     voltage = random.uniform(-15.0, 15.0, motors)
     for k in range(60):
         voltage = np.where(random.random(motors) < 0.2, random.uniform(-15.0, 15.0, motors), voltage)
@@ -382,6 +386,9 @@ def test_many_motors_are_predicted_alike_on_a_device(
         torque, speed = random.normal(0.0, 0.05, motors), random.normal(0.0, 5.0, motors)
         sample = Sample(k * 10_000_000, interval, voltage, torque, speed, present)
         said = [one.predict(interval, voltage, values) for one in both]
+        if said[1].memory is not None:
+            assert isinstance(said[1].memory.hidden, torch.Tensor)
+            assert said[1].memory.hidden.device.type == torch.device(torch_name).type
         for name in ('torque_nm', 'white_box_torque_nm'):
             by_numpy, on_device = (getattr(prediction, name) for prediction in said)
             assert isinstance(on_device, np.ndarray)

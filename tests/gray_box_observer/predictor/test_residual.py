@@ -164,3 +164,12 @@ def test_arrays_give_the_same_correction_back() -> None:
     np.testing.assert_array_equal(again.linear.weight, linear.weight)
     np.testing.assert_array_equal(again.linear.reach, linear.reach)
     assert Correction.of({}) is None
+
+
+def test_it_is_taught_on_the_device_that_it_was_given_and_so_is_what_is_restored(
+    physics: Weights, measured: Callable[..., History], taught_on: list[str]
+) -> None:
+    one, other = ResidualTrainer(0, 'cpu:0'), ResidualTrainer(0, 'cpu:0')  # the processor by another name
+    assert one.learn(physics, [measured(friction)], steps=1)
+    other.restore(one.state())
+    assert taught_on == ['cpu:0', 'cpu:0']

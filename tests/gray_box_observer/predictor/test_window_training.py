@@ -230,3 +230,20 @@ def test_rules_survive_their_plain_form_and_refuse_nonsense() -> None:
     assert TrainingRules.from_dict(rules.to_dict()) == rules
     with pytest.raises(ConfigurationError, match='hidden must be at least 1, got 0'):
         TrainingRules(hidden=0)
+
+
+def test_it_teaches_on_the_device_of_its_rules_with_the_physics_there_too(
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox, samples: list[Sample], taught_on: list[str]
+) -> None:
+    brought, as_tensor = [], torch.as_tensor
+
+    def bring(*given: Any, **named: Any) -> torch.Tensor:
+        brought.append(str(named.get('device')))
+        return as_tensor(*given, **named)
+
+    monkeypatch.setattr(torch, 'as_tensor', bring)
+    told = configuration(thesis_box, replace(SMALL, device='cpu:0'))  # the processor by another name
+    one = WindowTrainer(told)
+    assert taught_on == ['cpu:0']
+    assert brought[: 1 + len(thesis_box.known)] == ['cpu:0'] * (1 + len(thesis_box.known))
+    assert np.isfinite(one.train(job_of(samples))['loss'])

@@ -23,6 +23,7 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.ros.chore import Chore
 from gray_box_observer.ros.observer_node import ObserverNode
 from gray_box_observer.ros.running import Stop
@@ -158,6 +159,37 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     assert one._load(Trigger.Request(), Trigger.Response()).success
     one._tell()
     assert told == [True, False], 'latched: what stands after loading'
+
+
+FAILED = ConfigurationError('device cuda failed: out of memory')
+
+
+@pytest.mark.parametrize('place', ['forecast_group', 'foresee'])
+def test_a_device_that_fails_while_it_predicts_asks_for_the_end(node, monkeypatch, place):
+    one = node()
+    one.trigger_configure()
+    one.trigger_activate()
+    monkeypatch.setattr(one._observer, place, failed)
+    for k in range(3):
+        for topic in ('voltage', 'torque'):
+            message = encode_joint_state(START_NS + k * 10_000_000, ['motor'], effort=[0.1])
+            one._inputs._subscriptions[topic].callback(message)
+    assert one._stop.error is FAILED
+
+
+def test_a_device_that_fails_beside_the_messages_asks_for_the_end(node, monkeypatch):
+    one = node()
+    one.trigger_configure()
+    one.trigger_activate()
+    monkeypatch.setattr(one._outputs, 'alarms', failed)
+    answer = one._save(Trigger.Request(), Trigger.Response())
+    assert (answer.success, answer.message) == (False, str(FAILED))
+    one._chores['diagnostics'].do()
+    assert one._stop.error is FAILED
+
+
+def failed(*_: Any) -> None:
+    raise FAILED
 
 
 MESSAGES = {'none': b'', 'of other bytes': b'no message', 'good': encode_joint_state(1, ['motor'], effort=[1.0])}

@@ -70,6 +70,9 @@ def test_speed_is_the_measured_one_or_that_of_the_thesis(measured: bool) -> None
         ((('inductance', 'back_emf_constant'), 0.01), 'without measured speed'),
         ((('inductance',), 0.0), 'torque_constant must be positive'),
         ((('inductance',), float('nan')), 'torque_constant must be positive'),
+        ((('inductance',), [0.01, 0.02]), r'torque_constant must be a number or an array .* got \[0.01, 0.02\]'),
+        ((('inductance',), '0.01'), "torque_constant must be a number or an array .* got '0.01'"),
+        ((('inductance',), np.array([0.01, -0.02])), 'torque_constant must be positive'),
     ],
 )
 def test_a_white_box_that_cannot_be_is_refused_in_one_line(arguments: tuple[Any, ...], message: str) -> None:

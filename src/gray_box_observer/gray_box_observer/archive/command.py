@@ -18,6 +18,8 @@ from gray_box_observer.archive.options import DEFAULT_RETRIES, EXIT_INTERRUPTED,
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.table import require_pyarrow, write_table
 from gray_box_observer.archive.trends import digest_of, gather
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.device import torch_device
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
@@ -35,11 +37,14 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
         given: parameters by their dotted names, as the parameter file gives them.
 
     Raises:
-        GrayBoxError: input that cannot be used at all: no bag, no engine, a result that could not be written.
+        GrayBoxError: input that cannot be used at all: no bag, no engine, no such device, a result that could not be
+            written.
     """
     if options.truth:
         raise GrayBoxError('--truth is of one recording; it does not go with --each, --engine and --table')
     engine = _engine(options)
+    if options.scheduler is None:  # else others compute, and what they have nobody knows here
+        torch_device(Configuration.from_flat(given)['device'])
     for target, makes_folders in ((options.table, True), (options.report, True), (_json_file(options), False)):
         if target is not None:
             refuse_unwritable(target, makes_folders=makes_folders)

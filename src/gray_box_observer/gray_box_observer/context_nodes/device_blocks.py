@@ -14,7 +14,7 @@ many motors there are.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
@@ -29,7 +29,7 @@ from gray_box_observer.context_nodes.learnt import Learnt, copied
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, READ, WRITTEN
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.walk import heating
-from gray_box_observer.device import DEVICE_TURN
+from gray_box_observer.device import DEVICE_TURN, watched
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box.base import bounds
@@ -38,6 +38,20 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 _SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
          'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'walk_rate')  # fmt: skip
 _OF_LEARNT = {name: attrgetter(path) for name, path in {**READ, **WRITTEN}.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """What a device has found out about the blocks of some motors, back on the host.
+
+    ``good`` has shape (motor,): whose block is an ordinary one; the others are of these alone: what is believed now, by
+    name, whether the hold has settled, and how many outliers there were.
+    """
+
+    good: NDArray[np.bool_]
+    believed: dict[str, NDArray[Any]]
+    settled: NDArray[np.bool_]
+    outliers: NDArray[np.int64]
 
 
 class DeviceBlocks:
@@ -53,12 +67,13 @@ class DeviceBlocks:
     """
 
     def __init__(self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer, device: str) -> None:
-        self._rules, self._replay, self._ops = rules, replay, TorchOps(device)
-        constants = {name: self._constant(value) for name, value in white_box.known.items()}
-        self._box = replace(white_box, torque_constant=self._constant(white_box.torque_constant), known=constants)
-        self._lower, self._upper = (self._ops.tensor(limit) for limit in bounds(white_box.parameters))
-        self._heats = self._ops.tensor(heating(white_box.parameters))
-        self._keep = self._ops.tensor(drift.keep())[:, None]
+        self._rules, self._replay, self._ops, self._device = rules, replay, TorchOps(device), device
+        with watched(device):
+            constants = {name: self._constant(value) for name, value in white_box.known.items()}
+            self._box = replace(white_box, torque_constant=self._constant(white_box.torque_constant), known=constants)
+            self._lower, self._upper = (self._ops.tensor(limit) for limit in bounds(white_box.parameters))
+            self._heats = self._ops.tensor(heating(white_box.parameters))
+            self._keep = self._ops.tensor(drift.keep())[:, None]
 
     def _constant(self, value: Any) -> Tensor:
         return self._ops.tensor(np.broadcast_to(np.asarray(value, dtype=float), self._replay.motors))
@@ -66,7 +81,13 @@ class DeviceBlocks:
     def learn(
         self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:
-        """Learn the next block of some motors where it is an ordinary one: as :meth:`OrdinaryBlocks.learn`."""
+        """Learn the next block of some motors where it is an ordinary one: as :meth:`OrdinaryBlocks.learn`.
+
+        Everything is found out before any of it is written down: a device that fails leaves nothing half learnt.
+
+        Raises:
+            ConfigurationError: the device failed.
+        """
         told = np.zeros(motors.size, dtype=np.uint8)
         if not all(_OF_LEARNT[name](known).flags.writeable for name in WRITTEN):
             known = copied(known)
@@ -76,15 +97,16 @@ class DeviceBlocks:
         there = (column >= 0) & (column < data.shape[2] - self._rules.block)
         there &= known.hold.begun[motors] & (at > begin[motors])
         places = np.flatnonzero(there)
-        for first in range(0, places.size, DEVICE_TURN):
-            part = places[first : first + DEVICE_TURN]
-            told[part] = self._learn(known, motors[part], due, plain)
+        parts = [places[first : first + DEVICE_TURN] for first in range(0, places.size, DEVICE_TURN)]
+        with watched(self._device):
+            found = [self._find(known, motors[part]) for part in parts]
+        for part, of_part in zip(parts, found, strict=True):
+            told[part[of_part.good]] = self._write(known, motors[part[of_part.good]], of_part, due, plain)
         return known, told
 
     @torch.no_grad()
-    def _learn(
-        self, known: Learnt, motors: NDArray[np.int64], due: NDArray[np.int64], plain: NDArray[np.bool_]
-    ) -> NDArray[np.uint8]:  # fmt: skip
+    def _find(self, known: Learnt, motors: NDArray[np.int64]) -> _Found:
+        """Work out the blocks of some motors; changes nothing."""
         which = _neighbours(motors)
         before = {name: self._ops.borrowed(_OF_LEARNT[name](known)[which]) for name in _SENT}
         given = self._given(known, motors, which, before)
@@ -95,14 +117,12 @@ class DeviceBlocks:
         held = self._hold(given, path, before)
         settled = held.pop('settled').cpu().numpy()
         good = fine.cpu().numpy()
-        chosen, index = motors[good], self._ops.flatnonzero(fine)
-        into, everyone = _neighbours(chosen), bool(good.all())
-        for name, value in {**after, **held}.items():
-            _OF_LEARNT[name](known)[into] = (value if everyone else value[index]).cpu().numpy()
+        index, everyone = self._ops.flatnonzero(fine), bool(good.all())
+        believed = {
+            name: (value if everyone else value[index]).cpu().numpy() for name, value in {**after, **held}.items()
+        }
         outliers = self._rules.block - path.used.long()
-        told = np.zeros(motors.size, dtype=np.uint8)
-        told[good] = self._reckon(known, chosen, settled[good], outliers.cpu().numpy()[good], due, plain)
-        return told
+        return _Found(good, believed, settled[good], outliers.cpu().numpy()[good])
 
     def _given(self, known: Learnt, motors: NDArray[np.int64], which: Any, before: dict[str, Tensor]) -> Given:
         """Bring the samples in."""
@@ -178,14 +198,15 @@ class DeviceBlocks:
         now = {'hold_level': torch.where(same, level, voltage[:, -1]), 'hold_largest': largest, 'hold_held_s': held_s}
         return {**now, 'settled': same & (held_s * rate > SETTLED)}
 
-    def _reckon(
-        self, known: Learnt, motors: NDArray[np.int64], settled: NDArray[np.bool_], outliers: NDArray[np.int64],
-        due: NDArray[np.int64], plain: NDArray[np.bool_],
+    def _write(
+        self, known: Learnt, motors: NDArray[np.int64], found: _Found, due: NDArray[np.int64], plain: NDArray[np.bool_]
     ) -> NDArray[np.uint8]:  # fmt: skip
-        """Write down what follows from blocks that are learnt, and tell of them: `ordinary_block.c`, reckon."""
-        rules, hold = self._rules, known.hold
+        """Write down what was found and what follows from it, and tell of it: `ordinary_block.c`, reckon."""
+        rules, hold, settled, into = self._rules, known.hold, found.settled, _neighbours(motors)
+        for name, value in found.believed.items():
+            _OF_LEARNT[name](known)[into] = value
         known.suspicion[motors], known.since[motors] = 0.0, 0
-        known.outliers[motors] += outliers
+        known.outliers[motors] += found.outliers
         fresh = motors[settled & ~hold.settled[motors]]
         hold.settled[motors] = settled
         hold.p[fresh] = known.belief.p[fresh]

@@ -6,12 +6,13 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from gray_box_observer.device import DEVICE_FROM
+from gray_box_observer.device import DEVICE_FROM, watched
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Forecaster, Question
@@ -75,6 +76,9 @@ class Predictor:
         residual: the correction of what the physics says.
         training: has both taught.
         scores: how good the predictions were.
+
+    Raises:
+        ConfigurationError: from here on and of every method, where the device fails.
     """
 
     def __init__(
@@ -83,17 +87,21 @@ class Predictor:
     ) -> None:  # fmt: skip
         is_physics = rules.variant is Variant.PHYSICS
         device = device if is_physics and motors >= DEVICE_FROM else None
-        self._axis = Axis(motors, device)
-        self._white_box = self._axis.white_box(white_box)
         self._rules = rules
         self._motors = motors
         self._speed_measured = speed_measured
         self._forecaster: Forecaster
-        if is_physics:
-            self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed), device)
-        else:
-            layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
-            self._forecaster = WindowForecaster(motors, layout, rules)
+        with nullcontext() if device is None else watched(device):
+            self._axis = Axis(motors, device)
+            self._white_box = self._axis.white_box(white_box)
+            if is_physics:
+                self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed), device)
+            else:
+                layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
+                self._forecaster = WindowForecaster(motors, layout, rules)
+        if device is not None:  # here, not where they are defined: one motor by numpy must not pay for it
+            for name in ('predict', '_rollout', 'forecast', 'follow', 'study', 'restore'):
+                setattr(self, name, watched(device)(getattr(self, name)))
         self.residual = ResidualForecaster(white_box, motors)
         blank = np.full(motors, np.nan)
         self._way: Course | None = None

@@ -37,7 +37,7 @@ class TrainingRules:
             that has learnt nothing.
         residual: learn what the physics does not explain, where held-out samples bear it out (variant ``physics``).
         horizon_s: longest forecast wanted of variant ``physics``, in s; 0: none beyond a sample interval.
-        device: torch's, on which networks are taught.
+        device: torch's, on which the network is taught; its training process then takes memory of the device.
         voltage_limits_v: lowest and highest voltage to be ready for; equal: learnt from what was seen.
     """
 

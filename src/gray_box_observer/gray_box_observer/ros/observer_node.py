@@ -6,6 +6,7 @@ import argparse
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
@@ -195,19 +196,19 @@ class ObserverNode(LifecycleNode):
         since_s = time.perf_counter()
         try:
             taken = self._intake.take(name, message, arrival_ns)
-        except ConfigurationError as error:
+            self._outputs.results(taken.groups)
+            if name == 'voltage' and taken.names:
+                for group in self._observer.groups(taken.names):
+                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
+            for result in taken.groups:
+                self._observer.foresee(result.group)
+            self._meter.take(taken.groups)
+            self._unsettled += taken.groups
+            if all(result.estimate is None for result in taken.groups):
+                self._settle()  # else the next prediction comes first: an update has taken its time
+        except ConfigurationError as error:  # a field that is not there, a device that fails
             self._stop(error)
             return
-        self._outputs.results(taken.groups)
-        if name == 'voltage' and taken.names:
-            for group in self._observer.groups(taken.names):
-                self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
-        for result in taken.groups:
-            self._observer.foresee(result.group)
-        self._meter.take(taken.groups)
-        self._unsettled += taken.groups
-        if all(result.estimate is None for result in taken.groups):
-            self._settle()  # else the next prediction comes first: an update has taken its time
         self._meter.worked(since_s)
         self._do_chore(quiet=bool(taken.groups) and not self._unsettled)
 
@@ -271,8 +272,8 @@ class ObserverNode(LifecycleNode):
         if self._observer is None:
             response.success, response.message = False, 'the node is not configured: nothing to save or load'
             return response
-        self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
         try:
+            self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
@@ -312,8 +313,15 @@ class ObserverNode(LifecycleNode):
 
     def _time(self, name: str, period_s: float, action: Callable[[], None]) -> Timer:
         """Have something done every so often."""
-        chore = self._chores[name] = Chore(period_s, action)
+        chore = self._chores[name] = Chore(period_s, partial(self._do, action))
         return self.create_timer(period_s, chore.ring, clock=self._steady)
+
+    def _do(self, action: Callable[[], None]) -> None:
+        """Do something that may be the first to find that a device has failed."""
+        try:
+            action()
+        except ConfigurationError as error:
+            self._stop(error)
 
     def _keep(self) -> None:
         self._keeper.keep(self._observer)

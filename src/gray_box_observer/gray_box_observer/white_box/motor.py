@@ -53,7 +53,13 @@ class MotorWhiteBox:
                 f'{blind[0]} cannot be told from resistance without measured speed: publish speed in '
                 "motor/torque's velocity or remove it from context_nodes"
             )
-        positive = self.torque_constant > 0.0  # a number, an array, or a tensor on whatever device
+        try:
+            positive = self.torque_constant > 0.0  # a number, an array, or a tensor on whatever device
+        except TypeError as error:
+            raise ConfigurationError(
+                f'torque_constant must be a number or an array of shape (motor,), got {self.torque_constant!r}: '
+                'of several motors give numpy.array'
+            ) from error
         if not (positive if isinstance(positive, bool) else bool(positive.all())):
             raise ConfigurationError(f'torque_constant must be positive, got {self.torque_constant}')
 
