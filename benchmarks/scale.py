@@ -11,8 +11,9 @@ The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a 
 
 Profile of 1,000 motors (clock around each part): compiled code of ordinary blocks three quarters, of which flow and
 sensitivities are 40 %, the test for a change 15 %, learning and writing down 25 %, bringing samples in 20 %; samples
-into memory, choosing motors and the rare block that numpy learns the rest. Of one motor compiled code is a tenth and
-Python around it nine: many motors are not a hundred times cheaper than one because one has become so much cheaper.
+into memory and the rare block that numpy learns the rest. Of one motor compiled code is a tenth, storing 32 samples
+three quarters, Python around a block the rest: many motors are not a hundred times cheaper than one because one has
+become so much cheaper.
 """
 
 from __future__ import annotations
