@@ -36,6 +36,5 @@ def contradiction(motor: MotorConfiguration, estimate: Estimate) -> str | None:
             )
     if not found:
         return None
-    return (
-        f'{", ".join(found)}: check torque_constant and known constants, measure the speed, or has the motor changed?'
-    )
+    remedy = 'check torque_constant, known constants, the data sheet and whether speed is measured; or has it changed?'
+    return f'{", ".join(found)}: {remedy}'
