@@ -10,11 +10,13 @@ import pytest
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveUpdate, Verdict
 from gray_box_observer.context_nodes.belief import Prior
 from gray_box_observer.data_sheet import contradiction
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates, to_parameters
 
 NAMES = ('inductance', 'resistance', 'hysteresis')
@@ -117,6 +119,41 @@ def test_only_what_is_identified_contradicts_only_what_was_given(relative_std: f
     unsure = Estimate(0, parameters, value, covariance, ((Verdict.CONVERGING,) * 3,))
     assert (contradiction(motor, sure) is not None) == doubtful
     assert contradiction(motor, unsure) is None
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.01])
+@pytest.mark.parametrize('start', [0, 3, 50])
+def test_a_data_sheet_that_cannot_be_true_is_dropped(
+    record: Callable[..., Recording], start: int, noise: float
+) -> None:  # fmt: skip
+    """R is told to be twice what it is, to one per cent: the search must not end where K_HS makes up for that."""
+    recording = record('R[5,15]D[1,20]', 30.0, torque_noise_relative=noise)
+    one = observer(TRUTH * [1.0, 2.0, 1.0], [0.2, 0.01, 0.0])
+    for begin, end in ((start, 500), (500, 1000), (1000, 1500), (1500, None)):
+        estimate = feed(one, recording, begin, end).estimates()['motor']
+        known = np.array([verdict is Verdict.IDENTIFIED for verdict in estimate.verdicts[0]])
+        assert np.all(np.abs(estimate.value[0] - TRUTH)[known] < 0.04 * TRUTH[known]), (begin, estimate.value)
+    assert estimate.identified(0)
+    assert np.all(np.abs(estimate.value[0] - TRUTH) < np.maximum(4.0 * estimate.std[0], 1e-4 * TRUTH))
+
+
+def test_it_is_dropped_for_its_motor_alone(record: Callable[..., Recording]) -> None:
+    recording = record('R[5,15]D[1,20]', 12.0, torque_noise_relative=0.01)
+    initial = np.array([TRUTH * [1.0, 2.0, 1.0], TRUTH, TRUTH * [1.0, 2.0, 1.0]])
+    told = np.array([[0.2, 0.01, 0.0], [0.2, 0.01, 0.0], [0.0, 0.0, 0.0]])
+
+    def learnt(which: slice) -> np.ndarray:
+        count = initial[which].shape[0]
+        box = MotorWhiteBox(NAMES, np.full(count, 0.01), {'back_emf_constant': np.full(count, 0.01)})
+        nodes = RecursiveUpdate(box, initial[which], initial_relative_std=told[which])
+        for k in range(50, 1200):
+            signals = (np.full(count, x) for x in (0.01, recording.voltage_v[0, k - 1], recording.torque_nm[0, k]))
+            nodes.learn(Sample(int(recording.stamp_ns[k]), *signals, np.full(count, np.nan)))
+        return nodes.theta
+
+    together = learnt(slice(None))
+    for motor in range(3):
+        np.testing.assert_array_equal(together[motor], learnt(slice(motor, motor + 1))[0])
 
 
 def test_with_little_data_the_error_is_what_the_covariance_says(record: Callable[..., Recording]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import blocks, walk
-from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, batch_fit
+from gray_box_observer.context_nodes.batch_fit import RAMP_EVIDENCE, Fit, batch_fit
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.blocks import Block
 from gray_box_observer.context_nodes.drift import (
@@ -28,6 +28,7 @@ from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.motors import Motors
+from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks, Turn
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
@@ -47,6 +48,13 @@ WALK_AGAIN = -1
 
 AT_REST = 4
 """Times a first fit's, samples at most that are kept when a motor first moves: more of a level tell nothing."""
+
+REFUTED = 40.0
+"""Square of the distance, in standard deviations, between data and what was told, from which it cannot be true: of five
+unknowns once in ten million by chance."""
+
+FREE = 10.0
+"""Log-likelihood that a fit without it must bring."""
 
 LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""
@@ -98,6 +106,8 @@ class Learner:
             window = min(LINEAR_WINDOW, samples // 4)
             start = np.where(fresh[:, None], linear_start(motors.white_box, known.prior.p, stretch, window), start)
         fit = batch_fit(motors.white_box, stretch, start, known.prior, self._rules.noise_floor)
+        if (refuted := self._refuted(known.prior, fit.belief)).size:
+            fit = self._fit_without(motors, samples, fit, refuted)
         known.started = np.ones_like(known.started)
         motors.take(fit.belief, np.ones_like(fresh))
         known.anchor = copied(self._open(fit.belief, known.prior, stretch))
@@ -106,6 +116,37 @@ class Learner:
         if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun):
             self._following.drifting(motors, drifting)
         known.belief = self._holds.cut(known.hold, known.belief)
+
+    def _vague(self, prior: Prior) -> Prior:
+        """What is believed of motors of which nobody told anything but where to begin."""
+        return Prior.of_parameters(prior.p, np.full(prior.p.shape, self._rules.prior_relative_std))
+
+    def _refuted(self, prior: Prior, found: Belief) -> NDArray[np.intp]:
+        """Places of motors whose data lie so far from what was told of them that it cannot be true."""
+        away = np.log(found.p / prior.p)
+        distance = (away * solved(prior.covariance, away[..., None])[..., 0]).sum(axis=1)
+        sharp = prior.covariance.diagonal(0, 1, 2) < 0.5 * self._vague(prior).covariance.diagonal(0, 1, 2)
+        return np.flatnonzero(found.finite & (distance > REFUTED) & sharp.any(axis=1))
+
+    def _fit_without(self, motors: Motors, samples: int, fit: Fit, index: NDArray[np.intp]) -> Fit:
+        """Fit some motors anew as if nothing had been told of them, and believe that where it fits better.
+
+        A wrong value that is told as certain bends the others until the search ends where it should not.
+        """
+        part = motors.part(index)
+        stretch, prior = part.newest(samples), self._vague(part.learnt.prior)
+        start = linear_start(part.white_box, prior.p, stretch, min(LINEAR_WINDOW, samples // 4))
+        again = batch_fit(part.white_box, stretch, start, prior, self._rules.noise_floor)
+        gain = samples * np.log(fit.belief.noise[index] / again.belief.noise)
+        better = again.belief.finite & (gain > FREE)
+        if not better.any():
+            return fit
+        places, made = index[better], copied(fit)
+        put(made, places, chosen(again, better))
+        told = copied(motors.learnt.prior)
+        put(told, places, chosen(prior, better))
+        motors.learnt.prior = told
+        return made
 
     @staticmethod
     def _open(found: Belief, prior: Prior, stretch: Stretch) -> Belief:
