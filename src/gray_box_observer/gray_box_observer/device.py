@@ -12,9 +12,8 @@ CPU = 'cpu'
 """No device of its own: numpy and compiled code; networks are taught by torch on the processor."""
 
 DEVICE_FROM = 8192
-"""Motors at once from which on a device is worth its while. However few they are, a block of samples is 1,200 calls and
-a prediction 350 to 750, some 6 us each; the processor takes some 1 us for a motor's block and 0.3 us or more for its
-prediction."""
+"""Motors at once from which on a device is taken to be worth its while; a guess, for nobody has measured one yet.
+However few they are, a block of samples or a prediction is hundreds of calls, thousands where motors differ."""
 
 DEVICE_TURN = 65_536
 """Motors whose blocks a device learns at once, and at one sample of the group unless there are more than a million.

@@ -6,10 +6,8 @@ stiff motor. The motion over an interval is :mod:`~gray_box_observer.white_box.f
 box is known here.
 
 What is believed stays on the host, where everything else reads it, and so do samples. For a block of 32 samples and
-three parameters a motor sends 1,056 bytes of samples and 640 of belief, and 626 come back: 2.3 kB, a tenth of a
-microsecond at 25 GB/s. Its arithmetic, some 400 operations a sample, is next to nothing beside the 200 kB that pass
-through the device's own memory in between: 0.07 microseconds at 3 TB/s. Work is handed over in 1,200 calls, however
-many motors there are.
+three parameters a motor sends 1,056 bytes of samples and 640 of belief, and 626 come back. Work is handed over in some
+hundred calls, however many motors there are, and more than twice as many where one of them has an outlier.
 """
 
 from __future__ import annotations

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.white_box.base import Array, Parameter, bounds
 
@@ -120,8 +122,12 @@ class VerdictRules:
         at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (value >= upper * (1.0 - self.bound_tolerance))
         known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
         code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)
-        codes = np.where(at_bound, _IMPLAUSIBLE, code)
-        return tuple(tuple(_VERDICTS[j] for j in row) for row in codes.tolist())
+        return verdicts_of(np.where(at_bound, _IMPLAUSIBLE, code))
+
+
+def verdicts_of(codes: NDArray[np.integer[Any]]) -> tuple[tuple[Verdict, ...], ...]:
+    """Return verdicts by their places in :class:`Verdict`, shape (motor, parameter)."""
+    return tuple(tuple(_VERDICTS[code] for code in row) for row in codes.tolist())
 
 
 _VERDICTS = tuple(Verdict)

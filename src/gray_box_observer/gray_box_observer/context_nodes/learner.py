@@ -103,8 +103,7 @@ class Learner:
         stretch, start = motors.newest(samples), known.belief.p
         fresh = ~known.started
         if np.any(fresh):
-            window = min(LINEAR_WINDOW, samples // 4)
-            start = np.where(fresh[:, None], linear_start(motors.white_box, known.prior.p, stretch, window), start)
+            start = np.where(fresh[:, None], self._first_guess(motors, known.prior, stretch, samples), start)
         fit = batch_fit(motors.white_box, stretch, start, known.prior, self._rules.noise_floor)
         if (refuted := self._refuted(known.prior, fit.belief)).size:
             fit = self._fit_without(motors, samples, fit, refuted)
@@ -116,6 +115,11 @@ class Learner:
         if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun):
             self._following.drifting(motors, drifting)
         known.belief = self._holds.cut(known.hold, known.belief)
+
+    @staticmethod
+    def _first_guess(motors: Motors, prior: Prior, stretch: Stretch, samples: int) -> Array:
+        """Where a search begins that has nothing to go on but the samples."""
+        return linear_start(motors.white_box, prior.p, stretch, min(LINEAR_WINDOW, samples // 4))
 
     def _vague(self, prior: Prior) -> Prior:
         """What is believed of motors of which nobody told anything but where to begin."""
@@ -135,7 +139,7 @@ class Learner:
         """
         part = motors.part(index)
         stretch, prior = part.newest(samples), self._vague(part.learnt.prior)
-        start = linear_start(part.white_box, prior.p, stretch, min(LINEAR_WINDOW, samples // 4))
+        start = self._first_guess(part, prior, stretch, samples)
         again = batch_fit(part.white_box, stretch, start, prior, self._rules.noise_floor)
         gain = samples * np.log(fit.belief.noise[index] / again.belief.noise)
         better = again.belief.finite & (gain > FREE)

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import compiled
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.estimate import LOG_NORMAL, Verdict, VerdictRules
+from gray_box_observer.context_nodes.estimate import LOG_NORMAL, Verdict, VerdictRules, verdicts_of
 from gray_box_observer.white_box.base import Array, Parameter, bounds
 
 MOST_PARAMETERS = 5
 """Room in `ordinary_estimate.c`."""
 
-_VERDICTS = tuple(Verdict)
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 _RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance')
 
@@ -83,8 +82,7 @@ class OrdinaryEstimates:
         if not self._library.tell_estimates(self._about, where, count, *told):
             return None
         value, covariance, codes = self._told
-        verdicts = tuple(tuple(_VERDICTS[code] for code in row) for row in codes[:count].tolist())
-        return value[:count].copy(), covariance[:count].copy(), verdicts
+        return value[:count].copy(), covariance[:count].copy(), verdicts_of(codes[:count])
 
     def _point(self, belief: Belief, rules: VerdictRules) -> bool:
         """Let the compiled code read this belief; tell whether it can."""

@@ -101,7 +101,7 @@ def course(
     Where Newton leaves the bracket or slows down (a brush drop is nearly a step at zero), the bracket is halved.
 
     Args:
-        ops: :class:`Floats` or numpy.
+        ops: functions of floats, arrays or tensors, as above.
         white_box: the physics.
         theta: unknown parameters.
         voltage_v: held voltage.
@@ -143,7 +143,7 @@ def flow(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any
     that grow with time as the motion dies down; for a linear motor it is exact.
 
     Args:
-        ops: :class:`Floats` or numpy.
+        ops: functions of floats, arrays or tensors, as above.
         white_box: the physics.
         way: where voltage and speed lead.
         state: current at the start, in A.
