@@ -13,6 +13,7 @@
 #define MOST_UNKNOWNS (MOST_COORDINATES + 1)
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
+#define ROUNDING 1e-9 /* more than the arithmetic of a bound may be off */
 
 /* What is told of a motor: nothing where its block was not ordinary. */
 enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
@@ -51,7 +52,7 @@ typedef struct {
 
 /* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is that before a block. */
 typedef struct {
-    int n, k, lanes, most;
+    int n, k, lanes, most, beside;
     int64_t motor[LANES];
     Mask fine; /* of which nothing is out of the ordinary so far */
     Physics box;
@@ -60,6 +61,7 @@ typedef struct {
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
     Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
     Rate here[MOST_SAMPLES]; /* where an interval begins */
+    Moved to[MOST_SAMPLES]; /* and where it leads */
     Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
     Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
@@ -68,74 +70,112 @@ typedef struct {
 } Tile;
 
 /* Solve a system of `size` unknowns with `columns` right-hand sides, with pivots; what was given is overwritten. */
-CLONES void solve(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+INLINE void eliminate(const int size, const int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
 {
-    for (int c = 0; c < size; c++) {
-        for (int r = c + 1; r < size; r++) { /* the largest entry of the column comes up, lane by lane */
+    UNROLL for (int c = 0; c < size; c++) {
+        UNROLL for (int r = c + 1; r < size; r++) { /* the largest entry of the column comes up, lane by lane */
             const Mask over = absolute(matrix[r][c]) > absolute(matrix[c][c]);
-            for (int j = c; j < size; j++) {
+            UNROLL for (int j = c; j < size; j++) {
                 const Real low = matrix[r][j], high = matrix[c][j];
                 matrix[c][j] = chosen(over, low, high);
                 matrix[r][j] = chosen(over, high, low);
             }
-            for (int j = 0; j < columns; j++) {
+            UNROLL for (int j = 0; j < columns; j++) {
                 const Real low = right[r][j], high = right[c][j];
                 right[c][j] = chosen(over, low, high);
                 right[r][j] = chosen(over, high, low);
             }
         }
-        for (int r = c + 1; r < size; r++) {
+        UNROLL for (int r = c + 1; r < size; r++) {
             const Real share = matrix[r][c] / matrix[c][c];
-            for (int j = c + 1; j < size; j++) matrix[r][j] -= share * matrix[c][j];
-            for (int j = 0; j < columns; j++) right[r][j] -= share * right[c][j];
+            UNROLL for (int j = c + 1; j < size; j++) matrix[r][j] -= share * matrix[c][j];
+            UNROLL for (int j = 0; j < columns; j++) right[r][j] -= share * right[c][j];
         }
     }
-    for (int r = size - 1; r >= 0; r--)
-        for (int j = 0; j < columns; j++) {
+    UNROLL for (int r = size - 1; r >= 0; r--)
+        UNROLL for (int j = 0; j < columns; j++) {
             Real sum = right[r][j];
-            for (int i = r + 1; i < size; i++) sum -= matrix[r][i] * right[i][j];
+            UNROLL for (int i = r + 1; i < size; i++) sum -= matrix[r][i] * right[i][j];
             right[r][j] = sum / matrix[r][r];
         }
 }
 
-/* Entry i of an array of shape (motor, width), lane by lane; written for the motors whose block is ordinary. */
-INLINE Real load(const Tile *t, const double *array, int64_t width, int64_t i)
+CLONES void eliminate_any(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+{
+    eliminate(size, columns, matrix, right);
+}
+
+/* The same, without a loop where the compiler knows the size. */
+INLINE void solve(const int size, const int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+{
+    __builtin_constant_p(size) ? eliminate(size, columns, matrix, right) : eliminate_any(size, columns, matrix, right);
+}
+
+/* An array of shape (motor,); written for the motors whose block is ordinary. */
+INLINE Real load(const Tile *t, const double *array)
 {
     Real x;
-    for (int l = 0; l < LANES; l++) x[l] = array[t->motor[l] * width + i];
+    if (t->beside)
+        memcpy(&x, array + t->motor[0], sizeof(Real));
+    else
+        for (int l = 0; l < LANES; l++) x[l] = array[t->motor[l]];
     return x;
 }
 
-INLINE void store(const Tile *t, double *array, int64_t width, int64_t i, Real x)
+INLINE void store(const Tile *t, double *array, Real x)
 {
     for (int l = 0; l < t->lanes; l++)
-        if (t->fine[l]) array[t->motor[l] * width + i] = x[l];
+        if (t->fine[l]) array[t->motor[l]] = x[l];
+}
+
+/* A matrix of every motor, beginning at entry `first` of a row of an array of shape (motor, width); `apart` from row to
+ * row here. All of them are brought in before anything is computed: what is written piece by piece is read late. */
+INLINE void load_matrix(
+    const Tile *t, const double *array, int64_t width, int64_t first, int rows, int columns, Real *to, int apart)
+{
+    for (int l = 0; l < LANES; l++) {
+        const double *from = array + t->motor[l] * width + first;
+        for (int i = 0; i < rows; i++)
+            for (int j = 0; j < columns; j++) to[i * apart + j][l] = from[i * columns + j];
+    }
+}
+
+INLINE void store_matrix(
+    const Tile *t, double *array, int64_t width, int64_t first, int rows, int columns, const Real *from, int apart)
+{
+    for (int l = 0; l < t->lanes; l++) {
+        if (!t->fine[l]) continue;
+        double *to = array + t->motor[l] * width + first;
+        for (int i = 0; i < rows; i++)
+            for (int j = 0; j < columns; j++) to[i * columns + j] = from[i * apart + j][l];
+    }
 }
 
 /* Bring samples and belief of the motors in, lane by lane. */
-CLONES void gather(const Update *u, Tile *t)
+INLINE void gather(const Update *u, Tile *t, const int n)
 {
-    const int k = t->k, n = t->n, m = n + 1;
+    const int k = t->k, m = n + 1, memories = (int)u->memories;
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
     int64_t column[LANES];
-    int beside = 1; /* whether one load brings the sample of every lane */
+    int beside = 1, even = 1; /* whether one load brings what all lanes have of a motor, and of a sample */
     for (int l = 0; l < LANES; l++) {
         const int64_t motor = t->motor[l];
         column[l] = u->at[motor] - u->gone[motor] - 1;
         const int there = column[l] >= 0 && column[l] < u->columns - k;
         if (!there) column[l] = 0; /* nothing is read that is not in memory, whatever is told of places */
         if (!there || !u->hold_begun[motor] || u->at[motor] <= u->begin[motor]) t->fine[l] = 0;
-        beside &= motor == t->motor[0] + l && column[l] == column[0];
+        beside &= motor == t->motor[0] + l, even &= column[l] == column[0];
     }
-    for (int l = 0; l < (beside ? 1 : LANES); l++) {
+    t->beside = beside, even &= beside;
+    for (int l = 0; l < (even ? 1 : LANES); l++) {
         const double *first = u->data + t->motor[l] + column[l] * u->column_stride;
         for (int j = 0; j <= k; j++, first += u->column_stride)
-            if (beside) {
+            if (even) {
                 memcpy(&t->interval[j], first, sizeof(Real));
                 memcpy(&t->voltage[j], first + stride, sizeof(Real));
                 memcpy(&t->measured[j], first + 2 * stride, sizeof(Real));
-                memcpy(&t->speed[j], first + 3 * stride, sizeof(Real));
+                if (u->speed_measured) memcpy(&t->speed[j], first + 3 * stride, sizeof(Real));
             } else {
                 t->interval[j][l] = first[0];
                 t->voltage[j][l] = first[stride];
@@ -145,17 +185,20 @@ CLONES void gather(const Update *u, Tile *t)
     }
     if (!u->speed_measured) /* nothing is known of it, perhaps not even a number */
         for (int j = 0; j <= k; j++) t->speed[j] = all(0.0);
-    t->box = (Physics){.unknown = n - 1, .known = u->known_terms, .speed_measured = u->speed_measured};
-    t->box.codes = u->codes;
-    t->box.torque_constant = load(t, u->torque_constant, 1, 0);
-    for (int j = 0; j < n; j++) t->box.p[j] = load(t, u->p, n, j);
-    for (int j = 0; j < t->box.known; j++) t->box.constant[j] = load(t, u->known, 1, j * u->motors);
-    t->size = load(t, u->current_a, 1, 0), t->noise = load(t, u->noise, 1, 0), t->gain = load(t, u->gain, 1, 0);
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) t->covariance[i][j] = load(t, u->covariance, m * m, i * m + j);
-    for (int i = 0; i < n; i++) t->sensitivity[i] = load(t, u->sensitivity, n, i);
-    t->state = load(t, u->state, 1, 0);
+    t->box.torque_constant = load(t, u->torque_constant);
+    for (int j = 0; j < u->known_terms; j++) t->box.constant[j] = load(t, u->known + j * u->motors);
+    t->size = load(t, u->current_a), t->noise = load(t, u->noise), t->gain = load(t, u->gain);
+    t->state = load(t, u->state);
+    load_matrix(t, u->p, n, 0, 1, n, t->box.p, n);
+    load_matrix(t, u->sensitivity, n, 0, 1, n, t->sensitivity, n);
+    load_matrix(t, u->covariance, m * m, 0, m, m, t->covariance[0], MOST_UNKNOWNS);
+    load_matrix(t, u->score, memories * n, 0, memories, n, t->scores[0], MOST_COORDINATES);
+    for (int q = 0; q < memories; q++)
+        load_matrix(t, u->information, memories * n * n, q * n * n, n, n, t->tested[q][0], MOST_COORDINATES);
 }
+
+CLONES void gather_3(const Update *u, Tile *t) { gather(u, t, 3); }
+CLONES void gather_any(const Update *u, Tile *t) { gather(u, t, t->n); }
 
 /* Settle where every interval is linearised: blocks.py, _outset. */
 CLONES void set_out(const Update *u, Tile *t)
@@ -171,11 +214,11 @@ CLONES void set_out(const Update *u, Tile *t)
 }
 
 /* Settle in how many steps an interval is gone through: flow.py, flow. */
-INLINE void count_steps(const Update *u, Tile *t, const int n)
+INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 {
     Real stiffness = all(0.0);
     for (int j = 0; j < t->k; j++) {
-        t->here[j] = rate_of(&t->box, n, t->about[j], t->voltage[j + 1], t->speed[j]);
+        t->here[j] = rate_of(&t->box, of, t->about[j], t->voltage[j + 1], t->speed[j]);
         const Real stiff = absolute(t->here[j].slope) * t->interval[j + 1];
         t->fine &= stiff < INFINITY;
         stiffness = larger(stiffness, stiff);
@@ -190,9 +233,9 @@ INLINE void count_steps(const Update *u, Tile *t, const int n)
 }
 
 /* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, _from. */
-INLINE void follow(const Update *u, Tile *t, const int n)
+INLINE void follow(const Update *u, Tile *t, const Terms of)
 {
-    const int k = t->k, m = n + 1;
+    const int k = t->k, n = of.coordinates, m = n + 1;
     const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
     Real largest = all(0.0), x = t->state, by_start = all(1.0), by_coordinate[MOST_COORDINATES];
     Real squares = all(0.0), used = all(0.0);
@@ -208,14 +251,14 @@ INLINE void follow(const Update *u, Tile *t, const int n)
             twice[i][j] = i == j ? t->covariance[i][j] : t->covariance[i][j] + t->covariance[j][i];
         }
     }
-    for (int j = 0; j < k; j++) {
-        Moved to;
-        const Real about = t->about[j];
+    for (int j = 0; j < k; j++) { /* apart from what follows, for the processor goes through several intervals at once */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
-        if (t->most == 1)
-            to = runge_kutta(&t->box, n, &t->here[j], about, &over);
-        else
-            to = in_steps(&t->box, n, about, &over, t->steps, t->most);
+        t->to[j] = t->most == 1 ? runge_kutta(&t->box, of, &t->here[j], t->about[j], &over)
+                                : in_steps(&t->box, of, t->about[j], &over, t->steps, t->most);
+    }
+    for (int j = 0; j < k; j++) {
+        const Moved to = t->to[j];
+        const Real about = t->about[j];
         fine &= absolute(to.state) <= limit;
         const Real decay = between(to.by_state, all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
         const Real factor = decay * (1.0 - gain);
@@ -249,15 +292,28 @@ INLINE void follow(const Update *u, Tile *t, const int n)
     }
 }
 
-/* One for every number of coordinates, so that all that is known of a sample stays in registers. */
-CLONES void follow_1(const Update *u, Tile *t) { count_steps(u, t, 1), follow(u, t, 1); }
-CLONES void follow_2(const Update *u, Tile *t) { count_steps(u, t, 2), follow(u, t, 2); }
-CLONES void follow_3(const Update *u, Tile *t) { count_steps(u, t, 3), follow(u, t, 3); }
-CLONES void follow_4(const Update *u, Tile *t) { count_steps(u, t, 4), follow(u, t, 4); }
-CLONES void follow_5(const Update *u, Tile *t) { count_steps(u, t, 5), follow(u, t, 5); }
+INLINE void follow_of(const Update *u, Tile *t, const Terms of) { count_steps(u, t, of), follow(u, t, of); }
+
+/* One for every number of coordinates, so that all that is known of a sample stays in registers; and one each for the
+ * physics that nearly every motor has, whose terms the compiler then knows. The numbers are the same. */
+#define FOLLOW(N) \
+    CLONES void follow_##N(const Update *u, Tile *t) \
+    { \
+        follow_of(u, t, (Terms){N, (int)u->known_terms, (int)u->speed_measured, u->codes}); \
+    }
+FOLLOW(1) FOLLOW(2) FOLLOW(3) FOLLOW(4) FOLLOW(5)
+
+static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF};
+
+CLONES void follow_usual(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 0, USUAL}); }
+CLONES void follow_usual_with_speed(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 1, USUAL}); }
 
 static void follow_any(const Update *u, Tile *t)
 {
+    if (t->n == 3 && u->known_terms == 1 && memcmp(u->codes, USUAL, sizeof(USUAL)) == 0) {
+        u->speed_measured ? follow_usual_with_speed(u, t) : follow_usual(u, t);
+        return;
+    }
     switch (t->n) {
     case 1: follow_1(u, t); break;
     case 2: follow_2(u, t); break;
@@ -290,7 +346,7 @@ CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
 }
 
 /* Predict the block, and tell its good samples from the others: blocks.py, predict. */
-static void predict(const Update *u, Tile *t)
+CLONES void predict(const Update *u, Tile *t)
 {
     Mask outliers = ~everywhere();
     set_out(u, t);
@@ -307,9 +363,9 @@ static void predict(const Update *u, Tile *t)
 }
 
 /* Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take. */
-CLONES void examine(const Update *u, Tile *t)
+INLINE void examine(const Update *u, Tile *t, const int n)
 {
-    const int n = t->n, m = n + 1, memories = (int)u->memories;
+    const int m = n + 1, memories = (int)u->memories;
     const Real unit = 1.0 / (t->noise * t->noise);
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], reached[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     for (int i = 0; i < m; i++) {
@@ -328,11 +384,10 @@ CLONES void examine(const Update *u, Tile *t)
         for (int i = 0; i < n; i++) {
             const Real share = t->sensitivity[i], turned = share * reached[0][0] + reached[i + 1][0];
             const Real score = (share * reached[0][m] + reached[i + 1][m]) * unit;
-            t->scores[q][i] = u->keep[q] * load(t, u->score, memories * n, q * n + i) + score;
+            t->scores[q][i] = u->keep[q] * t->scores[q][i] + score;
             for (int j = 0; j < n; j++) {
                 const Real told = turned * t->sensitivity[j] + (share * reached[0][j + 1] + reached[i + 1][j + 1]);
-                const Real before = load(t, u->information, memories * n * n, (q * n + i) * n + j);
-                matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * before + told * unit;
+                matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * t->tested[q][i][j] + told * unit;
             }
             solution[i][0] = t->scores[q][i];
             trace += t->tested[q][i][i];
@@ -343,8 +398,39 @@ CLONES void examine(const Update *u, Tile *t)
         t->fine &= statistic <= u->threshold;
     }
     const Real samples = all((double)t->k), missing = (samples - t->used) / samples;
-    const Real left_out = u->left_out_memory * load(t, u->left_out, 1, 0) + missing;
+    const Real left_out = u->left_out_memory * load(t, u->left_out) + missing;
     t->fine &= (t->used >= 0.5 * samples) & (left_out <= u->left_out_limit);
+}
+
+/* Whether a hold has lasted for long enough, measured by the slowest decay of the block: holds.py, take.
+ *
+ * What is left over an interval lies between bounds without logarithms, which decide nearly always:
+ * (1 - f) 2 / (1 + f) <= -log f <= (1 - f^2) / (2 f) for what every interval leaves, 0 < f <= 1; others are not decided.
+ */
+INLINE Mask has_settled(const Update *u, const Tile *t, const Mask asked, const Real held)
+{
+    Real most = t->factor[0], longest = t->interval[1], shortest = longest;
+    Mask known = most > 0.0;
+    if (!anywhere(asked)) return asked;
+    for (int j = 1; j < t->k; j++) {
+        known &= t->factor[j] > 0.0;
+        most = larger(most, t->factor[j]);
+        longest = larger(longest, t->interval[j + 1]), shortest = smaller(shortest, t->interval[j + 1]);
+    }
+    const Real least_rate = 2.0 * (1.0 - most) / ((1.0 + most) * longest);
+    const Real most_rate = (1.0 - most * most) / (2.0 * most * shortest);
+    Mask settled = asked & known & (held * least_rate > u->hold_settled * (1.0 + ROUNDING));
+    const Mask open = asked & ~settled & ~(known & (held * most_rate < u->hold_settled * (1.0 - ROUNDING)));
+    for (int l = 0; l < t->lanes; l++) {
+        if (!open[l]) continue;
+        double rate = INFINITY;
+        for (int j = 0; j < t->k && rate == rate; j++) { /* what is not a number stays, and nothing settles */
+            const double decays = -log(t->factor[j][l]) / t->interval[j + 1][l];
+            rate = decays >= rate ? rate : decays;
+        }
+        settled[l] = held[l] * rate > u->hold_settled ? -1 : 0;
+    }
+    return settled;
 }
 
 /* Settle what follows from a motor's block: recursive.py, _reckon; what rarely follows is left to Python and told of. */
@@ -366,9 +452,9 @@ static uint8_t reckon(const Update *u, int64_t motor)
 }
 
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
-CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
+INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
 {
-    const int n = t->n, k = t->k, m = n + 1, memories = (int)u->memories;
+    const int k = t->k, m = n + 1, memories = (int)u->memories;
     const Real noise = t->noise, unit = 1.0 / (noise * noise), *before = t->box.p;
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], posterior[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     Real step[MOST_UNKNOWNS], moved[MOST_UNKNOWNS][MOST_UNKNOWNS];
@@ -402,7 +488,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
     Real shift = all(0.0), passed = all(0.0);
     for (int j = 1; j <= k; j++) passed += t->interval[j];
     for (int i = 0; i < m; i++) shift += transfer[i] * step[i];
-    const Real state = t->end + shift * t->size, walk = load(t, u->walk_rate, 1, 0);
+    const Real state = t->end + shift * t->size, walk = load(t, u->walk_rate);
     for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
         Real sum = all(0.0);
         for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
@@ -423,7 +509,7 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
     for (int i = 0; i < n; i++) whole += p[i];
     t->fine &= absolute(whole) < INFINITY;
 
-    Real count, low = t->voltage[1], high = low, slow = t->speed[1], fast = slow;
+    Real count, low = t->voltage[1], high = low;
     for (int l = 0; l < LANES; l++) {
         const int64_t grown = u->noise_count[t->motor[l]] + k;
         count[l] = (double)(grown < u->noise_memory ? grown : u->noise_memory);
@@ -433,44 +519,34 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
     t->fine &= followed < INFINITY;
     for (int j = 2; j <= k; j++) {
         low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
-        slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
     }
-    const Real level = load(t, u->hold_level, 1, 0);
-    const Real largest = larger(load(t, u->hold_largest, 1, 0), larger(-low, high));
+    const Real level = load(t, u->hold_level);
+    const Real largest = larger(load(t, u->hold_largest), larger(-low, high));
     Mask same = larger(high - level, level - low) <= u->hold_tolerance * largest;
-    if (u->speed_measured) same &= fast - slow <= u->hold_tolerance * larger(-slow, fast);
-    const Real held = chosen(same, load(t, u->hold_held_s, 1, 0) + passed, all(0.0));
-    Mask settled = same;
-    for (int l = 0; l < t->lanes; l++) {
-        if (!same[l] || !t->fine[l]) continue;
-        double rate = INFINITY;
-        for (int j = 0; j < k && rate == rate; j++) { /* what is not a number stays, and nothing settles */
-            const double decays = -log(t->factor[j][l]) / t->interval[j + 1][l];
-            rate = decays >= rate ? rate : decays;
-        }
-        settled[l] = held[l] * rate > u->hold_settled ? -1 : 0;
+    if (u->speed_measured) { /* then a load excites too */
+        Real slow = t->speed[1], fast = slow;
+        for (int j = 2; j <= k; j++) slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
+        same &= fast - slow <= u->hold_tolerance * larger(-slow, fast);
     }
+    const Real held = chosen(same, load(t, u->hold_held_s) + passed, all(0.0));
+    const Mask settled = same & has_settled(u, t, same & t->fine, held);
 
-    store(t, u->state, 1, 0, state);
-    store(t, u->noise, 1, 0, followed);
-    for (int i = 0; i < n; i++) {
-        store(t, u->p, n, i, p[i]);
-        const Real reached = t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size);
-        store(t, u->sensitivity, n, i, reached / t->size);
-    }
-    for (int i = 0; i < m; i++)
-        for (int j = 0; j < m; j++) store(t, u->covariance, m * m, i * m + j, moved[i][j]);
+    Real reached[MOST_COORDINATES];
+    for (int i = 0; i < n; i++)
+        reached[i] = (t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size)) / t->size;
+    store(t, u->state, state);
+    store(t, u->noise, followed);
+    store_matrix(t, u->p, n, 0, 1, n, p, n);
+    store_matrix(t, u->sensitivity, n, 0, 1, n, reached, n);
+    store_matrix(t, u->covariance, m * m, 0, m, m, moved[0], MOST_UNKNOWNS);
+    store_matrix(t, u->score, memories * n, 0, memories, n, t->scores[0], MOST_COORDINATES);
     for (int q = 0; q < memories; q++)
-        for (int i = 0; i < n; i++) {
-            store(t, u->score, memories * n, q * n + i, t->scores[q][i]);
-            for (int j = 0; j < n; j++)
-                store(t, u->information, memories * n * n, (q * n + i) * n + j, t->tested[q][i][j]);
-        }
-    store(t, u->left_out, 1, 0, u->left_out_memory * load(t, u->left_out, 1, 0) + ((double)k - t->used) / (double)k);
-    store(t, u->suspicion, 1, 0, all(0.0));
-    store(t, u->hold_level, 1, 0, chosen(same, level, t->voltage[k]));
-    store(t, u->hold_largest, 1, 0, largest);
-    store(t, u->hold_held_s, 1, 0, held);
+        store_matrix(t, u->information, memories * n * n, q * n * n, n, n, t->tested[q][0], MOST_COORDINATES);
+    store(t, u->left_out, u->left_out_memory * load(t, u->left_out) + ((double)k - t->used) / (double)k);
+    store(t, u->suspicion, all(0.0));
+    store(t, u->hold_level, chosen(same, level, t->voltage[k]));
+    store(t, u->hold_largest, largest);
+    store(t, u->hold_held_s, held);
     for (int l = 0; l < t->lanes; l++) {
         const int64_t motor = t->motor[l];
         told[l] = 0;
@@ -489,6 +565,10 @@ CLONES void conclude(const Update *u, Tile *t, uint8_t *told)
     }
 }
 
+/* Apart for three coordinates, of which most motors have as many: the compiler unrolls their small matrices. */
+CLONES void finish_3(const Update *u, Tile *t, uint8_t *told) { examine(u, t, 3), conclude(u, t, 3, told); }
+CLONES void finish_any(const Update *u, Tile *t, uint8_t *told) { examine(u, t, t->n), conclude(u, t, t->n, told); }
+
 /* Size of Update, by which Python tells that it speaks of the same. */
 int64_t update_size(void) { return (int64_t)sizeof(Update); }
 
@@ -500,10 +580,9 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         t.n = (int)u->coordinates, t.k = (int)u->samples;
         t.lanes = (int)(count - begin < LANES ? count - begin : LANES);
         for (int l = 0; l < LANES; l++) t.motor[l] = motors[begin + (l < t.lanes ? l : 0)];
-        gather(u, &t);
+        t.n == 3 ? gather_3(u, &t) : gather_any(u, &t);
         predict(u, &t);
-        examine(u, &t);
-        conclude(u, &t, told + begin);
+        t.n == 3 ? finish_3(u, &t, told + begin) : finish_any(u, &t, told + begin);
     }
 }
 

@@ -80,7 +80,7 @@ class RecursiveUpdate:
         told = vague if initial_relative_std is None else initial_relative_std
         prior = Prior.of_parameters(to_coordinates(theta), np.where(told > 0.0, told, vague))
         self._learnt = Learnt.nothing(prior, self._rules.first_fit)
-        self.replay = ReplayBuffer(motors, self._rules.replay_capacity)
+        self.replay = ReplayBuffer(motors, self._rules.replay_capacity, speed_measured=white_box.speed_measured)
         self._following = Following(white_box.parameters, self._rules)
         self._ordinary = OrdinaryEstimates(white_box.parameters, motors)
         self._learner = Learner(white_box, self._rules, self.replay, self._following, device)

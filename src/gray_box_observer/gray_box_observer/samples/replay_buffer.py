@@ -30,6 +30,7 @@ class ReplayBuffer:
     Args:
         motors: number of motors.
         capacity: how many samples of each are remembered.
+        speed_measured: whether speed is remembered; else it reads 0.
 
     Attributes:
         motors: how many streams there are.
@@ -37,11 +38,12 @@ class ReplayBuffer:
         total: how many samples the group has been given.
     """
 
-    def __init__(self, motors: int, capacity: int) -> None:
+    def __init__(self, motors: int, capacity: int, *, speed_measured: bool = True) -> None:
         if motors < 1 or capacity < 1:
             raise ConfigurationError(f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}')
         self.motors = motors
         self.capacity = capacity
+        self._speed_measured = speed_measured
         stage = max(1, min(STAGE, capacity // 2))
         self._rows = np.zeros((2 * capacity + stage, 4, motors))
         self._data = self._rows.transpose(1, 2, 0)
@@ -64,7 +66,8 @@ class ReplayBuffer:
         row[_INTERVAL] = sample.interval_s
         row[_VOLTAGE] = sample.voltage_v
         row[_TORQUE] = sample.torque_nm
-        row[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
+        if self._speed_measured:
+            row[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
         if sample.present is not None:
             self._present[self._staged], self._gaps = sample.present, True
         self._staged += 1

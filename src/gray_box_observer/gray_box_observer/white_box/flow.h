@@ -7,10 +7,15 @@
 #define MOST_COORDINATES 5
 #define MOST_KNOWN 8
 
-/* The voltage balance: codes of the unknown terms, then of the known ones, whose constants are given. */
+/* Which terms the voltage balance has: how many coordinates, how many known terms, whether speed is measured, and the
+ * codes of the unknown terms without inductance, then of the known ones. What the compiler is told it folds away. */
 typedef struct {
-    int64_t unknown, known, speed_measured;
+    int coordinates, known, speed_measured;
     const int64_t *codes;
+} Terms;
+
+/* The numbers in it; the constants of the known terms are given. */
+typedef struct {
     Real torque_constant, p[MOST_COORDINATES], constant[MOST_KNOWN];
 } Physics;
 
@@ -29,45 +34,52 @@ typedef struct {
     Real voltage, speed, end_speed, length;
 } Interval;
 
-/* Rate of the current and its derivatives: flow.py, _rate. */
-INLINE Rate rate_of(const Physics *box, const int n, Real state, Real voltage, Real measured)
+/* Derivative of a term by the current; total where the speed follows it. */
+INLINE Real slope_of(const Physics *box, const Terms of, const Term *t)
 {
-    const Real speed = box->speed_measured ? measured : box->torque_constant * state;
-    const Real follows = box->speed_measured ? all(0.0) : box->torque_constant;
+    return t->of_speed && !of.speed_measured ? t->by_current + box->torque_constant * t->by_speed : t->by_current;
+}
+
+/* Rate of the current and its derivatives: flow.py, _rate. */
+INLINE Rate rate_of(const Physics *box, const Terms of, Real state, Real voltage, Real measured)
+{
+    const int n = of.coordinates;
+    const Real speed = of.speed_measured ? measured : box->torque_constant * state;
     Rate rate;
     Real drive = voltage, slope = all(0.0);
-    for (int j = 0; j < box->known; j++) {
-        const Term t = term(box->codes[n - 1 + j], state, speed);
+    UNROLL for (int j = 0; j < of.known; j++) {
+        const Term t = term(of.codes[n - 1 + j], state, speed);
         drive -= box->constant[j] * t.value;
-        slope -= box->constant[j] * (t.by_current + follows * t.by_speed);
+        slope -= box->constant[j] * slope_of(box, of, &t);
     }
     rate.value = box->p[0] * drive;
     rate.slope = box->p[0] * slope;
     rate.by_coordinate[0] = drive;
-    for (int j = 1; j < n; j++) {
-        const Term t = term(box->codes[j - 1], state, speed);
+    UNROLL for (int j = 1; j < n; j++) {
+        const Term t = term(of.codes[j - 1], state, speed);
         rate.value -= box->p[j] * t.value;
-        rate.slope -= box->p[j] * (t.by_current + follows * t.by_speed);
+        rate.slope -= box->p[j] * slope_of(box, of, &t);
         rate.by_coordinate[j] = -t.value;
     }
     return rate;
 }
 
 /* One classical Runge-Kutta step of the state and its variational equation: flow.py, _runge_kutta_step. */
-INLINE Moved runge_kutta(const Physics *box, const int n, const Rate *first, Real start, const Interval *over)
+INLINE Moved runge_kutta(const Physics *box, const Terms of, const Rate *first, Real start, const Interval *over)
 {
+    const int n = of.coordinates;
     const Real voltage = over->voltage, begin = over->speed, end = over->end_speed, step = over->length;
     const Real half = 0.5 * step, middle = 0.5 * (begin + end), sixth = step * (1.0 / 6.0);
-    const Rate r2 = rate_of(box, n, start + half * first->value, voltage, middle);
-    const Rate r3 = rate_of(box, n, start + half * r2.value, voltage, middle);
-    const Rate r4 = rate_of(box, n, start + step * r3.value, voltage, end);
+    const Rate r2 = rate_of(box, of, start + half * first->value, voltage, middle);
+    const Rate r3 = rate_of(box, of, start + half * r2.value, voltage, middle);
+    const Rate r4 = rate_of(box, of, start + step * r3.value, voltage, end);
     const Real l2 = r2.slope * (1.0 + half * first->slope);
     const Real l3 = r3.slope * (1.0 + half * l2);
     const Real l4 = r4.slope * (1.0 + step * l3);
     Moved moved;
     moved.state = start + sixth * (first->value + 2.0 * (r2.value + r3.value) + r4.value);
     moved.by_state = 1.0 + sixth * (first->slope + 2.0 * (l2 + l3) + l4);
-    for (int j = 0; j < n; j++) {
+    UNROLL for (int j = 0; j < n; j++) {
         const Real m1 = first->by_coordinate[j];
         const Real m2 = r2.slope * (half * m1) + r2.by_coordinate[j];
         const Real m3 = r3.slope * (half * m2) + r3.by_coordinate[j];
@@ -78,8 +90,9 @@ INLINE Moved runge_kutta(const Physics *box, const int n, const Rate *first, Rea
 }
 
 /* Equal steps, as many as each lane asks for; at most `most` of any lane: flow.py, _in_steps. */
-INLINE Moved in_steps(const Physics *box, const int n, Real start, const Interval *over, Real steps, int most)
+INLINE Moved in_steps(const Physics *box, const Terms of, Real start, const Interval *over, Real steps, int most)
 {
+    const int n = of.coordinates;
     const Real slope = (over->end_speed - over->speed) / steps, length = over->length / steps;
     Moved whole = {start, all(1.0), {{0}}};
     for (int s = 0; s < most; s++) {
@@ -87,8 +100,8 @@ INLINE Moved in_steps(const Physics *box, const int n, Real start, const Interva
         const Real from = over->speed + (double)s * slope;
         const Real to = chosen(last, over->end_speed, over->speed + (double)(s + 1) * slope);
         const Interval piece = {over->voltage, from, to, length};
-        const Rate here = rate_of(box, n, whole.state, over->voltage, from);
-        const Moved part = runge_kutta(box, n, &here, whole.state, &piece);
+        const Rate here = rate_of(box, of, whole.state, over->voltage, from);
+        const Moved part = runge_kutta(box, of, &here, whole.state, &piece);
         whole.state = chosen(on, part.state, whole.state);
         for (int j = 0; j < n; j++) {
             const Real grown = part.by_state * whole.by_coordinate[j] + part.by_coordinate[j];

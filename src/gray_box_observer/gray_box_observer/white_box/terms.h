@@ -14,6 +14,7 @@ static const double BRUSH_KNEE_A = 0.02;
 
 typedef struct {
     Real value, by_current, by_speed;
+    int of_speed; /* whether there is a derivative by it */
 } Term;
 
 static inline int term_known(int64_t code) { return code >= RESISTANCE && code <= BRUSH_DROP; }
@@ -21,7 +22,7 @@ static inline int term_known(int64_t code) { return code >= RESISTANCE && code <
 /* Basis function of a term at currents in A and speeds in rad/s, and its partial derivatives. */
 INLINE Term term(int64_t code, Real current, Real speed)
 {
-    Term found = {{0}, {0}, {0}};
+    Term found = {{0}, {0}, {0}, code == HYSTERESIS || code == BACK_EMF};
     switch (code) {
     case RESISTANCE:
         found.value = current;
