@@ -114,4 +114,4 @@ def _courses(sequences: Sequences) -> Course:
 
 def _at(way: Course, k: int) -> Course:
     theta = [column[:, 0] for column in way.theta]
-    return Course(theta, way.voltage_v[:, k], way.speed_rad_s[:, k], way.steady_a[:, k], way.settling[:, k])
+    return Course(theta, *(signal[:, k] for signal in way.signals))

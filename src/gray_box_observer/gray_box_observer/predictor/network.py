@@ -75,15 +75,15 @@ class Weights:
 
     @cached_property
     def matrices(self) -> tuple[Array, ...]:
-        """What :func:`advance` needs: three for the gates, of all but the cell half of the weights; two for the output.
+        """What :func:`advance` needs: two for the gates, of all but the cell half of the weights; two for the output.
 
-        The first make gates of rows of inputs and of hidden units, and are followed by the bias.
+        The first makes gates of inputs and hidden units below each other, the second is their bias, a column.
         The logistic function of a gate is ``(1 + tanh(gate / 2)) / 2``: so one call squashes all of them.
         """
-        factor = np.full(4 * self.hidden, 0.5)
+        factor = np.full((4 * self.hidden, 1), 0.5)
         factor[2 * self.hidden : 3 * self.hidden] = 1.0
-        matrices = (np.ascontiguousarray((self.input * factor[:, None]).T), self.recurrent * factor[:, None])
-        return matrices[0], np.ascontiguousarray(matrices[1].T), self.bias * factor, self.output, self.output_bias
+        gates = np.concatenate((self.input, self.recurrent), axis=1) * factor
+        return gates, self.bias[:, None] * factor, self.output, self.output_bias
 
     def arrays(self) -> dict[str, Array]:
         """Return every array by its name."""
@@ -129,11 +129,22 @@ def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory
 
 
 def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> tuple[Any, Memory]:
-    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices` are in its form."""
-    by_input, by_hidden, bias, output, output_bias = matrices
+    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices` are in its form.
+
+    Motors stand beside each other here, gates below each other: so that every gate of all motors is one piece of
+    memory. What need not be kept is overwritten, for new memory costs more than arithmetic where motors are many.
+    """
+    by_row, bias, output, output_bias = matrices
     n = output.shape[0]
-    gates = ops.tanh(inputs @ by_input + memory.hidden @ by_hidden + bias)
-    squashed = 0.5 * (1.0 + gates)  # the logistic function, safe at both ends
-    cell = squashed[:, n : 2 * n] * memory.cell + squashed[:, :n] * gates[:, 2 * n : 3 * n]
-    hidden = squashed[:, 3 * n :] * ops.tanh(cell)
-    return hidden @ output + output_bias, Memory(hidden, cell)
+    gates = by_row @ ops.concatenate((inputs.T, memory.hidden.T))
+    gates += bias
+    ops.tanh(gates, out=gates)
+    proposed = 1.0 * gates[2 * n : 3 * n]
+    gates *= 0.5  # now the logistic function, safe at both ends
+    gates += 0.5
+    proposed *= gates[:n]
+    cell = gates[n : 2 * n] * memory.cell.T
+    cell += proposed
+    hidden = ops.tanh(cell)
+    hidden *= gates[3 * n :]
+    return output @ hidden + output_bias, Memory(hidden.T, cell.T)

@@ -61,6 +61,7 @@ class Course:
         speed_rad_s: held speed, where it is measured.
         steady_a: current at which the voltage balances, in A.
         settling: decay rate there, ``lambda_s``, in 1/s.
+        near_a: how near the steady state the chord cannot be told from the slope there, in A.
     """
 
     theta: Sequence[Any]
@@ -68,11 +69,16 @@ class Course:
     speed_rad_s: Any
     steady_a: Any
     settling: Any
+    near_a: Any
 
     def of(self, index: NDArray[np.intp]) -> Course:
         """Return the courses of the chosen motors; only of arrays."""
-        signals = (signal[index] for signal in (self.voltage_v, self.speed_rad_s, self.steady_a, self.settling))
-        return Course([parameter[index] for parameter in self.theta], *signals)
+        return Course([parameter[index] for parameter in self.theta], *(signal[index] for signal in self.signals))
+
+    @property
+    def signals(self) -> tuple[Any, ...]:
+        """Everything but theta, in the order of the attributes."""
+        return self.voltage_v, self.speed_rad_s, self.steady_a, self.settling, self.near_a
 
 
 def gap_v(white_box: WhiteBox, theta: Sequence[Any], voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
@@ -124,13 +130,13 @@ def course(
         last, state = abs(trial - state), trial
         if ops.all(last <= near):  # Newton is quadratic: the next step would be lost in rounding
             break
-    return Course(theta, voltage_v, speed_rad_s, state, slope / theta[0])
+    return Course(theta, voltage_v, speed_rad_s, state, slope / theta[0], 2e-6 * abs(state) + 1e-30)
 
 
 def chord(ops: Any, white_box: WhiteBox, way: Course, state: Any) -> Any:
     """How fast the current goes where it goes, ``c(i) = rate(i) / (s - i)`` in 1/s."""
     left = state - way.steady_a
-    far = abs(left) > 1e-6 * (abs(state) + abs(way.steady_a)) + 1e-30
+    far = abs(left) > way.near_a
     gap = gap_v(white_box, way.theta, way.voltage_v, state, way.speed_rad_s)
     slope = gap / way.theta[0] / ops.where(far, -left, 1.0)
     return ops.maximum(ops.where(far, slope, way.settling), SLOWEST)
@@ -153,41 +159,62 @@ def flow(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any
     Returns:
         The current at the end.
     """
+    begin = _begin(ops, white_box, way, state, interval_s)
+    return _followed(ops, white_box, way, begin, max(1, math.ceil(float(ops.max(begin.length)) / step)))
+
+
+def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Any:
+    """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take alone."""
+    begin = _begin(ops, white_box, way, state, interval_s)
+    counts = ops.maximum(ops.ceil(begin.length / FLOW_STEP), 1.0)
+    most = ops.max(counts)
+    if ops.all(counts == most):
+        return _followed(ops, white_box, way, begin, int(most))
+    end = ops.empty_like(state)
+    for count in ops.unique(counts).tolist():
+        which = ops.flatnonzero(counts == count)
+        end[which] = _followed(ops, white_box.of_motors(which), way.of(which), begin.of(which), int(count))
+    return end
+
+
+@dataclass(frozen=True, slots=True)
+class _Begin:
+    """Where an interval begins: the current, how fast it goes, the fastest rate on the way, and how long that is.
+
+    The length is ``log(1 + time * fastest rate)``, which :func:`flow` cuts into steps.
+    """
+
+    state: Any
+    here: Any
+    fastest: Any
+    length: Any
+
+    def of(self, index: NDArray[np.intp]) -> _Begin:
+        """Return the chosen motors; only of arrays."""
+        return _Begin(*(part[index] for part in (self.state, self.here, self.fastest, self.length)))
+
+
+def _begin(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> _Begin:
     here = chord(ops, white_box, way, state)
-    fastest, length = _scale(ops, way, here, interval_s)
-    steps = max(1, math.ceil(float(ops.max(length)) / step))
-    distance = state - way.steady_a
+    fastest = ops.maximum(ops.maximum(here, way.settling), SLOWEST)
+    return _Begin(state, here, fastest, ops.log1p(fastest * interval_s))
+
+
+def _followed(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps: int) -> Any:
+    """Current at the end of an interval cut into so many steps."""
+    distance = begin.state - way.steady_a
     left, time_s = 0.0 * distance, 0.0 * distance
     for k in range(steps):
-        end_s = ops.expm1(length * ((k + 1) / steps)) / fastest
+        end_s = ops.expm1(begin.length * ((k + 1) / steps)) / begin.fastest
         h, time_s = end_s - time_s, end_s
-        k1 = here if k == 0 else chord(ops, white_box, way, way.steady_a + distance * ops.exp(left))
+        k1 = begin.here if k == 0 else chord(ops, white_box, way, way.steady_a + distance * ops.exp(left))
         k2 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k1))
         k3 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k2))
         k4 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - h * k3))
         left = ops.where(left < -ARRIVED, left, left - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
         if ops.all(left < -ARRIVED):
             break
-    return state + distance * ops.expm1(left)
-
-
-def _scale(ops: Any, way: Course, here: Any, interval_s: Any) -> tuple[Any, Any]:
-    """Fastest rate on the way in 1/s, and ``log(1 + time * fastest rate)``, which :func:`flow` cuts into steps."""
-    fastest = ops.maximum(ops.maximum(here, way.settling), SLOWEST)
-    return fastest, ops.log1p(fastest * interval_s)
-
-
-def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Any:
-    """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take alone."""
-    length = _scale(ops, way, chord(ops, white_box, way, state), interval_s)[1]
-    counts = ops.maximum(ops.ceil(length / FLOW_STEP), 1.0)
-    end = ops.empty_like(state)
-    for count in ops.unique(counts).tolist():
-        which = ops.flatnonzero(counts == count)
-        if len(which) == len(state):
-            return flow(ops, white_box, way, state, interval_s)
-        end[which] = flow(ops, white_box.of_motors(which), way.of(which), state[which], interval_s[which])
-    return end
+    return begin.state + distance * ops.expm1(left)
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ class RelaxingForecaster:
         interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
         interval = relaxation(ops, self._white_box, question.way, start, interval_s)
         columns = interval.inputs(ops)
-        inputs = np.array([columns]) if axis.single else ops.stack(columns, -1)
+        inputs = np.array([columns]) if axis.single else ops.stack(columns).T
         readout, memory = advance(axis.arrays, self._matrices, memory, inputs)
         end = after(ops, interval, axis.take(readout))
         torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
@@ -60,8 +60,7 @@ class RelaxingForecaster:
         usable, way = np.reshape(question.usable, (motors, 1)), question.way
         if not self._axis.single:
             theta = [column[:, None] for column in way.theta]
-            signals = way.voltage_v, way.speed_rad_s, way.steady_a, way.settling
-            way = Course(theta, *(signal[:, None] for signal in signals))
+            way = Course(theta, *(signal[:, None] for signal in way.signals))
         start = np.broadcast_to(np.where(usable, np.reshape(current, (motors, 1)), 0.0), (motors, count))
         interval = relaxation(np, self._white_box, way, start, instants_s)
         inputs = np.stack(interval.inputs(np), axis=-1).reshape(motors * count, INPUTS)
