@@ -82,8 +82,10 @@ class Network:
         return [*self._entered(self._pids[host], '--net', '--mount', '--uts', '--ipc'), *command]
 
     def pull_plug(self, host: str) -> None:
-        """Cut a host off: its interface has no carrier any more."""
+        """Cut a host off: its interface has no carrier any more; the others forget its address, as in time they do."""
         self._at_switch('ip', 'link', 'set', host, 'down')
+        for other in self._pids.keys() - {host}:
+            self._run(self.on(other, ['ip', 'neigh', 'flush', 'dev', 'eth0']))
 
     def plug_in_again(self, host: str) -> None:
         """Let a host that was cut off back on the network."""
