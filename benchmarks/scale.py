@@ -9,9 +9,9 @@ it. Ends with one line of JSON.
 The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what it has to compute
 (:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
 
-Profile of 1,000 motors (samples of perf): compiled code of ordinary blocks three quarters, of which following the motion
-with its sensitivities is two fifths, the test for a change, learning and writing down two fifths, bringing samples and
-belief in one fifth; copying samples into memory, at the speed of memory, a fifth; Python the rest. Of one motor
+Profile of 1,000 motors (samples of perf): compiled code of ordinary blocks three quarters, of which following the
+motion with its sensitivities is two fifths, the test for a change, learning and writing down two fifths, bringing
+samples and belief in one fifth; copying samples into memory, at its speed, a fifth; Python the rest. Of one motor
 compiled code is a tenth, storing 32 samples three quarters, Python around a block the rest: updates alone are not a
 hundred times cheaper for many motors because that of one has become so cheap. Of predicting 1,000 motors the network is
 a third, the white box's own rollout for the scores a third, its relaxation and the comparison of signals the rest.
@@ -111,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ratios = filter_us[n] / update_us[n], update_us[1] / update_us[n], update_us[n] / limit_us, both[1] / both[n]
         costs = f'{update_us[n]:.3f}', f'{predict_us[n]:.3f}', f'{filter_us[n]:.1f}'
         rows.append([f'{n:,}', *costs, *(f'{ratio:.1f}' for ratio in ratios), f'{kilobytes[n]:.0f}'])
-    header = ['motors', 'update us', 'predict us', 'EKF us', 'EKF/update', 'one/many', 'x limit', 'whole one/many', 'kB']
+    header = 'motors|update us|predict us|EKF us|EKF/update|one/many|x limit|both: one/many|kB a motor'.split('|')
     print('CPU time of a motor-sample\n\n' + table(header, rows))
     moved, worked = (f'{1e9 * x:.1f} ns' for x in (BYTES / bandwidth, FLOPS / arithmetic))
     print(f'\nlimit: {BYTES:.0f} bytes at {bandwidth / 1e9:.1f} GB/s are {moved}; ', end='')
