@@ -105,13 +105,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         update_us[n] = min(update_us[n], update(nodes, samples, n, repeats))
     predict_us = {n: prediction(samples, n, repeats) for n in counts}
     both = {n: update_us[n] + predict_us[n] for n in counts}
-    kilobytes = {n: memory(nodes, n) for n in counts}
+    kilobytes = memory(nodes, 1000)
     rows = []
     for n in counts:
         ratios = filter_us[n] / update_us[n], update_us[1] / update_us[n], update_us[n] / limit_us, both[1] / both[n]
         costs = f'{update_us[n]:.3f}', f'{predict_us[n]:.3f}', f'{filter_us[n]:.1f}'
-        rows.append([f'{n:,}', *costs, *(f'{ratio:.1f}' for ratio in ratios), f'{kilobytes[n]:.0f}'])
-    header = 'motors|update us|predict us|EKF us|EKF/update|one/many|x limit|both: one/many|kB a motor'.split('|')
+        rows.append([f'{n:,}', *costs, *(f'{ratio:.1f}' for ratio in ratios)])
+    header = ['motors', 'update us', 'predict us', 'EKF us', 'EKF/update', 'one/many', 'x limit', 'both: one/many']
     print('CPU time of a motor-sample\n\n' + table(header, rows))
     moved, worked = (f'{1e9 * x:.1f} ns' for x in (BYTES / bandwidth, FLOPS / arithmetic))
     print(f'\nlimit: {BYTES:.0f} bytes at {bandwidth / 1e9:.1f} GB/s are {moved}; ', end='')
@@ -131,7 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Figure('update alone, 1,000 motors, as a fraction of one motor', thousand / update_us[1], None),
         Figure('update, 1,000 motors, times the limit', thousand / limit_us, 10.0, whole),
         Figure('update and prediction, 1,000 motors at 100 Hz, cores', cores, 1.0, whole),
-        Figure('memory of context nodes, kB a motor at 1,000', kilobytes[1000], None),
+        Figure('memory of context nodes, kB a motor at 1,000', kilobytes, None),
         *figures_on_device,
     ]
     print(last_line('scale', 1, figures))
