@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import gc
 import signal
 from typing import Any
 
 
 def dask_setup(_worker: Any) -> None:
-    """Leave Ctrl-C to the command: it ends the workers, who have nothing to say about it."""
+    """Leave Ctrl-C to the command, which ends the workers: they have nothing to say about it.
+
+    And let the garbage collector leave alone what Dask has loaded: it stays anyway, and is more than a bag makes.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()
