@@ -42,7 +42,7 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
-        (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').iterdir())]),
+        (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.*ml'))]),
         (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
         (f'share/{PACKAGE}/layouts', [str(path) for path in sorted(Path('layouts').iterdir())]),
         (f'share/{PACKAGE}/security', [str(path) for path in sorted(Path('security').glob('*.policy.xml'))]),

@@ -85,7 +85,7 @@ class Network:
         """Cut a host off: its interface has no carrier any more; the others forget its address, as in time they do."""
         self._at_switch('ip', 'link', 'set', host, 'down')
         for other in self._pids.keys() - {host}:
-            self._run(self.on(other, ['ip', 'neigh', 'flush', 'dev', 'eth0']))
+            self._run(self.on(other, ['ip', 'neigh', 'flush', 'to', self.addresses[host], 'dev', 'eth0']))
 
     def plug_in_again(self, host: str) -> None:
         """Let a host that was cut off back on the network."""

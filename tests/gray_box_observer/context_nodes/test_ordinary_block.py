@@ -165,18 +165,46 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
 
 
 @pytest.mark.parametrize(
-    'names', [THESIS[:2], (*THESIS, 'back_emf_constant'), (*THESIS, 'back_emf_constant', 'brush_drop')]
+    ('names', 'known'),
+    [
+        (THESIS, {'back_emf_constant': 0.01}),  # the usual one has a variant of its own
+        (THESIS, {'back_emf_constant': 0.01, 'brush_drop': 0.1}),  # and not this
+        (THESIS[:2], {'back_emf_constant': 0.01, 'brush_drop': 0.1}),
+        ((*THESIS, 'back_emf_constant'), {'brush_drop': 0.1}),
+        ((*THESIS, 'back_emf_constant', 'brush_drop'), {}),
+    ],
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...]
+    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...], known: dict[str, float]
 ) -> None:  # fmt: skip
-    known = {'back_emf_constant': 0.01, 'brush_drop': 0.1}
-    known = {name: value for name, value in known.items() if name not in names}
     box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
     _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
     assert count.learnt > 0.5 * count.given > 30
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.01])
+def test_a_hold_settles_when_numpy_says_so_to_the_block(
+    monkeypatch: pytest.MonkeyPatch, device: str | None, jitter: float
+) -> None:
+    box = MotorWhiteBox(THESIS, np.full(9, 0.01), {'back_emf_constant': np.full(9, 0.01)})
+    rules = RecursiveRules(block=4)
+    samples = simulated('R[5,15]D[0.5,4]', 30.0, motors=9)
+    lengths = np.random.default_rng(2).uniform(1.0 - jitter, 1.0 + jitter, len(samples))
+    samples = [s._replace(interval_s=s.interval_s * length) for s, length in zip(samples, lengths, strict=True)]
+    settled: list[list[np.ndarray]] = []
+    for library in (True, False):
+        with monkeypatch.context() as patch:
+            if not library:
+                patch.setattr(ordinary_block, 'library', lambda: None)
+            nodes = RecursiveUpdate(box, np.tile(START, (9, 1)), rules=rules, device=device if library else None)
+            settled.append([])
+            for one in samples:
+                nodes.learn(one)
+                settled[-1].append(nodes._learnt.hold.settled.copy())
+    np.testing.assert_array_equal(*settled)
+    assert 0.2 < np.mean(settled[0]) < 0.9
 
 
 def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import torch
 
-from gray_box_observer.predictor.network import Memory, Weights, step
+from gray_box_observer.predictor.network import Memory, Weights, advance, step
 from gray_box_observer.predictor.normalisation import Normalisation, Range, moved
 from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.torch_ops import TorchOps
 
 
 def stream(weights: Weights, inputs: np.ndarray) -> np.ndarray:
@@ -60,11 +63,28 @@ def test_huge_inputs_do_not_overflow() -> None:
         assert np.all(np.isfinite(stream(weights, np.full((1, 5, 2), 1e30))))
 
 
-def test_a_step_leaves_the_memory_it_was_given() -> None:
-    weights, memory = Weights.initial(1, 3, 0), Memory.blank(2, 3)
-    step(weights, memory, np.ones((2, 1)))
-    assert not memory.hidden.any()
-    assert not memory.cell.any()
+@pytest.mark.parametrize('order', ['C', 'F'])
+def test_a_step_leaves_what_it_was_given_and_may_be_taken_again(order: Literal['C', 'F']) -> None:
+    random, weights = np.random.default_rng(0), Weights.initial(1, 3, 0)
+    hidden, cell, inputs = (np.asarray(random.normal(size=(2, n)), order=order) for n in (3, 3, 1))
+    memory, before = Memory(hidden, cell), (hidden.copy(), cell.copy(), inputs.copy())
+    first, second = (step(weights, memory, inputs) for _ in range(2))
+    for array, was in zip((hidden, cell, inputs), before, strict=True):
+        np.testing.assert_array_equal(array, was)
+    np.testing.assert_array_equal(first[0], second[0])
+    assert first[1].hidden.shape == first[1].cell.shape == (2, 3)
+    np.testing.assert_array_equal(first[1].cell, second[1].cell)
+
+
+@pytest.mark.parametrize('order', ['C', 'F'])
+def test_torch_takes_the_same_step(order: Literal['C', 'F']) -> None:
+    ops, random, weights = TorchOps('cpu'), np.random.default_rng(0), Weights.initial(5, 12, 0)
+    hidden, cell, inputs = (np.asarray(random.normal(size=(9, n)), order=order) for n in (12, 12, 5))
+    output, memory = step(weights, Memory(hidden, cell), inputs)
+    given = [ops.taken(matrix) for matrix in weights.matrices]
+    theirs, after = advance(ops, given, Memory(ops.taken(hidden), ops.taken(cell)), ops.taken(inputs))
+    for ours, other in ((output, theirs), (memory.hidden, after.hidden), (memory.cell, after.cell)):
+        np.testing.assert_allclose(other.numpy(), ours, rtol=1e-12, atol=1e-15)
 
 
 def test_the_same_seed_draws_the_same_network() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from gray_box_observer.predictor.relaxation import (
     course,
     exponent,
     flow,
+    flow_each,
     gap_v,
     relaxation,
     slope_ohm,
 )
+from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.dynamics import decay_rate, rate
 
@@ -171,3 +174,19 @@ def test_wild_parameters_and_voltages_stay_finite_and_small_inputs(
         one = relaxation(Floats, box, alone, float(start[k]), 0.01)
         assert math.isfinite(after(Floats, one, 0.5))
         assert math.isfinite(flow(Floats, box, alone, float(start[k]), 0.01))
+
+
+@pytest.mark.parametrize('ops', [np, TorchOps('cpu')], ids=['numpy', 'torch'])
+@pytest.mark.parametrize('intervals_s', [(0.01, 0.01, 0.01), (1e-4, 0.3, 10.0)])
+def test_every_motor_flows_as_it_would_alone(ops: Any, intervals_s: tuple[float, ...]) -> None:
+    of = np.asarray if ops is np else ops.taken
+    theta, starts = np.array([[0.5, 1.0, 10.0], [0.1, 2.0, 5.0], [0.02, 0.5, 20.0]]), np.array([0.0, 3.0, -2.0])
+    constant = np.full(3, 0.01)
+    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), of(constant), {'back_emf_constant': of(constant)})
+    voltage, interval_s = of(np.array([12.0, -7.0, 5.0])), of(np.array(intervals_s))
+    way = course(ops, box, list(of(theta).T), voltage, 0.0 * voltage, 0.0 * voltage)
+    ends = flow_each(ops, box, way, of(starts), interval_s)
+    for k in range(3):
+        one = of(np.array([k]))
+        alone = flow(ops, box.of_motors(one), way.of(one), of(starts)[one], interval_s[one])
+        assert float(ends[k]) == float(alone[0])

@@ -111,3 +111,17 @@ def test_every_motor_has_a_stream_of_its_own(capacity: int) -> None:
     place = buffer.received - [3, 1, 2]  # some have not come to the newest yet
     ends = [stream[: int(end)][-2:] for stream, end in zip(streams, place, strict=True)]
     np.testing.assert_array_equal(buffer.newest(2, np.arange(motors), place)[2], ends)
+
+
+def test_where_speed_is_not_measured_it_reads_zero_whatever_came() -> None:
+    random = np.random.default_rng(8)
+    buffer, reference = (ReplayBuffer(3, 8, speed_measured=measured) for measured in (False, True))
+    buffer.refill(random.normal(size=(4, 3, 8)))
+    for k in range(100):
+        present = random.random(3) < 0.8 if k % 3 else None
+        new = sample(random, 3)._replace(speed_rad_s=np.full(3, np.nan), present=present)
+        for one in (buffer, reference):
+            one.append(new)
+        assert not buffer.speed_rad_s().any()
+    for got, expected in zip(views(buffer)[:3], views(reference)[:3], strict=True):
+        np.testing.assert_array_equal(got, expected)

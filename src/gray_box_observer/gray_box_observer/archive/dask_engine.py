@@ -35,7 +35,6 @@ CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
 _QUIET: Mapping[str, Any] = {
     'distributed.worker.profile.enabled': False,  # costs some percent
-    'distributed.worker.memory.monitor-interval': '1s',  # ten times a second every process and its nanny weighed it
     'distributed.admin.tick.interval': '1s',  # 50 times a second every process woke to see whether it is awake
     'distributed.scheduler.http.routes': [],  # nobody is told where the pages of the own cluster are
     'distributed.worker.http.routes': [],

@@ -10,7 +10,8 @@ from typing import Any
 def dask_setup(_worker: Any) -> None:
     """Leave Ctrl-C to the command, which ends the workers: they have nothing to say about it.
 
-    And let the garbage collector leave alone what Dask has loaded: it stays anyway, and is more than a bag makes.
+    The garbage collector leaves alone what Dask has loaded, which stays as long as the process.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.collect()
     gc.freeze()

@@ -13,7 +13,7 @@
 #define MOST_UNKNOWNS (MOST_COORDINATES + 1)
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
-#define ROUNDING 1e-9 /* more than the arithmetic of a bound may be off */
+#define ROUNDING 1e-12 /* of a bound: more than its arithmetic, which is some 1e-16 off */
 
 /* What is told of a motor: nothing where its block was not ordinary. */
 enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
@@ -108,7 +108,10 @@ CLONES void eliminate_any(int size, int columns, Real matrix[][MOST_UNKNOWNS], R
 /* The same, without a loop where the compiler knows the size. */
 INLINE void solve(const int size, const int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
 {
-    __builtin_constant_p(size) ? eliminate(size, columns, matrix, right) : eliminate_any(size, columns, matrix, right);
+    if (__builtin_constant_p(size))
+        eliminate(size, columns, matrix, right);
+    else
+        eliminate_any(size, columns, matrix, right);
 }
 
 /* An array of shape (motor,); written for the motors whose block is ordinary. */
@@ -129,7 +132,8 @@ INLINE void store(const Tile *t, double *array, Real x)
 }
 
 /* A matrix of every motor, beginning at entry `first` of a row of an array of shape (motor, width); `apart` from row to
- * row here. All of them are brought in before anything is computed: what is written piece by piece is read late. */
+ * row here. All of them are brought in before anything is computed: a vector that was stored number by number can be
+ * loaded quickly only when these stores are over. */
 INLINE void load_matrix(
     const Tile *t, const double *array, int64_t width, int64_t first, int rows, int columns, Real *to, int apart)
 {
@@ -191,10 +195,10 @@ INLINE void gather(const Update *u, Tile *t, const int n)
     t->state = load(t, u->state);
     load_matrix(t, u->p, n, 0, 1, n, t->box.p, n);
     load_matrix(t, u->sensitivity, n, 0, 1, n, t->sensitivity, n);
-    load_matrix(t, u->covariance, m * m, 0, m, m, t->covariance[0], MOST_UNKNOWNS);
-    load_matrix(t, u->score, memories * n, 0, memories, n, t->scores[0], MOST_COORDINATES);
+    load_matrix(t, u->covariance, m * m, 0, m, m, (Real *)t->covariance, MOST_UNKNOWNS);
+    load_matrix(t, u->score, memories * n, 0, memories, n, (Real *)t->scores, MOST_COORDINATES);
     for (int q = 0; q < memories; q++)
-        load_matrix(t, u->information, memories * n * n, q * n * n, n, n, t->tested[q][0], MOST_COORDINATES);
+        load_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q], MOST_COORDINATES);
 }
 
 CLONES void gather_3(const Update *u, Tile *t) { gather(u, t, 3); }
@@ -251,7 +255,7 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
             twice[i][j] = i == j ? t->covariance[i][j] : t->covariance[i][j] + t->covariance[j][i];
         }
     }
-    for (int j = 0; j < k; j++) { /* apart from what follows, for the processor goes through several intervals at once */
+    for (int j = 0; j < k; j++) { /* a loop of its own: intervals overlap in the processor */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
         t->to[j] = t->most == 1 ? runge_kutta(&t->box, of, &t->here[j], t->about[j], &over)
                                 : in_steps(&t->box, of, t->about[j], &over, t->steps, t->most);
@@ -311,7 +315,10 @@ CLONES void follow_usual_with_speed(const Update *u, Tile *t) { follow_of(u, t, 
 static void follow_any(const Update *u, Tile *t)
 {
     if (t->n == 3 && u->known_terms == 1 && memcmp(u->codes, USUAL, sizeof(USUAL)) == 0) {
-        u->speed_measured ? follow_usual_with_speed(u, t) : follow_usual(u, t);
+        if (u->speed_measured)
+            follow_usual_with_speed(u, t);
+        else
+            follow_usual(u, t);
         return;
     }
     switch (t->n) {
@@ -418,7 +425,7 @@ INLINE Mask has_settled(const Update *u, const Tile *t, const Mask asked, const 
         longest = larger(longest, t->interval[j + 1]), shortest = smaller(shortest, t->interval[j + 1]);
     }
     const Real least_rate = 2.0 * (1.0 - most) / ((1.0 + most) * longest);
-    const Real most_rate = (1.0 - most * most) / (2.0 * most * shortest);
+    const Real most_rate = (1.0 - most) * (1.0 + most) / (2.0 * most * shortest);
     Mask settled = asked & known & (held * least_rate > u->hold_settled * (1.0 + ROUNDING));
     const Mask open = asked & ~settled & ~(known & (held * most_rate < u->hold_settled * (1.0 - ROUNDING)));
     for (int l = 0; l < t->lanes; l++) {
@@ -517,9 +524,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     const Real power = noise * noise + (double)k / count * (t->squares / t->used - noise * noise);
     const Real followed = larger(square_root(power), u->noise_floor * t->size);
     t->fine &= followed < INFINITY;
-    for (int j = 2; j <= k; j++) {
+    for (int j = 2; j <= k; j++)
         low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
-    }
     const Real level = load(t, u->hold_level);
     const Real largest = larger(load(t, u->hold_largest), larger(-low, high));
     Mask same = larger(high - level, level - low) <= u->hold_tolerance * largest;
@@ -538,10 +544,10 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     store(t, u->noise, followed);
     store_matrix(t, u->p, n, 0, 1, n, p, n);
     store_matrix(t, u->sensitivity, n, 0, 1, n, reached, n);
-    store_matrix(t, u->covariance, m * m, 0, m, m, moved[0], MOST_UNKNOWNS);
-    store_matrix(t, u->score, memories * n, 0, memories, n, t->scores[0], MOST_COORDINATES);
+    store_matrix(t, u->covariance, m * m, 0, m, m, (Real *)moved, MOST_UNKNOWNS);
+    store_matrix(t, u->score, memories * n, 0, memories, n, (Real *)t->scores, MOST_COORDINATES);
     for (int q = 0; q < memories; q++)
-        store_matrix(t, u->information, memories * n * n, q * n * n, n, n, t->tested[q][0], MOST_COORDINATES);
+        store_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q], MOST_COORDINATES);
     store(t, u->left_out, u->left_out_memory * load(t, u->left_out) + ((double)k - t->used) / (double)k);
     store(t, u->suspicion, all(0.0));
     store(t, u->hold_level, chosen(same, level, t->voltage[k]));
@@ -565,7 +571,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     }
 }
 
-/* Apart for three coordinates, of which most motors have as many: the compiler unrolls their small matrices. */
+/* A variant for three coordinates, which most motors have: the compiler unrolls their small matrices. */
 CLONES void finish_3(const Update *u, Tile *t, uint8_t *told) { examine(u, t, 3), conclude(u, t, 3, told); }
 CLONES void finish_any(const Update *u, Tile *t, uint8_t *told) { examine(u, t, t->n), conclude(u, t, t->n, told); }
 
@@ -580,9 +586,15 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         t.n = (int)u->coordinates, t.k = (int)u->samples;
         t.lanes = (int)(count - begin < LANES ? count - begin : LANES);
         for (int l = 0; l < LANES; l++) t.motor[l] = motors[begin + (l < t.lanes ? l : 0)];
-        t.n == 3 ? gather_3(u, &t) : gather_any(u, &t);
+        if (t.n == 3)
+            gather_3(u, &t);
+        else
+            gather_any(u, &t);
         predict(u, &t);
-        t.n == 3 ? finish_3(u, &t, told + begin) : finish_any(u, &t, told + begin);
+        if (t.n == 3)
+            finish_3(u, &t, told + begin);
+        else
+            finish_any(u, &t, told + begin);
     }
 }
 

@@ -92,7 +92,7 @@ class Weights:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What the network remembers: hidden and cell state, each of shape (motor, hidden)."""
+    """What the network remembers: hidden and cell state, each of shape (motor, hidden), in either order of memory."""
 
     hidden: Array
     cell: Array
@@ -134,12 +134,12 @@ def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> t
     Motors stand beside each other here, gates below each other: so that every gate of all motors is one piece of
     memory. What need not be kept is overwritten, for new memory costs more than arithmetic where motors are many.
     """
-    by_row, bias, output, output_bias = matrices
+    weights, bias, output, output_bias = matrices
     n = output.shape[0]
-    gates = by_row @ ops.concatenate((inputs.T, memory.hidden.T))
+    gates = weights @ ops.concatenate((inputs.T, memory.hidden.T))
     gates += bias
     ops.tanh(gates, out=gates)
-    proposed = 1.0 * gates[2 * n : 3 * n]
+    proposed = 1.0 * gates[2 * n : 3 * n]  # a copy, by numpy and torch alike: gates are overwritten
     gates *= 0.5  # now the logistic function, safe at both ends
     gates += 0.5
     proposed *= gates[:n]

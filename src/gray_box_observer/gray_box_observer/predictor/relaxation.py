@@ -61,7 +61,7 @@ class Course:
         speed_rad_s: held speed, where it is measured.
         steady_a: current at which the voltage balances, in A.
         settling: decay rate there, ``lambda_s``, in 1/s.
-        near_a: how near the steady state the chord cannot be told from the slope there, in A.
+        near_a: distance from the steady state below which the slope there stands for the chord, in A.
     """
 
     theta: Sequence[Any]

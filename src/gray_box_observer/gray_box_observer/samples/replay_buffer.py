@@ -205,6 +205,8 @@ class ReplayBuffer:
         keep = min(content.shape[2], self.capacity + self.capacity // 2)
         cut = content.shape[2] - keep
         self._data[:, which, :keep] = content[:, :, cut:]
+        if not self._speed_measured:
+            self._data[_SPEED, which, :keep] = 0.0
         self._end[which], self._gone[which], self._begin[which] = keep, gone + cut, begin
         self._find_top()
         self._make_room()
