@@ -35,6 +35,9 @@ CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
 _QUIET: Mapping[str, Any] = {
     'distributed.worker.profile.enabled': False,  # costs some percent
+    # What a bag has freed is kept for the next; Dask has it given back, and fetched again, all the time.
+    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 1 << 28,
+    'distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX': 1,
     'distributed.admin.tick.interval': '1s',  # 50 times a second every process woke to see whether it is awake
     'distributed.scheduler.http.routes': [],  # nobody is told where the pages of the own cluster are
     'distributed.worker.http.routes': [],
