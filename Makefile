@@ -54,11 +54,10 @@ docs: setup  ## write docs/API.md from the code
 bench: setup  ## run one benchmark (NAME=identification QUICK=1)
 	@[ -n '$(NAME)' ] || { echo "bench: error: NAME is missing; expected one of: $(basename $(notdir $(wildcard benchmarks/[a-z]*.py)))" >&2; exit 2; }
 	@[ -f 'benchmarks/$(NAME).py' ] || { echo "bench: error: no benchmark $(NAME); expected one of: $(basename $(notdir $(wildcard benchmarks/[a-z]*.py)))" >&2; exit 2; }
-	@cmp -s ros_ws/requirements/bench.txt .venv/.bench_installed || { echo 'bench: installing the peers (once)'; \
-		$(RUN) python -m pip install --quiet --no-input --disable-pip-version-check \
-			--constraint "$$(ls .venv/distribution_constraints.txt 2>/dev/null || echo ros_ws/requirements/constraints.txt)" \
-			--requirement ros_ws/requirements/bench.txt \
-		&& cp ros_ws/requirements/bench.txt .venv/.bench_installed; }
+	@cmp -s ros_ws/requirements/locked/bench.txt .venv/.bench_installed || { echo 'bench: installing the peers (once)'; \
+		$(RUN) python -m pip install --quiet --no-input --disable-pip-version-check --require-hashes --no-deps \
+			--no-build-isolation --requirement ros_ws/requirements/locked/bench.txt \
+		&& cp ros_ws/requirements/locked/bench.txt .venv/.bench_installed; }
 	@$(RUN) python 'benchmarks/$(NAME).py' $(if $(QUICK),--quick) $(ARGS)
 
 clean:  ## remove what was built and cached (recordings and .venv stay)

@@ -20,8 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from demo_processes import Children, DemoError
-from demo_result import estimates_text, load_truth, recorded_samples, result_of, summary
+from demo_result import estimates_text, fit_sentences, load_truth, recorded_samples, result_of, summary
 from demo_sources import START_PATIENCE_S, Source, executable, replay, simulator, write_parameters
+
+from gray_box_observer.printable import printable
 
 ROOT = Path(__file__).resolve().parent.parent
 SETTLE_PATIENCE_S = 20.0
@@ -50,7 +52,17 @@ def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
     for path in (options.bag, options.params):
         if path is not None and not path.exists():
             parser.error(f'{path} does not exist')
+    if options.params is not None and not options.params.is_file():
+        parser.error(f'{options.params} is no regular file')
+    paths = map(str, (options.bag, options.params, options.runs))
+    unreadable = next((path for path in paths if not _is_text(path)), None)
+    if unreadable is not None:  # a parameter file could not name it
+        parser.error(f'the path {unreadable!r} is no UTF-8: rename it')
     return options
+
+
+def _is_text(word: str) -> bool:
+    return not any('\ud800' <= sign <= '\udfff' for sign in word)
 
 
 def _positive(text: str) -> float:
@@ -62,7 +74,7 @@ def _positive(text: str) -> float:
 
 def _not_negative(text: str) -> float:
     try:
-        value = float(text)
+        value = float(text) if text.isascii() and '_' not in text else math.nan  # not 1_2 for 12
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value >= 0):
@@ -72,7 +84,7 @@ def _not_negative(text: str) -> float:
 
 def say(text: str) -> None:
     """Tell the user something; stdout is kept for the result."""
-    print(text, file=sys.stderr, flush=True)
+    print(*map(printable, text.splitlines()), sep='\n', file=sys.stderr, flush=True)
 
 
 def isolate() -> None:
@@ -212,6 +224,7 @@ def run_demo(options: argparse.Namespace) -> None:
         if not motors:
             raise DemoError(f'the observer gave no estimate; see {shown(run / "log" / "observer.log")}')
         identify_bag(run, bag, source)
+        say(fit_sentences(run / 'identify.json', coloured=sys.stderr.isatty()))
         say(summary(motors, recorded_samples(bag), watch.samples_used()))
     say(f'report: {shown(run / "report.html")}')
     print(json.dumps({'bag': shown(bag), 'report': shown(run / 'report.html'), 'motors': motors}), flush=True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from demo_processes import DemoError
 
 Values = Mapping[str, Mapping[str, float]]
@@ -25,14 +25,17 @@ def load_truth(path: Path | None) -> Values:
     """
     if path is None:
         return {}
+    from gray_box_observer.errors import InputError
+    from gray_box_observer.report.truth import read_truth
+
     try:
-        motors = yaml.safe_load(path.read_text(encoding='utf-8'))['motors']
-        return {
-            motor: {name: float(value[-1][1] if isinstance(value, list) else value) for name, value in values.items()}
-            for motor, values in motors.items()
-        }
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError, OSError, yaml.YAMLError) as error:
-        raise DemoError(f'{path} is no truth file: expected motors: {{NAME: {{PARAMETER: VALUE}}}}') from error
+        truth = read_truth(path)
+    except InputError as error:
+        raise DemoError(str(error)) from error
+    return {
+        motor: {name: float(value[1][-1]) if isinstance(value, tuple) else value for name, value in values.items()}
+        for motor, values in truth.items()
+    }
 
 
 def estimates_text(estimates: Values) -> str:
@@ -71,13 +74,32 @@ def result_of(estimates: Values, stds: Values, truth: Values) -> dict[str, dict[
 
 def recorded_samples(bag: Path) -> int | None:
     """Torque messages that the bag says it holds."""
+    from gray_box_observer.bounded_yaml import read_yaml
+    from gray_box_observer.errors import InputError
+
     try:
-        information = yaml.safe_load((bag / 'metadata.yaml').read_text(encoding='utf-8'))
-        topics = information['rosbag2_bagfile_information']['topics_with_message_count']
+        topics = read_yaml(bag / 'metadata.yaml')['rosbag2_bagfile_information']['topics_with_message_count']
         count: int = sum(t['message_count'] for t in topics if t['topic_metadata']['name'].endswith('motor/torque'))
         return count
-    except (OSError, KeyError, TypeError, yaml.YAMLError):
+    except (InputError, KeyError, TypeError, AttributeError):
         return None
+
+
+def fit_sentences(result: Path, *, coloured: bool) -> str:
+    """Say of every motor, in a sentence and a colour, whether the white box explains its data.
+
+    Args:
+        result: JSON that ``identify`` has written.
+        coloured: whether a terminal shows it.
+    """
+    from gray_box_observer.fit_test import FitAssessment
+    from gray_box_observer.result_text import fit_line
+
+    motors = json.loads(result.read_text(encoding='utf-8'))['motors']
+    fits = {
+        name: FitAssessment.from_dict({**motor['fit'], 'samples': motor['samples']}) for name, motor in motors.items()
+    }
+    return '\n'.join(fit_line(name, fit, coloured=coloured) for name, fit in fits.items())
 
 
 def summary(motors: Mapping[str, Any], recorded: int | None, used: int | None) -> str:

@@ -17,6 +17,10 @@ READERS_OF_TORQUE = 2
 START_PATIENCE_S = 60.0
 
 
+DEMO_CONSTANTS = {'torque_constant': 0.01, 'back_emf_constant': 0.01, 'speed_source': 'torque_constant'}
+"""What is known of the simulated motor: its defaults, stated; its speed follows the current, as in the thesis."""
+
+
 @dataclass(frozen=True, slots=True)
 class Source:
     """A process that publishes samples.
@@ -65,7 +69,8 @@ def simulator(
     }
     if params is None:
         initial = {name: FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
-        params = write_parameters(run / 'observer.yaml', {'motors': ['motor'], 'motor': {'initial': initial}})
+        known = {**DEMO_CONSTANTS, 'initial': initial}
+        params = write_parameters(run / 'observer.yaml', {'motors': ['motor'], 'motor': known})
     file = write_parameters(run / 'simulator.yaml', parameters)
     command = (executable('dc_motor_sim', 'motor_sim'), '--ros-args', '--params-file', file)
     return Source('simulator', command, duration_s, params, truth, record_all=False)

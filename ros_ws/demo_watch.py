@@ -15,6 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64, Float64MultiArray
 
 from gray_box_observer.ros.topics import DIAGNOSTICS, LATCHED_QOS
+from gray_box_observer.white_box import TERMS
 
 OBSERVER = 'gray_box_observer'
 _READS_PER_UPDATE = 64
@@ -78,7 +79,7 @@ class Watch:
             if leaf == 'covariance' and 'std_msgs/msg/Float64MultiArray' in types:
                 callback = partial(self._on_covariance, motor)
                 self._node.create_subscription(Float64MultiArray, topic, callback, LATCHED_QOS)
-            elif 'std_msgs/msg/Float64' in types:
+            elif leaf in TERMS and 'std_msgs/msg/Float64' in types:
                 self._node.create_subscription(Float64, topic, partial(self._on_value, motor, leaf), LATCHED_QOS)
             self._subscribed.add(topic)
 

@@ -14,7 +14,8 @@ set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)
 workspace=$root/ros_ws
 venv=$root/.venv
-requirements=$workspace/requirements
+locked=$workspace/requirements/locked
+torch_builds=$workspace/requirements/torch_builds.sha256
 ros=${ROS:-auto}
 ros_prefix=${ROS_PREFIX:-/opt/ros/jazzy}
 wheel_pythons='3.11 3.12 3.13'
@@ -94,15 +95,14 @@ find_python() {
 
 # --- the virtual environment ----------------------------------------------------------------------------------------
 
-requirement_files() {
-    local always="$requirements/runtime.txt $requirements/archive.txt $requirements/dev.txt"
+locked_files() { # what is installed by hash, besides torch
+    local files=$locked/python.txt
     if [ "$ros" = wheels ]; then
-        echo "$requirements/ros.txt $requirements/build.txt $always"
-    elif "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
-        echo "$always"
-    else
-        echo "$requirements/build.txt $always"
+        files="$files $locked/build.txt $locked/ros.txt"
+    elif ! "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
+        files="$files $locked/build.txt"
     fi
+    echo "$files"
 }
 
 venv_stamp() {
@@ -111,7 +111,7 @@ venv_stamp() {
     echo "executable $python"
     "$python" -c 'import sys; print("version", sys.version)' | tr '\n' ' '
     # shellcheck disable=SC2046
-    cat $(requirement_files) "$requirements/constraints.txt" "${BASH_SOURCE[0]}" | sha256sum
+    cat $(locked_files) "$locked/torch.txt" "$locked/cuda.txt" "$torch_builds" "${BASH_SOURCE[0]}" | sha256sum
 }
 
 make_venv() {
@@ -146,18 +146,54 @@ make_venv() {
 }
 
 install_requirements() {
-    local file arguments=() constraints=$requirements/constraints.txt
-    for file in $(requirement_files); do arguments+=(--requirement "$file"); done
-    if [ "$ros" = distribution ]; then
-        # ROS's message modules were compiled against the distribution's numpy: another one in front of it breaks them.
-        constraints=$venv/distribution_constraints.txt
-        "$python" -c 'import numpy; print("numpy==" + numpy.__version__)' >"$constraints" \
-            || fail "numpy is missing from $python; apt install python3-numpy"
+    local file
+    say 'installing pinned packages by their hashes (the first time downloads some hundred megabytes and takes minutes)'
+    # Into .venv, so that it survives an interrupted run and can be looked at.
+    for file in $(locked_files); do as_installed <"$file"; done >"$venv/locked.txt"
+    # First what builds the few packages that are sources, for pip would fetch a builder of its own without a hash.
+    packages_named setuptools <"$venv/locked.txt" >"$venv/locked_setuptools.txt"
+    install_locked "$venv/locked_setuptools.txt"
+    install_locked "$venv/locked.txt"
+    install_torch
+}
+
+as_installed() { # leaves out what a distribution brings: its message modules were compiled against its own numpy
+    if [ "$ros" = distribution ]; then packages_named --not numpy pyyaml tqdm; else cat; fi
+}
+
+packages_named() { # [--not] NAME...: of locked requirements
+    awk -v wanted="$*" '
+        BEGIN { count = split(wanted, names, " "); for (k = 1; k <= count; k++) is_named[names[k]] = 1 }
+        /^[a-z0-9]/ { name = $1; sub(/==.*/, "", name); is_kept = is_named["--not"] ? !is_named[name] : is_named[name] }
+        is_kept'
+}
+
+install_torch() {
+    # A build without CUDA comes first, where pip is pointed at one. The index that the hashes come from has none, so
+    # that those known are listed apart; one that is not in the list is refused, not replaced by gigabytes of CUDA.
+    local version
+    version=$(sed -n 's/^torch==\([^ ]*\).*/\1/p' "$locked/torch.txt")
+    {
+        printf 'torch==%s' "$version+cpu"
+        sed -n "s/^\([0-9a-f]*\) .*torch-$version+cpu.*/ --hash=sha256:\1/p" "$torch_builds" | tr -d '\n'
+    } >"$venv/locked_torch.txt"
+    if ! install_locked "$venv/locked_torch.txt" --where-there-is-one; then
+        install_locked "$locked/torch.txt"
+        install_locked "$locked/cuda.txt"
     fi
-    say 'installing pinned packages (the first time downloads some hundred megabytes and takes minutes)'
-    "$venv/bin/python" -m pip install --quiet --quiet --no-input --disable-pip-version-check \
-        --constraint "$constraints" "${arguments[@]}" \
-        || fail 'pip could not install the pinned packages; its message is above'
+}
+
+install_locked() { # FILE [--where-there-is-one]: nothing is resolved, and nothing without a hash of the list is installed
+    local said wanted
+    if said=$("$venv/bin/python" -m pip install --quiet --quiet --no-input --disable-pip-version-check \
+        --require-hashes --no-deps --no-build-isolation --requirement "$1" 2>&1); then return; fi
+    if [ "${2:-}" = --where-there-is-one ] && [[ $said == *'No matching distribution found'* ]]; then return 1; fi
+    if [[ $said == *'DO NOT MATCH THE HASHES'* ]]; then
+        wanted=$(sed -nE 's/^ +([^ ]+==[^ ]+) from .*/\1/p' <<<"$said" | head -n 1)
+        fail "$wanted is not the file that was locked (its SHA-256 is $(sed -nE 's/^ +Got +//p' <<<"$said" | head -n 1)) and was not installed; CONTRIBUTING says what to do"
+    fi
+    printf '%s\n' "$said" >&2
+    fail "pip could not install ${1##*/}; its message is above"
 }
 
 write_wheels_hook() {

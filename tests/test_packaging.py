@@ -91,7 +91,7 @@ def install_prefix(package: str) -> Path:
 
 def requirements() -> list[str]:
     files = (ROOT / 'ros_ws' / 'requirements').glob('*.txt')
-    lines = [line for f in files if f.name != 'constraints.txt' for line in f.read_text(encoding='utf-8').splitlines()]
+    lines = [line for file in files for line in file.read_text(encoding='utf-8').splitlines()]
     return [line for line in lines if line and not line.startswith('#')]
 
 
@@ -208,3 +208,18 @@ def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> No
     done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr  # the package is built without it
     assert not (copy / library).exists()
+
+
+def test_everything_that_is_pinned_is_locked_in_that_version_with_hashes_and_without_any_address():
+    """`ros_ws/lock_requirements.py` writes the locked lists; it has to be run when a pin changes."""
+    locked: dict[str, set[str]] = {}
+    for path in (ROOT / 'ros_ws' / 'requirements' / 'locked').glob('*.txt'):
+        text = path.read_text(encoding='utf-8')
+        assert '://' not in text
+        for entry in re.split(r'\n(?=[a-z0-9])', text)[1:]:
+            name, version = re.match(r'([\w.-]+)==([^\s;]+)', entry).groups()
+            locked.setdefault(name, set()).add(version)
+            assert re.search(r'--hash=sha256:[0-9a-f]{64}\b', entry), f'{name} has no hash'
+    for line in requirements():
+        name, _, version = line.partition('==')
+        assert version in locked.get(re.sub(r'[-_.]+', '-', name).lower(), ()), f'{line} is not locked in this version'
