@@ -1,4 +1,4 @@
-"""What spreading an archive over two Dask workers brings: 200 bags of 60 s, beside one process that reads them in turn.
+"""What spreading an archive over two processes brings: 200 bags of 60 s, beside one process that reads them all.
 
 The clock runs from before the workers start to the last result, so that the start is paid for. Both engines do the same
 work without the predictor (``--skip-predictor``), and every digest must be equal.
@@ -18,7 +18,7 @@ from common.simulated_bags import write_bag
 from tqdm import tqdm
 
 from gray_box_observer.archive.bag_work import BagResult, BagWork
-from gray_box_observer.archive.dask_engine import DaskEngine
+from gray_box_observer.archive.process_engine import ProcessEngine
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.trends import gather
 from gray_box_observer.report.trend import MONTH_S
@@ -44,7 +44,7 @@ def make_archive(folder: Path, bags: int) -> list[Path]:
     return paths
 
 
-def timed(engine: SerialEngine | DaskEngine, work: BagWork, bags: Sequence[Path]) -> tuple[float, list[BagResult]]:
+def timed(engine: SerialEngine | ProcessEngine, work: BagWork, bags: Sequence[Path]) -> tuple[float, list[BagResult]]:
     """Read every bag; return the time on the clock in s and the results in the order of the bags."""
     start = time.perf_counter()
     found = dict(tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False))
@@ -62,9 +62,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix='archive-') as folder:
         bags = make_archive(Path(folder), count)
         serial_s, serial = timed(SerialEngine(), work, bags)
-        spread_s, spread = timed(DaskEngine(workers=WORKERS), work, bags)
+        spread_s, spread = timed(ProcessEngine(workers=WORKERS), work, bags)
     unequal = sum(a != b or a.error is not None for a, b in zip(serial, spread, strict=True))
-    rows = [['serial', serial_s], [f'dask, {WORKERS} workers', spread_s]]
+    rows = [['serial', serial_s], [f'{WORKERS} processes', spread_s]]
     print(table(['engine', 's', 'bags a s'], [[name, f'{s:.1f}', f'{count / s:.2f}'] for name, s in rows]), end='\n\n')
     resistance = next(trend for trend in gather(spread)[0].parameters if trend.name == 'resistance')
     print(f'resistance: {drift_words(resistance.drift())}, true {GROWTH_A_MONTH:.0%} of 1 ohm\n')

@@ -79,7 +79,7 @@ def update(device: str, one: Any, samples: Sequence[tuple[float, float]], motors
     plain, arrays = one.state()
     arrays = {**arrays, 'replay': arrays['replay'][:, :, -2 * BLOCK :]}
     nodes = rule(motors, CAPACITY, device)
-    nodes.restore({**plain, 'anchored': 0}, arrays, slice(None))
+    nodes.restore({**plain, 'anchored': -plain['new']}, arrays, slice(None))
     nodes.replay.streams[0][...] += 0.0  # memory is handed out by the system at the first touch, once and for all
     spent_s = 0.0
     for k, given in enumerate(stream(samples, motors, (rounds + 1) * BLOCK)):

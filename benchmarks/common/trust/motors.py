@@ -1,0 +1,103 @@
+"""Motors drawn at random: small geared ones for 12 V, and those of the thesis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from common.trust.plant import Motor
+
+SUPPLY_V = 12.0
+
+
+def gear_motor(rng: np.random.Generator) -> Motor:
+    """Draw a small motor for 12 V with gears, brushes without drop, and no hysteresis."""
+    resistance = _log_uniform(rng, 0.5, 8.0)
+    constant = _log_uniform(rng, 0.008, 0.03)
+    mechanical_s = _log_uniform(rng, 0.015, 0.2)
+    return Motor(
+        inductance=resistance * _log_uniform(rng, 0.8e-3, 4e-3),
+        resistance=resistance,
+        hysteresis=0.0,
+        torque_constant=constant,
+        back_emf_constant=constant,
+        inertia=mechanical_s * constant**2 / resistance,
+        viscous_friction=rng.uniform(0.02, 0.1) * constant**2 / resistance,
+        coulomb_friction=rng.uniform(0.03, 0.1) * constant * SUPPLY_V / resistance,
+    )
+
+
+def steady_motor(rng: np.random.Generator) -> Motor:
+    """Draw a geared motor whose speed is straight between samples to below the noise: 60 to 200 ms."""
+    motor = gear_motor(rng)
+    scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
+    return replace(motor, inertia=_log_uniform(rng, 0.06, 0.2) * scale)
+
+
+def hysteresis_motor(rng: np.random.Generator) -> Motor:
+    """Draw a steady motor whose hysteresis loses 10 to 30 % of what R loses at full speed."""
+    motor = steady_motor(rng)
+    full_speed = SUPPLY_V / motor.back_emf_constant
+    return replace(motor, hysteresis=rng.uniform(0.1, 0.3) * motor.resistance / full_speed)
+
+
+def slow_motor(rng: np.random.Generator) -> Motor:
+    """Draw a geared motor with L/R of 3 to 6 ms and 0.1 to 0.3 s of mechanical time constant, for slow sampling."""
+    motor = gear_motor(rng)
+    inductance = motor.resistance * _log_uniform(rng, 3e-3, 6e-3)
+    scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
+    return replace(motor, inductance=inductance, inertia=_log_uniform(rng, 0.1, 0.3) * scale)
+
+
+def strong_motor(rng: np.random.Generator) -> Motor:
+    """Draw a geared motor seen at its output, where Kt and Kb are far from the defaults."""
+    motor = gear_motor(rng)
+    ratio = rng.uniform(8.0, 20.0)
+    return replace(
+        motor,
+        torque_constant=motor.torque_constant * ratio,
+        back_emf_constant=motor.back_emf_constant * ratio,
+        inertia=motor.inertia * ratio**2,
+        viscous_friction=motor.viscous_friction * ratio**2,
+        coulomb_friction=motor.coulomb_friction * ratio,
+    )
+
+
+def fast_motor(rng: np.random.Generator) -> Motor:
+    """Draw a geared motor of 10 to 20 ms, whose speed is not straight between samples 1 ms apart."""
+    motor = gear_motor(rng)
+    scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
+    return replace(motor, inertia=_log_uniform(rng, 0.01, 0.02) * scale)
+
+
+def sticky_motor(rng: np.random.Generator) -> Motor:
+    """Draw a geared motor with so much viscous friction that its rotor follows the current within 5 to 20 ms."""
+    motor = gear_motor(rng)
+    follows_s = _log_uniform(rng, 0.005, 0.02)
+    scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
+    friction = scale * rng.uniform(3.0, 10.0)
+    return replace(motor, viscous_friction=friction, inertia=follows_s * friction, coulomb_friction=0.0)
+
+
+def thesis_motor(rng: np.random.Generator) -> Motor:
+    """Return the motor of the thesis."""
+    return Motor(0.5, 1.0, 10.0, 0.01, 0.01)
+
+
+def thesis_like_motor(rng: np.random.Generator) -> Motor:
+    """Draw a motor without rotor, each parameter within 1.5 times that of the thesis."""
+    factors = [_log_uniform(rng, 1.0 / 1.5, 1.5) for _ in range(3)]
+    return Motor(0.5 * factors[0], factors[1], 10.0 * factors[2], 0.01, 0.01)
+
+
+def tiny_motor(inductance_h: float, resistance_ohm: float, mechanical_s: float = 0.02) -> Motor:
+    """Return a geared motor of a given inductance, its speed soon there."""
+    constant = 0.01
+    scale = constant**2 / resistance_ohm
+    return Motor(inductance_h, resistance_ohm, 0.0, constant, constant, mechanical_s * scale, 0.05 * scale)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))

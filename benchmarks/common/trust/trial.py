@@ -1,0 +1,267 @@
+"""One record through the observer, as ``identify --skip-predictor`` would take it, and what was believed on the way."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+import traceback
+import warnings
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from common.trust.records import Record
+from gray_box_observer import offline
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.describe import describe, warnings_of
+from gray_box_observer.intake import Intake
+from gray_box_observer.observer import Observer, Result
+
+MOTOR = 'motor'
+STDS = 3.0
+RELATIVE = 0.02
+LONGEST_FALSE_S = 1.0
+NEGLIGIBLE_VOLTAGE = 0.01
+"""Share of the voltage that a parameter called negligible may truly move: twice what the verdict promises."""
+
+ROUNDING = 1e-9
+"""Eigenvalue of a correlation matrix below zero that rounding may explain."""
+
+KNOWN = ('identified', 'negligible')
+
+
+@dataclass
+class Trial:
+    """What came of one record.
+
+    Attributes:
+        name: of its scenario.
+        seed: of the record.
+        values, stds, verdicts: at the end, by parameter; a value that is not finite is None.
+        errors: relative to the truth, by parameter; where that is zero, the estimate itself.
+        deviations: of the truth from the estimate in standard deviations, by parameter.
+        false_at_end: parameters that are believed at the end and wrong.
+        false_longest_s: longest time without a break in which any parameter was believed and wrong.
+        identified_s: when each parameter that is known at the end came to be known for the first time.
+        fit: what the result says of the fit; empty where it says nothing.
+        warnings: what the user is told.
+        cost_ms: mean CPU time of a sample.
+        worst_ms: largest CPU time of a sample.
+        samples: how many came.
+        non_finite: estimates with a value, a standard deviation or a covariance that is not finite.
+        indefinite: estimates whose covariance is not positive definite.
+        failure: traceback, where there was one.
+    """
+
+    name: str
+    seed: int
+    values: dict[str, float | None] = field(default_factory=dict)
+    stds: dict[str, float | None] = field(default_factory=dict)
+    verdicts: dict[str, str] = field(default_factory=dict)
+    errors: dict[str, float] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)
+    false_at_end: list[str] = field(default_factory=list)
+    false_longest_s: float = 0.0
+    identified_s: dict[str, float] = field(default_factory=dict)
+    fit: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    cost_ms: float = math.nan
+    worst_ms: float = math.nan
+    samples: int = 0
+    non_finite: int = 0
+    indefinite: int = 0
+    failure: str = ''
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the motor is called a misfit."""
+        return self.fit.get('verdict') == 'misfit' or 'misfit' in self.verdicts.values()
+
+    @property
+    def suspects(self) -> list[str]:
+        """Effects that are suspected, the likeliest first."""
+        return [suspect['effect'] for suspect in self.fit.get('suspects') or []]
+
+    @property
+    def messages(self) -> str:
+        """Everything that the user is told in words."""
+        suspects = self.fit.get('suspects') or []
+        remedies = [f'{suspect["effect"]} {suspect.get("remedy", "")}' for suspect in suspects]
+        return '\n'.join([*self.warnings, *remedies])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+class _Watch:
+    """Follows what is believed along a record."""
+
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._first_ns = int(record.readings.torque_stamp_ns[0])
+        self._false_since_ns: int | None = None
+        self._known_since: dict[str, float] = {}
+        self.longest_ns = 0
+        self.non_finite = 0
+        self.indefinite = 0
+
+    def add(self, result: Result) -> None:
+        """Go on by one result."""
+        if result.estimate is None:
+            return
+        stamp_ns = result.sample.stamp_ns
+        self._check(result.estimate)
+        false = bool(false_parameters(self._record, result.estimate, stamp_ns))
+        self._count_false(stamp_ns)
+        if not false:
+            self._false_since_ns = None
+        elif self._false_since_ns is None:
+            self._false_since_ns = stamp_ns
+        time_s = (stamp_ns - self._first_ns) / 1e9
+        for parameter, verdict in zip(result.estimate.parameters, result.estimate.verdicts[0], strict=True):
+            if verdict.value in KNOWN:
+                self._known_since.setdefault(parameter.name, time_s)
+
+    def _check(self, estimate: Estimate) -> None:
+        value = estimate.value[0]
+        covariance = estimate.covariance[0]
+        if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
+            self.non_finite += 1
+            return
+        spread = np.sqrt(np.abs(np.diagonal(covariance)))
+        scale = np.where(spread > 0.0, spread, 1.0)
+        smallest = np.linalg.eigvalsh(covariance / np.outer(scale, scale))[0]
+        self.indefinite += bool(smallest < -ROUNDING or (np.diagonal(covariance) < 0.0).any())
+
+    def _count_false(self, stamp_ns: int) -> None:
+        if self._false_since_ns is not None:
+            self.longest_ns = max(self.longest_ns, stamp_ns - self._false_since_ns)
+
+    def close(self) -> None:
+        """End the record."""
+        self._count_false(int(self._record.readings.torque_stamp_ns[-1]))
+
+    def known_since_s(self, parameter: str) -> float:
+        """When a parameter came to be known for the first time, in s since the first sample."""
+        return self._known_since.get(parameter, math.nan)
+
+
+def run_trial(record: Record) -> Trial:
+    """Run one record; a traceback is part of the result."""
+    trial = Trial(record.scenario.name, record.seed)
+    watch = _Watch(record)
+    try:
+        with warnings.catch_warnings(), np.errstate(all='ignore'):
+            warnings.simplefilter('ignore')
+            outcome = observe(record, watch.add, trial)
+            watch.close()
+            trial.warnings = warnings_of(outcome)
+            estimates = outcome.observer.estimates()
+            if MOTOR in estimates:
+                _judge(record, estimates[MOTOR], watch, trial)
+                result = describe(outcome)
+                trial.fit = dict(result['motors'][MOTOR].get('fit') or {})
+                json.dumps(result, allow_nan=False)  # as `identify --json` does
+    except Exception:  # whatever it is, it is what the benchmark looks for
+        trial.failure = traceback.format_exc(limit=-3)
+    trial.false_longest_s = watch.longest_ns / 1e9
+    trial.non_finite = watch.non_finite
+    trial.indefinite = watch.indefinite
+    return trial
+
+
+def observe(record: Record, listener: Any, trial: Trial) -> offline.Outcome:
+    """Feed a record to an observer of its own; note what it cost."""
+    configuration = Configuration.from_flat(record.parameters)
+    observer = Observer(configuration)
+    outcome = offline.Outcome(observer, Intake(observer, configuration))
+    costs_ns = []
+    log = record.readings
+    torques = log.torque_stamp_ns.tolist(), record.torque_nm.tolist(), log.speed_rad_s.tolist()
+    voltages = log.voltage_stamp_ns.tolist(), log.voltage_v.tolist()
+    for voltage_ns, volt, torque_ns, torque, speed in zip(*voltages, *torques, strict=True):
+        begun_ns = time.thread_time_ns()
+        results = [
+            *observer.voltage(MOTOR, voltage_ns, volt),
+            *observer.torque(MOTOR, torque_ns, torque, speed),
+        ]
+        costs_ns.append(time.thread_time_ns() - begun_ns)
+        _note(results, outcome, listener)
+    _note(observer.flush(), outcome, listener)
+    observer.close()
+    trial.samples = len(costs_ns)
+    trial.cost_ms = float(np.mean(costs_ns)) / 1e6
+    trial.worst_ms = max(costs_ns) / 1e6
+    return outcome
+
+
+def _note(results: list[Result], outcome: offline.Outcome, listener: Any) -> None:
+    for result in results:
+        course = outcome.courses.get(result.motor)
+        if course is None:
+            course = outcome.courses[result.motor] = offline.Course(result.sample.stamp_ns)
+        course.take(result)
+        listener(result)
+
+
+def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> None:
+    """Compare the last estimate with the truth."""
+    truth = truth_at(record, int(record.readings.torque_stamp_ns[-1]))
+    for j, parameter in enumerate(estimate.parameters):
+        name = parameter.name
+        value = float(estimate.value[0, j])
+        std = float(estimate.std[0, j])
+        trial.values[name] = value if math.isfinite(value) else None
+        trial.stds[name] = std if math.isfinite(std) else None
+        trial.verdicts[name] = estimate.verdicts[0][j].value
+        trial.errors[name] = value / truth[name] - 1.0 if truth[name] else value
+        trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
+        if trial.verdicts[name] in KNOWN:
+            trial.identified_s[name] = watch.known_since_s(name)
+    trial.false_at_end = false_parameters(record, estimate, int(record.readings.torque_stamp_ns[-1]))
+
+
+def truth_at(record: Record, stamp_ns: int) -> dict[str, float]:
+    """True values at an instant."""
+    passed = sum(stamp_ns >= change_ns for change_ns in record.change_ns)
+    return record.changed if passed % 2 else record.truth
+
+
+def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[str]:
+    """Return the parameters that are believed and wrong."""
+    truth = truth_at(record, stamp_ns)
+    false = []
+    for j, parameter in enumerate(estimate.parameters):
+        verdict = estimate.verdicts[0][j].value
+        if verdict not in KNOWN:
+            continue
+        true = truth[parameter.name]
+        if verdict == 'negligible':
+            is_false = _voltage_share(record, parameter.name, true) > NEGLIGIBLE_VOLTAGE
+        else:
+            error = abs(float(estimate.value[0, j]) - true)
+            is_false = not (error <= STDS * float(estimate.std[0, j]) or error <= RELATIVE * abs(true))
+        if is_false:
+            false.append(parameter.name)
+    return false
+
+
+def _voltage_share(record: Record, parameter: str, true: float) -> float:
+    """Share of the root mean square voltage that a parameter truly moves."""
+    log = record.readings
+    speed = log.speed_rad_s
+    if not record.scenario.speed:
+        speed = record.torque_nm
+    signals = {
+        'hysteresis': np.abs(speed) * log.current_a,
+        'resistance': log.current_a,
+        'back_emf_constant': speed,
+        'brush_drop': np.sign(log.current_a),
+        'inductance': np.gradient(log.current_a) * record.scenario.rate_hz,
+    }
+    voltage = float(np.sqrt(np.mean(log.voltage_v**2)))
+    return true * float(np.sqrt(np.mean(signals[parameter] ** 2))) / max(voltage, 1e-12)
