@@ -77,6 +77,7 @@ class Account:
 
     def close(self, delivered: Counter[str], intake: Intake, observer: Observer) -> None:
         """Add what one observer was given and what became of it."""
+        assert not observer.incidents, observer.incidents[MOTOR].trace
         pairing = observer.counts(MOTOR)
         for signal, of_motor in (('voltage', pairing.received_voltage), ('torque', pairing.received_torque)):
             unreadable, strangers = intake.rejected[signal].total(), intake.others[signal]

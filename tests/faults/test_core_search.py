@@ -1,0 +1,42 @@
+"""A small, always equal share of the search of `core_search`, and the sequences that once broke something."""
+
+from __future__ import annotations
+
+import pytest
+from core_search import SEQUENCES, Action, Regular, Setup, examine, setups
+from hypothesis import HealthCheck, Phase, given, settings
+
+
+@settings(
+    derandomize=True,
+    max_examples=25,
+    deadline=None,
+    database=None,
+    phases=(Phase.generate,),
+    suppress_health_check=list(HealthCheck),
+)
+@given(setups(), SEQUENCES)
+def test_no_sequence_breaks_the_core_or_its_books_or_depends_on_the_door(setup: Setup, whole: list[Action]) -> None:
+    examine(setup, whole)
+
+
+BROKEN: dict[str, tuple[Setup, list[Action]]] = {
+    'a voltage that drops out for half a second': (
+        Setup(),
+        [Regular(1021), Regular(55, missing=('voltage',)), Regular(100)],
+    ),
+    'speeds that come and go while torque waits for its voltage': (
+        Setup(speed='in torque'),
+        [
+            Regular(1, missing=('torque',)),
+            Regular(2, missing=('voltage',)),
+            Regular(2, missing=('voltage', 'speed')),
+            Regular(60),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize('name', BROKEN)
+def test_what_once_broke_something_does_so_no_more(name: str) -> None:
+    examine(*BROKEN[name])

@@ -1,0 +1,201 @@
+"""An observer's core that is asked everything a node asks it, and of which every answer is looked at."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer import checkpoint
+from gray_box_observer.bag.joint_state import JointStateDecoder
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.group import Group, GroupResult, Result
+from gray_box_observer.intake import Intake, Taken
+from gray_box_observer.observer import Observer
+
+
+class IdleTraining:
+    """Training that takes every job and never ends one."""
+
+    resting = False
+    busy = False
+    failure: str | None = None
+    share = 1.0
+
+    def __init__(self, configuration: dict[str, Any]) -> None:
+        """Nothing is taught, so nothing is asked."""
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Take a job."""
+
+    def collect(self) -> dict[str, Any] | None:
+        """Give nothing."""
+        return None
+
+    def close(self) -> None:
+        """End nothing."""
+
+
+class WatchedCore:
+    """Feeds serialised messages to an observer as a node does, and counts what must not be.
+
+    Args:
+        settings: flat parameters of the observer.
+        training: makes the trainer of the predictor.
+        asks: whether forecasts are asked for between the messages, as a node does; they change nothing.
+
+    Attributes:
+        observer: the core.
+        non_finite: numbers in samples, estimates and predictions that are no numbers.
+        unbalanced: messages that were neither used nor refused nor wait.
+    """
+
+    def __init__(self, settings: dict[str, Any], training: Any = IdleTraining, *, asks: bool = True) -> None:
+        self._settings = settings
+        self._training = training
+        self._asks = asks
+        self._decode = {signal: JointStateDecoder() for signal in ('voltage', 'torque', 'speed')}
+        self.non_finite = 0
+        self.unbalanced = 0
+        self._estimates = hashlib.sha256()
+        self._forecasts = hashlib.sha256()
+        self._begin()
+
+    def _begin(self) -> None:
+        configuration = Configuration.from_flat(self._settings)
+        self.observer = Observer(configuration, self._training)
+        self._intake = Intake(self.observer, configuration)
+        self._delivered: Counter[str] = Counter()
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over every estimate in order, as the offline command reckons it."""
+        return self._estimates.hexdigest()
+
+    @property
+    def forecast_digest(self) -> str:
+        """SHA-256 over every prediction in order."""
+        return self._forecasts.hexdigest()
+
+    def feed(self, signal: str, message: bytes) -> None:
+        """Take one serialised JointState of a signal."""
+        self.feed_view(signal, self._decode[signal](message))
+
+    def feed_view(self, signal: str, message: Any) -> None:
+        """Take one message with the fields of a JointState."""
+        self._delivered[signal] += 1
+        taken = self._intake.take(signal, message, 0)
+        if self._asks:
+            self._ask(signal, taken)
+        for result in taken.groups:
+            self._look_at_result(result)
+
+    def flush(self) -> None:
+        """Learn what still waits, as at the end of a bag."""
+        for result in self.observer.flush():
+            self._reckon(result)
+
+    def _ask(self, signal: str, taken: Taken) -> None:
+        """Ask what a node asks after a message."""
+        if signal == 'voltage' and taken.names:
+            for group in self.observer.groups(taken.names):
+                self._forecast(group, taken.stamp_ns)
+        for result in taken.groups:
+            self.observer.foresee(result.group)
+
+    def reset(self) -> None:
+        """Throw the observer away and begin anew, as ~/reset does."""
+        self.close()
+        self._begin()
+
+    def restart(self) -> None:
+        """Go on in a new observer from a checkpoint of this one."""
+        self.balance()
+        if not self.observer.motors:
+            return
+        before = self.observer.estimates()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / 'core.safetensors'
+            checkpoint.save(self.observer, path)
+            self.observer.close()
+            self._begin()
+            checkpoint.load(self.observer, path)
+        after = self.observer.estimates()
+        for name, estimate in before.items():
+            assert estimate.value.tobytes() == after[name].value.tobytes(), f'{name}: restored to another estimate'
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning."""
+        self.observer.freeze(frozen)
+
+    def reconfigure(self, changes: dict[str, Any]) -> None:
+        """Change parameters of a running observer; what the others do not allow is refused, as a node does."""
+        with suppress(ConfigurationError):
+            configuration = Configuration.from_flat({**self._settings, **changes})
+            self._settings = {**self._settings, **changes}
+            self.observer.reconfigure(configuration)
+
+    def balance(self) -> None:
+        """Compare, of every motor and signal, what came with what became of it."""
+        for name in self.observer.configuration.motors:
+            counts = self.observer.counts(name)
+            of_torque = counts.used + counts.refused['torque'].total() + counts.waiting
+            of_voltage = counts.taken_voltage + counts.refused['voltage'].total()
+            self.unbalanced += abs(counts.received_torque - of_torque)
+            self.unbalanced += abs(counts.received_voltage - of_voltage)
+        incidents = self.observer.incidents
+        assert not incidents, f'a defect has stopped motors: {incidents}'
+        for signal, delivered in self._delivered.items():
+            known = self._intake.received[signal]
+            self.unbalanced += abs(delivered - known)
+
+    def close(self) -> None:
+        """Balance the books and stop."""
+        self.balance()
+        self.observer.close()
+
+    def _forecast(self, group: Group, stamp_ns: int) -> None:
+        torque_nm = self.observer.forecast_group(group, stamp_ns)
+        self._look_at_forecast(torque_nm)
+        horizon_s = self.observer.configuration['horizon_s']
+        if horizon_s > 0.0:
+            held = self.observer.forecast_group_held(group, horizon_s)
+            self._look_at_forecast(None if held is None else held[1])
+
+    def _look_at_result(self, result: GroupResult) -> None:
+        sample = result.sample
+        present = slice(None) if sample.present is None else sample.present
+        self._look_at(sample.interval_s[present], sample.voltage_v[present], sample.torque_nm[present])
+        observer = result.group.observer
+        if observer is not None and observer.white_box.speed_measured:
+            self._look_at(sample.speed_rad_s[present])
+        self.non_finite += int(np.isinf(sample.speed_rad_s[present]).sum())
+        self._look_at_forecast(None if result.prediction is None else result.prediction.torque_nm)
+        for one in result:
+            self._reckon(one)
+
+    def _reckon(self, result: Result) -> None:
+        """Look at what a sample of one motor has led to, and take it into the digests."""
+        if result.prediction is not None:
+            torque_nm = result.prediction.torque_nm
+            self._forecasts.update(np.where(np.isnan(torque_nm), np.nan, torque_nm).tobytes())
+        estimate = result.estimate
+        if estimate is not None:
+            self._look_at(estimate.value, estimate.covariance)
+            self._estimates.update(result.motor.encode() + np.int64(estimate.stamp_ns).tobytes())
+            self._estimates.update(estimate.value.tobytes() + estimate.covariance.tobytes())
+
+    def _look_at(self, *arrays: Any) -> None:
+        for array in arrays:
+            self.non_finite += int(np.size(array) - np.isfinite(array).sum())
+
+    def _look_at_forecast(self, torque_nm: Any) -> None:
+        """A forecast may be missing (NaN), never infinite."""
+        if torque_nm is not None:
+            self.non_finite += int(np.isinf(torque_nm).sum())
