@@ -422,3 +422,16 @@ def test_a_fit_that_a_block_makes_due_is_done_at_the_same_sample(monkeypatch: py
     for sample in simulated('R[5,15]D[0.2,3]', 12.0, motors=motors):
         nodes.learn(sample)
     assert late > 0
+
+
+def test_quantised_currents_that_stand_still_teach_the_same_nothing(
+    monkeypatch: pytest.MonkeyPatch, device: str | None, thesis_box: MotorWhiteBox
+) -> None:
+    step_nm = 5e-4
+    samples = [
+        sample._replace(torque_nm=np.round(sample.torque_nm / step_nm) * step_nm)
+        for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
+    ]
+    quick, _, count = both(monkeypatch, device, thesis_box, START, samples, RecursiveRules())
+    assert count.learnt > 20
+    assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)

@@ -45,5 +45,8 @@ class ContextUpdate(Protocol):
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """What the rule has met so far, by a name for diagnostics; of one motor or of all."""
 
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether one motor is known to drift."""
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""

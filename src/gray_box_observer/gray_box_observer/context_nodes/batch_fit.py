@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
+from gray_box_observer.context_nodes.negligible import linear_std
 from gray_box_observer.context_nodes.normal_equations import (
     OUTLIER,
     Frame,
@@ -39,6 +40,10 @@ MAX_STEPS = 15
 TOLERANCE = 1e-6
 """Gauss-Newton ends when no unknown moves by more, relative to itself."""
 
+ARRIVED = 1e-4
+"""Last step, relative to the unknown, of a search that ends before it has arrived: along a valley, as of R and Kb where
+the speed is that of the thesis. Its covariance is in the units of where it stood before."""
+
 CREDIBLE = 10.0
 """Times the size of the current (its 0.9 quantile): nothing is linearised about samples beyond."""
 
@@ -60,15 +65,23 @@ class Fit:
         belief: at the last sample.
         ramp: shape (motor,): chi-square of one degree of freedom, how much a steady drift of what heats would explain.
         left_out: shape (motor,): samples that do not fit, and kicks of the state.
+        linear_std: shape (motor, parameter): what the data alone leave open of the parameters themselves.
     """
 
     belief: Belief
     ramp: Array
     left_out: Array
+    linear_std: Array
 
 
 def batch_fit(
-    white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float, trusting: int = 2
+    white_box: WhiteBox,
+    stretch: Stretch,
+    start: Array,
+    prior: Prior,
+    noise_floor: float,
+    trusting: int = 2,
+    least_noise: Array | float = 0.0,
 ) -> Fit:
     """Fit the coordinates and the first state to a stretch.
 
@@ -80,9 +93,10 @@ def batch_fit(
         noise_floor: smallest noise that is believed, as a fraction of the current's size.
         trusting: steps taken before any sample may be left out; more where the start may be far off, for then what does
             not fit is what tells.
+        least_noise: shape (motor,): likewise in A, what quantisation leaves of it.
     """
     arrived = []
-    for search in _Search(white_box, stretch, start, prior, noise_floor).run(trusting):
+    for search in _Search(white_box, stretch, start, prior, noise_floor, least_noise).run(trusting):
         for part, disturbed in search.split(search.choose_gain()):
             arrived += part.run(trusting) if disturbed else [part]
     found = [search.result() for search in arrived]
@@ -91,8 +105,8 @@ def batch_fit(
     order = np.argsort(np.concatenate([search.motors for search in arrived]))
     beliefs = [fit.belief.arrays() for fit in found]
     belief = Belief(**{name: np.concatenate([arrays[name] for arrays in beliefs])[order] for name in beliefs[0]})
-    ramp, left_out = (np.concatenate([getattr(fit, name) for fit in found])[order] for name in ('ramp', 'left_out'))
-    return Fit(belief, ramp, left_out)
+    names = ('ramp', 'left_out', 'linear_std')
+    return Fit(belief, *(np.concatenate([getattr(fit, name) for fit in found])[order] for name in names))
 
 
 class _Search:
@@ -105,7 +119,15 @@ class _Search:
         motors: which motors of the stretch it is about.
     """
 
-    def __init__(self, white_box: WhiteBox, stretch: Stretch, start: Array, prior: Prior, noise_floor: float) -> None:
+    def __init__(
+        self,
+        white_box: WhiteBox,
+        stretch: Stretch,
+        start: Array,
+        prior: Prior,
+        noise_floor: float,
+        least_noise: Array | float,
+    ) -> None:
         self.motors: NDArray[np.intp] = np.arange(start.shape[0])
         self._white_box = white_box
         self._prior = prior
@@ -116,7 +138,7 @@ class _Search:
         self._size = np.maximum(np.quantile(np.abs(measured), 0.9, axis=1), 1e-9)
         reach = CREDIBLE * self._size[:, None]
         self._measured_near = np.clip(measured, -reach, reach)
-        self._floor = noise_floor * self._size
+        self._floor = np.maximum(noise_floor * self._size, least_noise)
         self._p = within_bounds(white_box, start)
         self._about = self._measured_near
         self._first = self._about[:, 0]
@@ -124,6 +146,7 @@ class _Search:
         self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = Frame(self._size, self._p), prior.covariance  # until the first step
+        self._information = np.zeros((start.shape[0], start.shape[1] + 1, start.shape[1] + 1))
         self._begin()
 
     def _begin(self) -> None:
@@ -244,8 +267,10 @@ class _Search:
             frame = Frame(self._size, np.where(one, p, self._frame.p))
             noise = np.where(which, noise, self._noise)
             covariance = np.where(two, covariance, self._covariance)
+            information = np.where(two, information, self._information)
             about, moved = np.where(one, about, self._about), np.where(one, moved, p)
         self._frame, self._noise, self._covariance = frame, noise, covariance
+        self._information = information
         self._about, self._first, self._p = about, about[:, 0], moved
         furthest: Array = np.max(np.abs(step), axis=1)
         return furthest
@@ -274,12 +299,16 @@ class _Search:
         transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
         covariance[:, 0, 0] += taken_over(self._loose[:, -1]) / self._size**2
+        if (short := np.abs(self._p / self._frame.p - 1.0).max(axis=1) > ARRIVED).any():
+            there = self._frame.moved(covariance, Frame(self._size, self._p))
+            covariance = np.where(short[:, None, None], there, covariance)
         belief = Belief(
             self._size, self._p, self._about[:, -1], covariance, self._noise, self._gain, transfer[:, 0, 1:]
         )
         restarts = np.sum(self._stretch.restart, axis=1)
         left_out = np.sum(self._valid & (self._weights == 0.0), axis=1) + restarts - self._restarts
-        return Fit(belief, self._ramp(), left_out.astype(float))
+        linear = linear_std(self._frame.p, self._information, self._noise)
+        return Fit(belief, self._ramp(), left_out.astype(float), linear)
 
     def _ramp(self) -> Array:
         """Score test of one further unknown: a drift, linear in time, of the coordinates that heat."""

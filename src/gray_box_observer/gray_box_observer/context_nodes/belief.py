@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.normal_equations import Frame
+from gray_box_observer.saved_state import ArrayRule, check_arrays, check_covariance, positive
 from gray_box_observer.white_box.base import Array
 
 
@@ -138,3 +140,39 @@ class Belief:
 
 
 _ARRAYS = tuple(field.name for field in fields(Belief))
+
+
+def check_belief(name: str, arrays: Mapping[str, Array], coordinates: int) -> None:
+    """Refuse a saved belief that is none.
+
+    Args:
+        name: that its arrays' names begin with, before a dot.
+        arrays: its arrays among others.
+        coordinates: how many there are.
+
+    Raises:
+        CheckpointError: an array is missing, of another shape or out of range.
+    """
+    n = coordinates
+    rules = {
+        'current_a': positive(1),
+        'p': positive(1, n),
+        'state': ArrayRule((1,)),
+        'covariance': ArrayRule((1, n + 1, n + 1)),
+        'noise': positive(1),
+        'gain': ArrayRule((1,), 0.0, 1.0),
+        'sensitivity': ArrayRule((1, n)),
+    }
+    check_arrays(arrays, rules, f'{name}.')
+    check_covariance(f'{name}.covariance', arrays[f'{name}.covariance'])
+
+
+def check_prior(arrays: Mapping[str, Array], coordinates: int) -> None:
+    """Refuse a saved prior that is none.
+
+    Raises:
+        CheckpointError: an array is missing, of another shape or out of range.
+    """
+    n = coordinates
+    check_arrays(arrays, {'prior_p': positive(1, n), 'prior_covariance': ArrayRule((1, n, n))})
+    check_covariance('prior_covariance', arrays['prior_covariance'], certain=False)

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.belief import Belief
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, semidefinite, solved, weighted
+from gray_box_observer.context_nodes.normal_equations import (
+    OUTLIER,
+    Frame,
+    definite,
+    is_sound,
+    semidefinite,
+    solved,
+    weighted,
+)
 from gray_box_observer.context_nodes.trajectory import (
     Stretch,
     Trajectory,
@@ -150,6 +158,9 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | Non
     n = belief.p.shape[1]
     posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
     posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
+    if not (sound := is_sound(posterior)).all():  # rounding has made it indefinite
+        ones = np.ones(posterior.shape[:2])
+        posterior = np.where(sound[:, None, None], posterior, definite(np.nan_to_num(posterior), ones))
     step = (posterior @ block.right[..., None])[..., 0]
     step[:, 1:] = step[:, 1:].clip(-0.5, 1.0)
     p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))

@@ -24,17 +24,19 @@ from gray_box_observer.context_nodes import drift
 from gray_box_observer.context_nodes.device_path import Given, Predicted, Tensor, predict
 from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.learnt import Learnt, copied
+from gray_box_observer.context_nodes.normal_equations import CORRELATION_SLACK
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, READ, WRITTEN
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.walk import heating
 from gray_box_observer.device import DEVICE_TURN, watched
+from gray_box_observer.fit_test.noise_floor import STILL
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box.base import bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 _SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
-         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'walk_rate')  # fmt: skip
+         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'least_noise', 'walk_rate')  # fmt: skip
 _OF_LEARNT = {name: attrgetter(path) for name, path in {**READ, **WRITTEN}.items()}
 
 
@@ -109,6 +111,7 @@ class DeviceBlocks:
         before = {name: self._ops.borrowed(_OF_LEARNT[name](known)[which]) for name in _SENT}
         given = self._given(known, motors, which, before)
         path, fine = predict(self._ops, given)
+        path = _silent(path, given, before['least_noise'])
         score, information, left_out = self._examine(given, path, before, fine)
         after = self._conclude(given, path, before, fine)
         after |= {'score': score, 'information': information, 'left_out': left_out}
@@ -160,6 +163,9 @@ class DeviceBlocks:
         posterior = 0.5 * (posterior + posterior.transpose(1, 2))
         step = (posterior @ path.right[..., None])[..., 0]
         step[:, 1:] = step[:, 1:].clamp(-0.5, 1.0)
+        spread = posterior.diagonal(dim1=1, dim2=2)
+        most = spread[:, :, None] * spread[:, None, :] * (1.0 + CORRELATION_SLACK)
+        fine &= (spread > 0.0).all(dim=1) & (posterior**2 <= most).all(dim=2).all(dim=1)
         found = p * (1.0 + step[:, 1:])
         theta = torch.cat([torch.ones_like(size), found[:, 1:]], dim=1) / found[:, :1]
         theta = torch.minimum(torch.maximum(theta, self._lower), self._upper)
@@ -176,6 +182,7 @@ class DeviceBlocks:
         count = (before['noise_count'] + samples).clamp_max(self._rules.noise_memory)
         power = variance + samples / count.to(variance.dtype) * (path.squares / path.used - variance)
         noise = torch.maximum(power.sqrt(), self._rules.noise_floor * given.current_a)
+        noise = torch.maximum(noise, before['least_noise'])
         fine &= (state + found.sum(dim=1) + covariance.sum(dim=(1, 2)) + noise).isfinite()
         reached = path.by_coordinate * p + path.by_start[:, None] * (before['sensitivity'] * size)
         after = {'p': found, 'state': state, 'covariance': covariance, 'sensitivity': reached / size}
@@ -218,6 +225,13 @@ class DeviceBlocks:
         far = at - known.anchored[motors] >= rules.replay_capacity // np.where(walking, 2, 1)
         told: NDArray[np.uint8] = (LEARNT + LONG_HOLD * long + ANCHOR_DUE * far).astype(np.uint8)
         return told
+
+
+def _silent(path: Predicted, given: Given, least_noise: Tensor) -> Predicted:
+    """Let currents that have not moved by more than the step of their readings teach nothing: learner.py, update."""
+    moved = given.measured.amax(dim=1) - given.measured.amin(dim=1) > STILL * least_noise
+    tells = (moved | (least_noise <= 0.0)).to(path.right.dtype)
+    return replace(path, info=path.info * tells[:, None, None], right=path.right * tells[:, None])
 
 
 def _plus_unit(matrix: Tensor) -> Tensor:

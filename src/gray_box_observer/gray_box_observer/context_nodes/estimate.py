@@ -20,6 +20,12 @@ class Verdict(str, Enum):
     UNEXCITED = 'unexcited'
     FROZEN = 'frozen'
     IMPLAUSIBLE = 'implausible'
+    MISFIT = 'misfit'
+    NEGLIGIBLE = 'negligible'
+
+
+COUNTS_AS_KNOWN = (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
+"""Verdicts under which a controller may lean on a number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +66,14 @@ class Estimate:
 
     def identified(self, motor: int) -> bool:
         """Tell whether every parameter of one motor is identified."""
-        return all(verdict is Verdict.IDENTIFIED for verdict in self.verdicts[motor])
+        return all(verdict in COUNTS_AS_KNOWN for verdict in self.verdicts[motor])
 
 
 LOG_NORMAL = 0.3
 """Relative standard deviation up to which the spread of a logarithm is as good as that of the value."""
+
+ABSURD_SPREAD = 1e12
+"""Relative standard deviation that is none: products of such variances would soon be no numbers."""
 
 WIDEST = 4.0
 """Standard deviation of a logarithm beyond which nothing is known either way; it also keeps the exponential finite."""
@@ -98,6 +107,16 @@ def spread_of_values(value: Array, covariance: Array) -> Array:
     return widened
 
 
+def bounded(value: Array, covariance: Array) -> Array:
+    """Covariances that are finite and not absurd; of others only the order of magnitude of the values is known."""
+    finite = np.all(np.isfinite(covariance), axis=(1, 2))
+    finite &= np.all(covariance.diagonal(0, 1, 2) <= (ABSURD_SPREAD * value) ** 2, axis=1)
+    if finite.all():
+        return covariance
+    unknown = np.eye(value.shape[1]) * np.expm1(WIDEST) ** 2 * value[:, :, None] * value[:, None, :]
+    return np.where(finite[:, None, None], covariance, unknown)
+
+
 @dataclass(frozen=True, slots=True)
 class VerdictRules:
     """When a parameter counts as identified.
@@ -106,23 +125,42 @@ class VerdictRules:
         identified_relative_std: largest standard deviation, as a fraction of the value, that may be called identified.
         excited_relative_std: a parameter whose standard deviation stays above this fraction has not been excited.
         bound_tolerance: nearness to a bound, as a fraction of it, that is called implausible.
+        negligible_share: of the voltage; a parameter that takes less, at most, is as good as zero.
     """
 
     identified_relative_std: float = 0.02
     excited_relative_std: float = 0.3
     bound_tolerance: float = 1e-3
+    negligible_share: float = 5e-3
 
     def judge(
-        self, parameters: tuple[Parameter, ...], value: Array, std: Array, *, frozen: bool = False
+        self,
+        parameters: tuple[Parameter, ...],
+        value: Array,
+        std: Array,
+        *,
+        frozen: bool = False,
+        most: Array | None = None,
     ) -> tuple[tuple[Verdict, ...], ...]:
-        """Judge every parameter of every motor from its value and standard deviation, shape (motor, parameter)."""
+        """Judge every parameter of every motor.
+
+        Args:
+            parameters: what the columns are.
+            value: shape (motor, parameter).
+            std: likewise, their standard deviations.
+            frozen: whether nothing is learnt.
+            most: likewise, the share of the voltage that each takes at most; infinite where that is not known.
+        """
         if frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
         lower, upper = bounds(parameters)
         at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (value >= upper * (1.0 - self.bound_tolerance))
         known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
         code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)
-        return verdicts_of(np.where(at_bound, _IMPLAUSIBLE, code))
+        code = np.where(at_bound, _IMPLAUSIBLE, code)
+        if most is not None:
+            code = np.where((most < self.negligible_share) & (code != _IDENTIFIED), _NEGLIGIBLE, code)
+        return verdicts_of(code)
 
 
 def verdicts_of(codes: NDArray[np.integer[Any]]) -> tuple[tuple[Verdict, ...], ...]:
@@ -131,4 +169,4 @@ def verdicts_of(codes: NDArray[np.integer[Any]]) -> tuple[tuple[Verdict, ...], .
 
 
 _VERDICTS = tuple(Verdict)
-_IDENTIFIED, _CONVERGING, _UNEXCITED, _FROZEN, _IMPLAUSIBLE = range(len(_VERDICTS))
+_IDENTIFIED, _CONVERGING, _UNEXCITED, _FROZEN, _IMPLAUSIBLE, _MISFIT, _NEGLIGIBLE = range(len(_VERDICTS))

@@ -21,6 +21,24 @@ from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.white_box.base import Parameter
 
+SOON = 1024
+"""Samples after which an examination has nothing to do with the one before."""
+
+FREE_EXAMINATIONS = 8
+"""So many, one soon after the other, are not put off: a change may need a few until its samples tell which it was."""
+
+GROWTH = 4
+"""Factor from one patience to the next."""
+
+LONGEST_PATIENCE = 256
+"""Blocks for which an examination is put off at most."""
+
+
+def patience(in_vain: NDArray[np.int_], block: int) -> NDArray[np.int_]:
+    """How many samples after an examination the next is put off, the longer the more of them have settled nothing."""
+    blocks = np.minimum(GROWTH ** np.clip(in_vain - FREE_EXAMINATIONS, 0, 8), LONGEST_PATIENCE)
+    return np.where(in_vain > FREE_EXAMINATIONS, block * blocks, 0)
+
 
 class Following:
     """Examines motors that seem to have changed.
@@ -42,6 +60,8 @@ class Following:
         before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
         held = self._fit_from(motors, stretch, before)
         self._calm(known)
+        soon = known.at - known.examined <= SOON + patience(known.in_vain, self._rules.block)
+        known.in_vain, known.examined = np.where(soon, known.in_vain + 1, 0), known.at.copy()
         priors = [before.loosened(change.directions) for change in self._changes]
         fits = [self._fit_from(motors, stretch, prior) for prior in priors]
         penalties = [change.penalty for change in self._changes]
@@ -52,7 +72,8 @@ class Following:
         known.belief = self._back_on_track(belief, held.belief, ~changed)
         if not np.any(changed):
             return
-        jumped = changed & ~self.drifting(motors, changed, samples)
+        settles = known.in_vain <= FREE_EXAMINATIONS  # what jumps again and again is no winding that heats
+        jumped = changed & ~self.drifting(motors, changed & settles, samples)
         if not np.any(jumped):
             return
         known.alarms = known.alarms + jumped
@@ -65,6 +86,7 @@ class Following:
         p = np.where(one, before.p, known.prior.p)
         known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
         motors.take(found, jumped)
+        known.share = np.where(one, 0.0, known.share)
         known.anchor_here(jumped)
 
     def walk_again(self, motors: Motors) -> None:
@@ -126,4 +148,4 @@ class Following:
 
     def _fit_from(self, motors: Motors, stretch: Stretch, prior: Prior) -> Fit:
         start, floor = motors.learnt.belief.p, self._rules.noise_floor
-        return batch_fit(motors.white_box, stretch, start, prior, floor, trusting=5)
+        return batch_fit(motors.white_box, stretch, start, prior, floor, 5, motors.learnt.least_noise)

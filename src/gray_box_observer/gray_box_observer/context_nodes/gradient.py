@@ -15,9 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
-from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.printable import printable
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.saved_state import (
+    LATEST_NS,
+    MOST,
+    ArrayRule,
+    check_arrays,
+    check_covariance,
+    check_generator,
+    counts,
+    entry,
+    whole,
+)
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.dynamics import integrated_regressors
 
@@ -52,6 +64,9 @@ class GradientRules:
     drift_floor: float = 5e-3
     replay_capacity: int = 6000
 
+
+ROUNDING = 1e-9
+"""Of the logarithms of parameters at their bounds."""
 
 _STATE = ('z', 'first', 'second', 'adam_steps', 'rate', 'loss', 'best', 'stale', 'covariance')
 
@@ -112,6 +127,10 @@ class GradientUpdate:
         """The gradient rule keeps no count."""
         return {}
 
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether one motor is known to drift: this rule never asks."""
+        return False
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
         if frozen == self._frozen:
@@ -163,16 +182,45 @@ class GradientUpdate:
         """Take back what :meth:`state` gave.
 
         Raises:
-            ConfigurationError: it was learnt of other parameters or another number of motors.
+            ConfigurationError: it was learnt of other parameters.
+            CheckpointError: it is no state that could have been learnt.
         """
         names = [p.name for p in self._white_box.parameters]
-        if plain['parameters'] != names or arrays['z'].shape != self._z.shape:
-            raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
+        if plain['parameters'] != names:
+            raise ConfigurationError(f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}')
+        self._check(plain, arrays)
         self._random.bit_generator.state = plain['random']
         self._new, self._stamp_ns = int(plain['new']), int(plain['stamp_ns'])
         for name in _STATE:
             setattr(self, f'_{name}', arrays[name])
         self.replay.refill(arrays['replay'])
+
+    def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Refuse a saved state that could not have been learnt.
+
+        Raises:
+            CheckpointError: something is missing, or no state of this rule.
+        """
+        motors, n = self._z.shape
+        rules = {
+            'z': ArrayRule((motors, n)),
+            'first': ArrayRule((motors, n), -1.0, 1.0),
+            'second': ArrayRule((motors, n), 0.0, 1.0),
+            'adam_steps': ArrayRule((motors, 1), 0.0, MOST),
+            'rate': ArrayRule((motors, 1), self._rules.smallest_learning_rate * 1e-6, 1.0),
+            'loss': ArrayRule((motors, 1), 0.0, blank=True),
+            'best': ArrayRule((motors, 1), 0.0, endless=True),
+            'stale': counts(motors, 1),
+            'covariance': ArrayRule((motors, n, n)),
+        }
+        check_arrays(arrays, rules)
+        if (arrays['z'] < self._lower - ROUNDING).any() or (arrays['z'] > self._upper + ROUNDING).any():
+            raise CheckpointError('z lies outside the bounds of the parameters')
+        check_covariance('covariance', arrays['covariance'])
+        check_signals('replay', arrays.get('replay'), motors)
+        check_generator(entry(plain, 'random'))
+        whole(plain, 'new')
+        whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
 
     def _windows(self, ends: NDArray[np.intp]) -> tuple[Array, Array, Array]:
         """Regressors (motor, window, parameter), targets and validity of the windows that end at these samples."""

@@ -23,16 +23,18 @@ from gray_box_observer.context_nodes.drift import (
     SUSPICIOUS_BLOCKS,
     DriftTest,
 )
-from gray_box_observer.context_nodes.following import Following
+from gray_box_observer.context_nodes.following import FREE_EXAMINATIONS, Following, patience
 from gray_box_observer.context_nodes.holds import Holds
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.linear_start import linear_start
 from gray_box_observer.context_nodes.motors import Motors
+from gray_box_observer.context_nodes.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks, Turn
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.device import DEVICE_FROM, DEVICE_TURN
+from gray_box_observer.fit_test.noise_floor import STEP_TO_STD, STILL, WITHIN_STEP, quantisation_step
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -99,22 +101,53 @@ class Learner:
 
     def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
+        waits = self._wait_for_current(motors, motors.newest(samples))
+        if not waits.any():
+            self._fit(motors, samples)
+        elif not waits.all():
+            index = np.flatnonzero(~waits)
+            part = motors.part(index)
+            self._fit(part, samples)
+            put(motors.learnt, index, part.learnt)
+
+    def _wait_for_current(self, motors: Motors, stretch: Stretch) -> NDArray[np.bool_]:
+        """Read the step of the current; let motors wait whose current has not moved by more, and tell who waits.
+
+        Nothing follows from a current that does not move: noise of the voltage would be taken for what moves it not.
+        """
+        known, step = motors.learnt, quantisation_step(stretch.state)
+        known.least_noise = np.where(step > 0.0, STEP_TO_STD * step, known.least_noise)
+        waits: NDArray[np.bool_] = ~known.started & (np.ptp(stretch.state, axis=1) <= WITHIN_STEP * step)
+        if waits.any():
+            motors.forget(AT_REST * self._rules.first_fit, waits)
+            known.next_fit = np.where(waits, motors.remembered + self._rules.first_fit, known.next_fit)
+        return waits
+
+    def _fit(self, motors: Motors, samples: int) -> None:
         known = motors.learnt
         stretch, start = motors.newest(samples), known.belief.p
         fresh = ~known.started
         if np.any(fresh):
             start = np.where(fresh[:, None], self._first_guess(motors, known.prior, stretch, samples), start)
-        fit = batch_fit(motors.white_box, stretch, start, known.prior, self._rules.noise_floor)
+        fit = self._fitted(motors, stretch, start, known.prior)
         if (refuted := self._refuted(known.prior, fit.belief)).size:
             fit = self._fit_without(motors, samples, fit, refuted)
         known.started = np.ones_like(known.started)
         motors.take(fit.belief, np.ones_like(fresh))
+        known.share = voltage_shares(motors.white_box, stretch)
+        known.reach = SIGMAS * np.where(known.share > 0.0, fit.linear_std, 0.0) * known.share
         known.anchor = copied(self._open(fit.belief, known.prior, stretch))
         known.anchored = known.at - stretch.restart.shape[1]
+        known.belief = self._holds.without_excitation(known.hold, known.belief, known.prior, stretch)
         known.hold = self._holds.fitted(known.hold, known.belief, stretch)
-        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun):
+        settles = known.in_vain <= FREE_EXAMINATIONS
+        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun & settles):
             self._following.drifting(motors, drifting)
         known.belief = self._holds.cut(known.hold, known.belief)
+
+    def _fitted(self, motors: Motors, stretch: Stretch, start: Array, prior: Prior) -> Fit:
+        least_noise = motors.learnt.least_noise
+        return batch_fit(motors.white_box, stretch, start, prior, self._rules.noise_floor, least_noise=least_noise)
 
     @staticmethod
     def _first_guess(motors: Motors, prior: Prior, stretch: Stretch, samples: int) -> Array:
@@ -140,7 +173,7 @@ class Learner:
         part = motors.part(index)
         stretch, prior = part.newest(samples), self._vague(part.learnt.prior)
         start = self._first_guess(part, prior, stretch, samples)
-        again = batch_fit(part.white_box, stretch, start, prior, self._rules.noise_floor)
+        again = self._fitted(part, stretch, start, prior)
         gain = samples * np.log(fit.belief.noise[index] / again.belief.noise)
         better = again.belief.finite & (gain > FREE)
         if not better.any():
@@ -191,8 +224,9 @@ class Learner:
         if fresh.any():  # what is vague must not make everything seem possible
             expected = replace(expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance))
         block = blocks.predict(motors.white_box, expected, stretch)
-        if fresh.any():
-            block = block.silenced(fresh)
+        still = np.ptp(stretch.state, axis=1) <= STILL * known.least_noise
+        if (silent := fresh | (still & (known.least_noise > 0.0))).any():
+            block = block.silenced(silent)
         known.outliers = known.outliers + (block.samples - block.used)
         known.kicks = known.kicks + block.kicked
         known.asked = self._suspects(known, block)
@@ -248,7 +282,12 @@ class Learner:
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
         asked: NDArray[np.int_] = np.where(alarm | sudden | misfit, np.where(sudden, known.since, samples), 0)
-        return asked
+        put_off = (asked > 0) & (known.at - known.examined < patience(known.in_vain, self._rules.block))
+        if not put_off.any():
+            return asked
+        known.score = np.where(put_off[:, None, None], 0.0, known.score)
+        known.information = np.where(put_off[:, None, None, None], 0.0, known.information)
+        return np.where(put_off, 0, asked)
 
     @staticmethod
     def _suspicion(known: Learnt, block: Block, lost: NDArray[np.bool_]) -> tuple[Array, NDArray[np.int_]]:
@@ -293,5 +332,6 @@ class Learner:
         before = known.belief.noise
         variance = before**2 + share * (seen - before**2)
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)
+        noise = np.maximum(noise, known.least_noise)
         followed = known.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
         known.belief = replace(known.belief, noise=np.where(followed, noise, before))

@@ -37,6 +37,11 @@ class Learnt:
         score: shape (motor, memory, coordinate), of :class:`~gray_box_observer.context_nodes.drift.DriftTest`.
         information: shape (motor, memory, coordinate, coordinate).
         hold: long holds of the voltage.
+        least_noise: in A, what the step of the readings leaves of it; 0 where none is seen.
+        share: shape (motor, parameter): of the voltage, that one unit of a parameter takes; 0 where that is not known.
+        reach: likewise, of the voltage, how much more than by its value a parameter may take.
+        examined: place of the sample at which the motor was examined last.
+        in_vain: examinations one soon after the other, which settle nothing.
         outliers, kicks, alarms: counts for diagnostics: samples left out, kicks of the state, changes of the motor.
     """
 
@@ -56,6 +61,11 @@ class Learnt:
     score: Array
     information: Array
     hold: HoldState
+    least_noise: Array
+    share: Array
+    reach: Array
+    examined: NDArray[np.int_]
+    in_vain: NDArray[np.int_]
     outliers: NDArray[np.int_]
     kicks: NDArray[np.int_]
     alarms: NDArray[np.int_]
@@ -65,13 +75,14 @@ class Learnt:
         """Return the state before the first sample."""
         motors, n = prior.p.shape
         belief, memories = Belief.before_data(prior), len(MEMORIES_BLOCKS)
-        counts = [np.zeros(motors, dtype=int) for _ in range(8)]
-        anchored, at, asked, noise_count, since, outliers, kicks, alarms = counts
+        counts = [np.zeros(motors, dtype=int) for _ in range(10)]
+        anchored, at, asked, noise_count, since, examined, in_vain, outliers, kicks, alarms = counts
         started, next_fit = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
         made = cls(
             belief, prior, belief, anchored, at, started, next_fit, asked, noise_count,
             np.zeros(motors), np.zeros(motors), since, np.zeros(motors), np.zeros((motors, memories, n)),
-            np.zeros((motors, memories, n, n)), HoldState.none(motors, n), outliers, kicks, alarms,
+            np.zeros((motors, memories, n, n)), HoldState.none(motors, n), np.zeros(motors),
+            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks, alarms,
         )  # fmt: skip
         return copied(made)  # entries are written to: no two may share an array
 

@@ -14,6 +14,12 @@ MAD_TO_STD = 1.4826
 OUTLIER = 4.5
 """Standard deviations beyond which a sample is an outlier: Gauss gives one in 150,000."""
 
+CORRELATION_SLACK = 1e-9
+"""How far the square of a correlation may lie above one: more than rounding leaves of strong ones."""
+
+LEAST_EIGENVALUE = 1e-12
+"""Of a matrix of correlations: smaller ones are rounding."""
+
 
 @dataclass(frozen=True, slots=True)
 class Frame:
@@ -90,3 +96,36 @@ def semidefinite(matrix: Array) -> Array:
     values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
     mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     return mended
+
+
+def is_sound(covariance: Array) -> NDArray[np.bool_]:
+    """Whether variances are positive and no correlation is beyond one, shape (motor,); cheap, and no proof."""
+    variance = covariance.diagonal(0, 1, 2)
+    most = variance[:, :, None] * variance[:, None, :] * (1.0 + CORRELATION_SLACK)
+    sound: NDArray[np.bool_] = np.all(variance > 0.0, axis=1) & np.all(covariance**2 <= most, axis=(1, 2))
+    return sound
+
+
+def definite(covariance: Array, unit: Array) -> Array:
+    """Covariances that are positive definite: those that are stay as they are, rounding in others is mended minimally.
+
+    Args:
+        covariance: shape (motor, unknown, unknown), of finite numbers.
+        unit: shape (motor, unknown): size of each unknown, positive; what is small is judged in these units.
+    """
+    std = np.sqrt(np.maximum(covariance.diagonal(0, 1, 2), np.finfo(float).tiny))
+    correlation = covariance / std[:, :, None] / std[:, None, :]
+    bad = ~is_sound(covariance)
+    bad[~bad] = np.linalg.eigvalsh(correlation[~bad])[:, 0] < LEAST_EIGENVALUE
+    if not bad.any():
+        return covariance
+    mended, unit = covariance.copy(), unit[bad, :, None] * unit[bad, None, :]
+    nearest = semidefinite(covariance[bad] / unit)
+    variance = nearest.diagonal(0, 1, 2)
+    least = LEAST_EIGENVALUE * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).eps)
+    std = np.sqrt(np.maximum(variance, least))
+    scale = std[:, :, None] * std[:, None, :]
+    values, axes = np.linalg.eigh(nearest / scale)
+    values = np.maximum(values, 2.0 * LEAST_EIGENVALUE)
+    mended[bad] = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * scale * unit
+    return 0.5 * (mended + np.swapaxes(mended, 1, 2))

@@ -30,13 +30,14 @@ typedef struct {
     double keep[MOST_MEMORIES];
     double outlier, kick, credible, far_away, largest_step, most_steps, threshold, noise_floor;
     double left_out_memory, left_out_limit, hold_tolerance, hold_settled, long_hold_s;
+    double correlation_slack, still;
     int64_t noise_memory, replay_capacity;
     /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
     const double *data;
     int64_t signal_stride, column_stride, columns;
     const int64_t *gone, *end, *begin;
     /* what is believed of the motors; written to */
-    const double *current_a, *gain, *walk_rate;
+    const double *current_a, *gain, *least_noise, *walk_rate;
     const int64_t *anchored, *next_fit;
     const uint8_t *hold_begun;
     int64_t *at;
@@ -56,7 +57,7 @@ typedef struct {
     int64_t motor[LANES];
     Mask fine; /* of which nothing is out of the ordinary so far */
     Physics box;
-    Real size, noise, gain, steps;
+    Real size, noise, gain, least_noise, steps;
     Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
     Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
@@ -192,7 +193,7 @@ INLINE void gather(const Update *u, Tile *t, const int n)
     t->box.torque_constant = load(t, u->torque_constant);
     for (int j = 0; j < u->known_terms; j++) t->box.constant[j] = load(t, u->known + j * u->motors);
     t->size = load(t, u->current_a), t->noise = load(t, u->noise), t->gain = load(t, u->gain);
-    t->state = load(t, u->state);
+    t->state = load(t, u->state), t->least_noise = load(t, u->least_noise);
     load_matrix(t, u->p, n, 0, 1, n, t->box.p, n);
     load_matrix(t, u->sensitivity, n, 0, 1, n, t->sensitivity, n);
     load_matrix(t, u->covariance, m * m, 0, m, m, (Real *)t->covariance, MOST_UNKNOWNS);
@@ -352,6 +353,19 @@ CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
     t->fine &= ~(*asked & large & kicked);
 }
 
+/* A current that has not moved by more than the step of its readings teaches nothing: learner.py, update. */
+CLONES void silence(const Update *u, Tile *t)
+{
+    Real low = t->measured[0], high = low;
+    if (!anywhere(t->least_noise > 0.0)) return;
+    for (int j = 1; j <= t->k; j++) low = smaller(low, t->measured[j]), high = larger(high, t->measured[j]);
+    const Mask still = (t->least_noise > 0.0) & (high - low <= u->still * t->least_noise);
+    for (int i = 0; i <= t->n; i++) {
+        t->right[i] = chosen(still, all(0.0), t->right[i]);
+        for (int j = 0; j <= t->n; j++) t->info[i][j] = chosen(still, all(0.0), t->info[i][j]);
+    }
+}
+
 /* Predict the block, and tell its good samples from the others: blocks.py, predict. */
 CLONES void predict(const Update *u, Tile *t)
 {
@@ -480,6 +494,13 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
         for (int j = 0; j < m; j++) step[i] += posterior[i][j] * t->right[j];
         if (i > 0) step[i] = between(step[i], all(-0.5), all(1.0));
     }
+    for (int i = 0; i < m; i++) { /* normal_equations.py, is_sound */
+        t->fine &= posterior[i][i] > 0.0;
+        for (int j = 0; j < i; j++) {
+            const Real most = posterior[i][i] * posterior[j][j] * (1.0 + u->correlation_slack);
+            t->fine &= posterior[i][j] * posterior[i][j] <= most;
+        }
+    }
 
     Real p[MOST_COORDINATES], ratio[MOST_UNKNOWNS], transfer[MOST_UNKNOWNS];
     const Real first = before[0] * (1.0 + step[1]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
@@ -522,7 +543,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
         count[l] = (double)(grown < u->noise_memory ? grown : u->noise_memory);
     }
     const Real power = noise * noise + (double)k / count * (t->squares / t->used - noise * noise);
-    const Real followed = larger(square_root(power), u->noise_floor * t->size);
+    const Real followed = larger(larger(square_root(power), u->noise_floor * t->size), t->least_noise);
     t->fine &= followed < INFINITY;
     for (int j = 2; j <= k; j++)
         low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
@@ -591,6 +612,7 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
         else
             gather_any(u, &t);
         predict(u, &t);
+        silence(u, &t);
         if (t.n == 3)
             finish_3(u, &t, told + begin);
         else

@@ -18,10 +18,11 @@ from gray_box_observer.context_nodes import compiled, drift
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.holds import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.learnt import Learnt, copied
-from gray_box_observer.context_nodes.normal_equations import OUTLIER
+from gray_box_observer.context_nodes.normal_equations import CORRELATION_SLACK, OUTLIER
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.context_nodes.walk import heating
+from gray_box_observer.fit_test.noise_floor import STILL
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import WhiteBox, bounds
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
@@ -62,6 +63,7 @@ WRITTEN = {
 READ = {
     'current_a': 'belief.current_a',
     'gain': 'belief.gain',
+    'least_noise': 'least_noise',
     'walk_rate': 'walk_rate',
     'anchored': 'anchored',
     'next_fit': 'next_fit',
@@ -88,6 +90,7 @@ class _Update(ctypes.Structure):
         *((name, _NUMBER) for name in ('outlier', 'kick', 'credible', 'far_away', 'largest_step', 'most_steps')),
         *((name, _NUMBER) for name in ('threshold', 'noise_floor', 'left_out_memory', 'left_out_limit')),
         *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled', 'long_hold_s')),
+        *((name, _NUMBER) for name in ('correlation_slack', 'still')),
         *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
         ('data', _POINTER),
         *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
@@ -195,6 +198,8 @@ class OrdinaryBlocks:
             hold_tolerance=HOLD_TOLERANCE,
             hold_settled=SETTLED,
             long_hold_s=rules.long_hold_s,
+            correlation_slack=CORRELATION_SLACK,
+            still=STILL,
             noise_memory=rules.noise_memory,
             replay_capacity=rules.replay_capacity,
             data=places[2],

@@ -8,16 +8,18 @@
 #include <stdint.h>
 
 #define MOST_PARAMETERS 5
+#define SURELY_DEFINITE 1e-8 /* of a factor's square; well above LEAST_EIGENVALUE of normal_equations.py */
 
 /* In the order of estimate.py. */
-enum { IDENTIFIED, CONVERGING, UNEXCITED, FROZEN, IMPLAUSIBLE };
+enum { IDENTIFIED, CONVERGING, UNEXCITED, FROZEN, IMPLAUSIBLE, MISFIT, NEGLIGIBLE };
 
 /* What is believed, and when a parameter counts as known; ordinary_estimate.py holds the same list. */
 typedef struct {
     int64_t parameters;
     double lower[MOST_PARAMETERS], upper[MOST_PARAMETERS];
-    double identified_relative_std, excited_relative_std, bound_tolerance, log_normal;
+    double identified_relative_std, excited_relative_std, bound_tolerance, negligible_share, log_normal;
     const double *p, *covariance, *noise; /* of motors by coordinate; by state and coordinates, squared; by nothing */
+    const double *share, *reach; /* of motors by parameter: of the voltage, a unit's and what may come on top; or NULL */
 } Believed;
 
 static uint8_t verdict(const Believed *b, int i, double value, double std)
@@ -26,6 +28,21 @@ static uint8_t verdict(const Believed *b, int i, double value, double std)
         return IMPLAUSIBLE;
     if (!(std <= b->excited_relative_std * value)) return UNEXCITED;
     return std <= b->identified_relative_std * value ? IDENTIFIED : CONVERGING;
+}
+
+/* Whether a covariance of positive variances is positive definite by more than rounding: normal_equations.py, definite.
+ * It is by Cholesky factors of the correlations, the smallest of whose squares is no less than the least eigenvalue. */
+static int definite(int n, const double *covariance)
+{
+    double factor[MOST_PARAMETERS][MOST_PARAMETERS];
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            double left = covariance[i * n + j] / sqrt(covariance[i * n + i] * covariance[j * n + j]);
+            for (int h = 0; h < j; h++) left -= factor[i][h] * factor[j][h];
+            if (i == j && !(left > SURELY_DEFINITE)) return 0;
+            factor[i][j] = i == j ? sqrt(left) : left / factor[j][j];
+        }
+    return 1;
 }
 
 /* Size of Believed, by which Python tells that it speaks of the same. */
@@ -61,9 +78,14 @@ int64_t tell_estimates(
         }
         for (int i = 0; i < n; i++) {
             const double variance = covariance[i * n + i], widest = b->log_normal * value[i];
-            if (variance > widest * widest) return 0;
+            if (!(variance <= widest * widest && variance > 0.0)) return 0;
             verdicts[k * n + i] = verdict(b, i, value[i], sqrt(variance));
+            const double share = b->share ? b->share[motor * n + i] : 0.0;
+            if (share > 0.0 && verdicts[k * n + i] != IDENTIFIED
+                && value[i] * share + b->reach[motor * n + i] < b->negligible_share)
+                verdicts[k * n + i] = NEGLIGIBLE;
         }
+        if (!definite(n, covariance)) return 0;
     }
     return 1;
 }

@@ -20,7 +20,7 @@ MOST_PARAMETERS = 5
 """Room in `ordinary_estimate.c`."""
 
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-_RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance')
+_RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance', 'negligible_share')
 
 
 class _Believed(ctypes.Structure):
@@ -30,7 +30,7 @@ class _Believed(ctypes.Structure):
         ('parameters', _COUNT),
         *((name, _NUMBER * MOST_PARAMETERS) for name in ('lower', 'upper')),
         *((name, _NUMBER) for name in (*_RULES, 'log_normal')),
-        *((name, _POINTER) for name in ('p', 'covariance', 'noise')),
+        *((name, _POINTER) for name in ('p', 'covariance', 'noise', 'share', 'reach')),
     )
 
 
@@ -58,9 +58,15 @@ class OrdinaryEstimates:
         self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._told)
         self._belief: Belief | None = None
         self._rules: VerdictRules | None = None
+        self._shares: tuple[Array | None, Array | None] = (None, None)
 
     def of(
-        self, belief: Belief, motors: NDArray[np.int64] | None, rules: VerdictRules
+        self,
+        belief: Belief,
+        motors: NDArray[np.int64] | None,
+        rules: VerdictRules,
+        share: Array | None = None,
+        reach: Array | None = None,
     ) -> tuple[Array, Array, tuple[tuple[Verdict, ...], ...]] | None:  # fmt: skip
         """Return values, shape (place, parameter), covariances and verdicts of some motors.
 
@@ -70,8 +76,10 @@ class OrdinaryEstimates:
             belief: of all motors.
             motors: places of those that are meant; None: all.
             rules: when a parameter counts as identified.
+            share: shape (motor, parameter), of all motors: of the voltage, that one unit takes; None: nobody knows.
+            reach: likewise, what may come on top of that.
         """
-        if self._library is None or not self._point(belief, rules):
+        if self._library is None or not self._point(belief, rules) or not self._point_shares(share, reach):
             return None
         places, told = self._at
         if motors is None:
@@ -83,6 +91,19 @@ class OrdinaryEstimates:
             return None
         value, covariance, codes = self._told
         return value[:count].copy(), covariance[:count].copy(), verdicts_of(codes[:count])
+
+    def _point_shares(self, share: Array | None, reach: Array | None) -> bool:
+        """Let the compiled code read these; tell whether it can."""
+        if share is self._shares[0] and reach is self._shares[1]:
+            return True
+        if share is None or reach is None:
+            self._believed.share = self._believed.reach = None
+        elif share.flags.c_contiguous and reach.flags.c_contiguous:
+            self._believed.share, self._believed.reach = share.ctypes.data, reach.ctypes.data
+        else:
+            return False
+        self._shares = share, reach
+        return True
 
     def _point(self, belief: Belief, rules: VerdictRules) -> bool:
         """Let the compiled code read this belief; tell whether it can."""

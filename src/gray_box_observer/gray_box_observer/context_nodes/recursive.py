@@ -21,19 +21,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.belief import Belief, Prior
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules, spread_of_values
+from gray_box_observer.context_nodes.belief import Belief, Prior, check_belief, check_prior
+from gray_box_observer.context_nodes.drift import MEMORIES_BLOCKS
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules, bounded, spread_of_values
 from gray_box_observer.context_nodes.following import Following
-from gray_box_observer.context_nodes.holds import HoldState
+from gray_box_observer.context_nodes.holds import HoldState, check_hold
 from gray_box_observer.context_nodes.learner import WALK_AGAIN, Learner
 from gray_box_observer.context_nodes.learnt import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.motors import Motors
+from gray_box_observer.context_nodes.normal_equations import definite
 from gray_box_observer.context_nodes.ordinary_block import LEARNT, Turn
 from gray_box_observer.context_nodes.ordinary_estimate import OrdinaryEstimates
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.printable import printable
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.saved_state import (
+    LARGEST_SIGNAL,
+    LATEST_NS,
+    MOST,
+    ArrayRule,
+    check_arrays,
+    counts,
+    flag,
+    whole,
+)
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
 
@@ -44,6 +57,9 @@ HEAVY = 4096
 """Samples, of one motor or of several together, that are fitted or examined at one sample of the group."""
 
 NEVER = np.iinfo(np.int64).max
+
+FASTEST_WALK = 1.0
+"""Rate of a walk, relative to one second: no winding gets there."""
 
 
 class RecursiveUpdate:
@@ -124,6 +140,10 @@ class RecursiveUpdate:
             'motors that drift': int(np.sum(known.walk_rate[which] > 0.0)),
         }
 
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether one motor is known to drift."""
+        return bool(self._learnt.walk_rate[motor] > 0.0)
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
         if frozen == self._frozen:
@@ -136,16 +156,24 @@ class RecursiveUpdate:
         belief, parameters = self._learnt.belief, self._white_box.parameters
         everyone = isinstance(which, slice) and which == slice(None)
         motors = None if everyone else np.arange(self._due.size)[which]
-        told = None if self._frozen else self._ordinary.of(belief, motors, self.verdict_rules)
+        told = None if self._frozen else self._told(motors)
         if told is not None:
             return Estimate(self._stamp_ns, parameters, *told)
         theta = to_parameters(belief.p[which])
         posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
         covariance, theta = parameter_covariance(theta, posterior), theta.clip(self._lower, self._upper)
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
+        covariance = definite(bounded(theta, covariance), theta)
         std = np.sqrt(covariance.diagonal(0, 1, 2))
-        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen)
+        share = self._learnt.share[which]
+        most = np.where(share > 0.0, theta * share + self._learnt.reach[which], np.inf)
+        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
+
+    def _told(self, motors: NDArray[np.intp] | None) -> tuple[Any, ...] | None:
+        """What compiled code tells of some motors; None where it does not."""
+        known = self._learnt
+        return self._ordinary.of(known.belief, motors, self.verdict_rules, known.share, known.reach)
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample and do what is due. Tell whether an estimate has changed; ``changed`` says whose."""
@@ -266,6 +294,7 @@ class RecursiveUpdate:
             'resumes': self._resumes is not None and bool(self._resumes[motor]),
             'parameters': [p.name for p in self._white_box.parameters],
             'anchored': int(known.anchored[0]) - received,
+            'examined': int(known.examined[0]) - received,
             'gone': received - content.shape[2],
             'begin': int(self.replay.begin(which)[0]),
             'asked': int(known.asked[0]),
@@ -287,11 +316,13 @@ class RecursiveUpdate:
 
         Raises:
             ConfigurationError: it was learnt of other parameters.
+            CheckpointError: it is no state that could have been learnt.
         """
         names = [p.name for p in self._white_box.parameters]
         which = motor if isinstance(motor, slice) else slice(motor, motor + 1)
-        if plain['parameters'] != names or arrays['belief.p'].shape != (1, len(names)):
-            raise ConfigurationError(f'the checkpoint holds {plain["parameters"]}, expected {names}')
+        if plain['parameters'] != names:
+            raise ConfigurationError(f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}')
+        _check(plain, arrays, len(names))
         content, begin, new = arrays['replay'], plain['begin'], plain['new']
         if new > min(content.shape[2], self.replay.capacity // 2):  # they waited in a larger memory, for larger blocks
             new = 0
@@ -312,6 +343,7 @@ class RecursiveUpdate:
             score=np.moveaxis(arrays['drift_score'], 1, 0),
             information=np.moveaxis(arrays['drift_information'], 1, 0),
             hold=HoldState(**_below('holds', arrays)),
+            examined=received + plain['examined'],
             outliers=known.outliers,
             kicks=known.kicks,
             alarms=known.alarms,
@@ -331,4 +363,44 @@ def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:
     return {name[len(part) + 1 :]: array for name, array in arrays.items() if name.startswith(f'{part}.')}
 
 
-_ARRAYS = ('suspicion', 'since', 'left_out', 'walk_rate')
+_ARRAYS = ('suspicion', 'since', 'left_out', 'walk_rate', 'least_noise', 'share', 'reach', 'in_vain')
+
+
+def _check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) -> None:
+    """Refuse a saved state that could not have been learnt.
+
+    Raises:
+        CheckpointError: something is missing, or no state of this rule.
+    """
+    n, memories = coordinates, len(MEMORIES_BLOCKS)
+    check_belief('belief', arrays, n)
+    check_belief('anchor', arrays, n)
+    check_prior(arrays, n)
+    check_hold('holds', arrays, n)
+    check_signals('replay', arrays.get('replay'))
+    rules = {
+        'suspicion': ArrayRule((1,), 0.0),
+        'since': counts(1),
+        'left_out': ArrayRule((1,), 0.0),
+        'walk_rate': ArrayRule((1,), 0.0, FASTEST_WALK),
+        'least_noise': ArrayRule((1,), 0.0),
+        'share': ArrayRule((1, n), 0.0),
+        'reach': ArrayRule((1, n), 0.0, endless=True),
+        'in_vain': counts(1),
+        'drift_score': ArrayRule((memories, 1, n)),
+        'drift_information': ArrayRule((memories, 1, n, n)),
+        'speed': ArrayRule((1,), -LARGEST_SIGNAL, LARGEST_SIGNAL),
+    }
+    check_arrays(arrays, rules)
+    remembered = arrays['replay'].shape[2]
+    gone = whole(plain, 'gone')
+    new = min(whole(plain, 'new'), remembered)
+    whole(plain, 'next_fit', 1)
+    whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
+    whole(plain, 'noise_count')
+    whole(plain, 'anchored', -MOST, -new)
+    whole(plain, 'begin', 0, gone + remembered - new)
+    whole(plain, 'examined', -MOST, 0)
+    whole(plain, 'asked', WALK_AGAIN)
+    flag(plain, 'started')
+    flag(plain, 'resumes')

@@ -99,7 +99,12 @@ class Stretch:
             until: place of the last one in each motor's stream; None: the newest.
         """
         samples = min(samples, int(replay.remembered(which, until).min()))
-        interval, voltage, torque, speed = np.ascontiguousarray(replay.newest(samples, which, until))
+        return cls.of_content(white_box, np.ascontiguousarray(replay.newest(samples, which, until)))
+
+    @classmethod
+    def of_content(cls, white_box: WhiteBox, content: Array) -> Stretch:
+        """Make a stretch of samples as a replay buffer gives them, shape (signal, motor, k + 1)."""
+        interval, voltage, torque, speed = content
         interval = interval[:, 1:]
         restart = interval <= 0.0
         return cls(white_box.state(torque), np.where(restart, 0.0, voltage[:, 1:]), interval, speed, restart)

@@ -1,0 +1,5 @@
+"""Residual analysis: does the white box explain the data? Read `assessment.py` first, then `monitor.py`."""
+
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
+
+__all__ = ['FitAssessment', 'FitVerdict', 'Suspect']

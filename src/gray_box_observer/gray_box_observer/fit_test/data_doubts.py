@@ -1,0 +1,322 @@
+"""Doubts about the data themselves: a unit that is not SI, a speed with the wrong sign, a Kb that is not the motor's.
+
+A white box fits a current in mA as well as one in A: only what a motor can be tells them apart. Magnitudes tell the
+units. A least-squares fit of the integrated voltage balance (docs/METHOD.md, Residual analysis) with Kb free tells the
+back-EMF: ``int V dt = L di + R int i dt + ... + Kb int w dt``, summed over windows and never differentiated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gray_box_observer.configuration import MotorConfiguration
+from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.parameters import MOTOR_PARAMETERS
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.dynamics import integrated_regressors
+
+KB = 'back_emf_constant'
+
+DEFAULT_KB = float(next(spec.default for spec in MOTOR_PARAMETERS if spec.name == KB))
+
+LOWEST_RESISTANCE_OHM = 0.02
+"""No armature of a small motor has less, wires and driver in it."""
+
+LARGE_CURRENT_A = 50.0
+"""Peak current below which a small resistance is believed."""
+
+LARGEST_VOLTAGE_V = 1000.0
+"""No DC motor is driven by more."""
+
+LONGEST_INTERVAL_S = 0.5
+"""Between two samples; the electrical time constant of no motor is told by longer ones."""
+
+SHORTEST_INTERVAL_S = 2e-6
+"""No current sensor of a drive is sampled faster."""
+
+THOUSAND = (300.0, 3000.0)
+"""Ratios that are taken for a thousand, which a prefix of a unit makes."""
+
+FEWEST_SAMPLES = 50
+"""That are judged."""
+
+WINDOWS = 1000
+"""That samples are summed over, at most; each is at least SHORTEST_WINDOW samples long."""
+
+SHORTEST_WINDOW = 4
+
+FEWEST_WINDOWS = 20
+
+NORMAL_MEDIAN = 0.6745
+"""Median of the magnitude of a normal variable, in standard deviations."""
+
+DISTINCT = 0.1
+"""Share of the speed that no other regressor explains (standard deviation), below which Kb cannot be told from R."""
+
+ABOVE_NOISE = 5.0
+"""By how much that share has to exceed the noise of current and speed: where ``w = Kt i``, noise alone is distinct."""
+
+SURE = 10.0
+"""Standard deviations between a fitted and a configured Kb that count; the residual of a misfit is not white."""
+
+MATTERS = 0.05
+"""Share of the voltage that a wrong Kb has to move."""
+
+EXPLAINS = 0.5
+"""Share of the sum of squared residuals that a free Kb may leave where another was stated."""
+
+EXPLAINS_DEFAULT = 0.8
+"""The same where Kb has its default: logs whose command leads the current leave more."""
+
+FAR = 2.0
+"""Ratio of a fitted to a stated Kb that is doubted: speed sensors and magnets are better than that."""
+
+FAR_FROM_DEFAULT = 1.25
+"""The same where Kb has its default, which says nothing of this motor."""
+
+_INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class _Balance:
+    """The voltage balance fitted with Kb free.
+
+    Attributes:
+        kb: back-EMF constant in V s/rad.
+        resistance: R in ohm.
+        std: standard deviation of ``kb``.
+        voltage_v: root mean square of the voltage.
+        speed_rad_s: root mean square of the speed.
+        gain: sum of squared residuals that is left, over that with the configured Kb.
+        windows: how many it rests on.
+    """
+
+    kb: float
+    resistance: float
+    std: float
+    voltage_v: float
+    speed_rad_s: float
+    gain: float
+    windows: int
+
+    @property
+    def evidence(self) -> float:
+        """Log-likelihood that a free Kb brings."""
+        return 0.5 * self.windows * -math.log(max(self.gain, 1e-300))
+
+    def contradicts(self, kb: float) -> bool:
+        """Tell whether another Kb is ruled out, and moves the voltage by so much that the parameters bear it."""
+        away = abs(self.kb - kb)
+        explains = EXPLAINS_DEFAULT if kb == DEFAULT_KB else EXPLAINS
+        surely = away > SURE * self.std and self.gain < explains
+        return surely and away * self.speed_rad_s > MATTERS * self.voltage_v
+
+
+def doubts(white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorConfiguration) -> tuple[Suspect, ...]:
+    """Return what is likely wrong with the data of one motor, or with what is said of them; the surest first.
+
+    A doubt stands before every other suspect, and with one nothing of the motor may be called identified: wrong units
+    leave no residual.
+
+    Args:
+        white_box: physics of this motor alone, its constants plain numbers.
+        samples: shape (signal, n): interval in s, voltage in V, torque in N m and speed in rad/s, as
+            :meth:`~gray_box_observer.samples.ReplayBuffer.newest` returns them of one motor.
+        theta: shape (parameter,): the published values.
+        motor: as configured.
+    """
+    needed = samples if white_box.speed_measured else samples[:_SPEED]
+    samples = samples[:, np.isfinite(needed).all(axis=0)]
+    if samples.shape[1] < FEWEST_SAMPLES:
+        return ()
+    time = _doubt_of_time(samples, motor)
+    balance = _balance(white_box, samples) if white_box.speed_measured else None
+    voltage = _doubt_of_voltage(samples, balance, motor)
+    current = None if voltage else _doubt_of_current(white_box, samples, balance, theta, motor)
+    found = [suspect for suspect in (time, voltage, current) if suspect is not None]
+    if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
+        return tuple(found)
+    return (*found, *_doubts_of_back_emf(white_box, balance, motor))
+
+
+def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
+    """Doubt the unit of the stamps; nothing is doubted that a data sheet says L of, which would show it."""
+    interval_s = samples[_INTERVAL]
+    follows = interval_s > 0.0
+    if motor.values['initial_relative_std.inductance'] > 0.0 and follows.any():
+        return None
+    if np.mean(follows) < 0.5:  # most samples begin a history anew
+        text = (
+            'no two samples are near enough in time: if the stamps are in ms, write time=NAME*1e-3 among --columns; '
+            'if they are right, set gap_s to more than the interval'
+        )
+        return Suspect('units_of_time', float(samples.shape[1]), text)
+    typical_s = float(np.median(interval_s[follows]))
+    if SHORTEST_INTERVAL_S <= typical_s <= LONGEST_INTERVAL_S:
+        return None
+    limit_s = LONGEST_INTERVAL_S if typical_s > LONGEST_INTERVAL_S else SHORTEST_INTERVAL_S
+    factor = '1e-3' if typical_s > LONGEST_INTERVAL_S else '1e3'
+    text = (
+        f'an interval of {typical_s:.3g} s between samples: if the stamps are not in s, write time=NAME*{factor} '
+        'among --columns; if they are right, say what the data sheet says with initial_relative_std.inductance'
+    )
+    return Suspect('units_of_time', _evidence(typical_s / limit_s, samples.shape[1]), text)
+
+
+def _doubt_of_voltage(samples: Array, balance: _Balance | None, motor: MotorConfiguration) -> Suspect | None:
+    """Doubt the unit of the voltage: by its size, or by a Kb that comes out a thousand times what it is said to be."""
+    peak_v = float(np.percentile(np.abs(samples[_VOLTAGE]), 99.0))
+    kb = float(motor.values[KB])
+    by_kb = (
+        balance is not None
+        and kb > 0.0
+        and kb != DEFAULT_KB
+        and balance.contradicts(kb)
+        and _is_thousand(balance.kb / kb)
+        and balance.resistance > 1.0 / LOWEST_RESISTANCE_OHM
+    )
+    if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
+        return None
+    text = f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among --columns'
+    return Suspect('units_of_voltage', _evidence(peak_v / LARGEST_VOLTAGE_V, samples.shape[1]), text)
+
+
+def _doubt_of_current(
+    white_box: MotorWhiteBox, samples: Array, balance: _Balance | None, theta: Array, motor: MotorConfiguration
+) -> Suspect | None:
+    """Doubt the unit of current or torque, unless a data sheet says that the resistance is as small as that."""
+    if motor.values['initial_relative_std.resistance'] > 0.0 or motor.values['known.resistance'] > 0.0:
+        return None
+    current_a = white_box.state(samples[_TORQUE])
+    peak_a = float(np.percentile(np.abs(current_a), 99.0))
+    resistance_ohm = _smallest_resistance(white_box, samples, current_a, balance, theta)
+    if peak_a < LARGE_CURRENT_A or resistance_ohm >= LOWEST_RESISTANCE_OHM:
+        return None
+    text = (
+        f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN m, set torque.scale '
+        'to a thousandth, or current=NAME*1e-3 among --columns; if they are right, say so with '
+        f'{motor.name}.initial_relative_std.resistance'
+    )
+    ratio = LOWEST_RESISTANCE_OHM / max(resistance_ohm, 1e-9)
+    return Suspect('units_of_current', _evidence(ratio, samples.shape[1]), text)
+
+
+def _smallest_resistance(
+    white_box: MotorWhiteBox, samples: Array, current_a: Array, balance: _Balance | None, theta: Array
+) -> float:
+    """Return the resistance that the data speak of: without back-EMF where speed is measured, else the impedance."""
+    if balance is not None and balance.resistance > 0.0:
+        return balance.resistance
+    voltage_v = float(np.sqrt(np.mean(samples[_VOLTAGE] ** 2)))
+    signal = max(1.0 - _noise_share(current_a) ** 2, 0.0) * float(np.mean(current_a**2))
+    impedance = voltage_v / max(math.sqrt(signal), 1e-300)
+    names = white_box.context_nodes
+    published = float(theta[names.index('resistance')]) if 'resistance' in names else math.inf
+    return min(impedance, published)
+
+
+def _doubts_of_back_emf(white_box: MotorWhiteBox, balance: _Balance, motor: MotorConfiguration) -> tuple[Suspect, ...]:
+    """Doubt the sign of the speed, and Kb where it is not among what is identified."""
+    identified = KB in white_box.context_nodes
+    kb = 0.0 if identified else float(white_box.known.get(KB, 0.0))
+    if not balance.contradicts(kb):
+        return ()
+    found = []
+    if balance.kb < 0.0:
+        text = 'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
+        found.append(Suspect('speed_sign', balance.evidence, text))
+    magnitude = abs(balance.kb)
+    far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
+    away = max(magnitude, kb) > far * min(magnitude, kb)
+    if not identified and away and magnitude > SURE * balance.std:
+        text = f'{motor.name}.back_emf_constant: {magnitude:.4g} (it is {kb:g} V s/rad now)'
+        found.append(Suspect(KB, balance.evidence, text))
+    return tuple(found)
+
+
+def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
+    """Fit the integrated voltage balance with Kb free; None where the data do not tell Kb from the other terms."""
+    sums = _window_sums(_with_free_kb(white_box), samples)
+    if sums is None:
+        return None
+    columns, target, speed, noise = sums
+    scale = np.linalg.norm(columns, axis=0)
+    if not (scale > 0.0).all():
+        return None
+    columns = columns / scale
+    others = np.delete(columns, -1, axis=1)
+    back_emf = columns[:, -1]
+    distinct = back_emf - others @ np.linalg.lstsq(others, back_emf, rcond=None)[0]
+    spread = float(distinct @ distinct)
+    if not spread > max(DISTINCT, ABOVE_NOISE * noise) ** 2 * float(back_emf @ back_emf):
+        return None
+    weights = np.linalg.lstsq(columns, target, rcond=None)[0]
+    left = target - columns @ weights
+    theta = weights / scale
+    known = target - float(white_box.known.get(KB, 0.0)) * scale[-1] * back_emf
+    configured = known - others @ np.linalg.lstsq(others, known, rcond=None)[0]
+    freedom = max(target.size - theta.size, 1)
+    names = white_box.context_nodes
+    resistance = float(theta[names.index('resistance')]) if 'resistance' in names else math.nan
+    return _Balance(
+        kb=float(theta[-1]),
+        resistance=resistance,
+        std=math.sqrt(float(left @ left) / freedom / spread) / float(scale[-1]),
+        voltage_v=float(np.sqrt(np.mean(target**2))),
+        speed_rad_s=speed,
+        gain=float(left @ left) / max(float(configured @ configured), 1e-300),
+        windows=target.size,
+    )
+
+
+def _with_free_kb(white_box: MotorWhiteBox) -> MotorWhiteBox:
+    """Return the white box with Kb last among what is unknown."""
+    nodes = (*(name for name in white_box.context_nodes if name != KB), KB)
+    return replace(white_box, context_nodes=nodes)
+
+
+def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array, float, float] | None:
+    """Sum the integrated balance over windows of the samples, divided by their lengths; none spans a new history.
+
+    Returns:
+        Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root mean square of the
+        speed, and the share of noise in a window's mean; None where there are too few windows, or no speed.
+    """
+    interval_s = samples[_INTERVAL, 1:]
+    length = max(SHORTEST_WINDOW, interval_s.size // WINDOWS)
+    count = interval_s.size // length
+    if count < FEWEST_WINDOWS or not np.any(samples[_SPEED]):
+        return None
+    state = white_box.state(samples[_TORQUE])
+    columns, target = integrated_regressors(white_box, samples[_VOLTAGE, 1:], state, samples[_SPEED], interval_s)
+    cut = slice(0, count * length)
+    duration_s = interval_s[cut].reshape(count, length)
+    whole = (duration_s > 0.0).all(axis=1)
+    if np.count_nonzero(whole) < FEWEST_WINDOWS:
+        return None
+    length_s = duration_s[whole].sum(axis=1)
+    means = columns[cut].reshape(count, length, -1)[whole].sum(axis=1) / length_s[:, None]
+    means_v = target[cut].reshape(count, length)[whole].sum(axis=1) / length_s
+    noise = max(_noise_share(state), _noise_share(samples[_SPEED])) / math.sqrt(length)
+    return means, means_v, float(np.sqrt(np.mean(samples[_SPEED] ** 2))), noise
+
+
+def _noise_share(signal: Array) -> float:
+    """Return the share of white noise in a signal, from its second differences (half of them may be anything)."""
+    size = float(np.sqrt(np.mean(signal**2)))
+    noise = float(np.median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
+    return noise / max(size, 1e-300)
+
+
+def _is_thousand(ratio: float) -> bool:
+    low, high = THOUSAND
+    return low < ratio < high
+
+
+def _evidence(ratio: float, samples: int) -> float:
+    """Weigh a magnitude beyond its limit: every sample bears it out by the logarithm of how far beyond it is."""
+    return samples * abs(math.log(max(ratio, 1e-300)))

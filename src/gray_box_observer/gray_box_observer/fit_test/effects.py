@@ -1,0 +1,223 @@
+"""Effects that a white box may leave out, each declared once as further voltages of known shape.
+
+Whatever spoils the voltage balance can be written as a voltage that is missing from it: the back-EMF of a rotor that
+nobody measures, a drop of the brushes, an offset of the current times R, the part of the voltage that comes later. The
+shape follows from the samples; how much of it there is, the tests ask (:mod:`residual_analysis`, :mod:`suspects`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.trajectory import recurrence
+from gray_box_observer.white_box.base import Array
+
+KNEE = 0.01
+"""Share of the largest current at which a drop that follows its sign has half of its value."""
+
+ROTOR_SAMPLES = ((16.0, 128.0), (64.0, 512.0), (256.0, 4096.0))
+"""Pairs of time constants, in samples: a rotor's back-EMF is near a sum of two leaky integrals of the current."""
+
+DELAY_SAMPLES = ((1, 4), (1, 2, 4, 8))
+LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0))
+CHANGE_AT = ((0.5,), (0.25, 0.5, 0.75))
+"""Delays, time constants, and shares of the stretch after which the motor is another one: few to find that something is
+wrong, more to say what (:attr:`Scene.fine`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the shapes are made of; every array has shape (k,), one entry an interval between samples.
+
+    Attributes:
+        voltage_v: held over the interval.
+        current_a: mean over it, measured or of a free run.
+        speed_rad_s: likewise; None where speed is not measured.
+        fine: whether effects are told from each other, which takes more shapes than finding that there is one.
+    """
+
+    voltage_v: Array
+    current_a: Array
+    speed_rad_s: Array | None
+    fine: bool = False
+
+    @property
+    def progress(self) -> Array:
+        """From -1 at the first interval to 1 at the last."""
+        return np.linspace(-1.0, 1.0, self.voltage_v.size)
+
+    @property
+    def direction(self) -> Array:
+        """Sign of the current, softened where there is hardly any."""
+        size = np.abs(self.current_a)
+        softened: Array = self.current_a / (size + KNEE * float(size.max()) + 1e-300)
+        return softened
+
+
+Shapes = tuple[Array, ...]
+"""Voltages that only come together, shape (k,) each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One effect.
+
+    Attributes:
+        name: what it is called everywhere.
+        alternatives: yields the shapes that it may have.
+        remedy: what to do about it; ``{motor}`` stands for the motor's name.
+        needs_speed: whether it is about a measured speed.
+        without_speed: whether it can only be where speed is not measured.
+    """
+
+    name: str
+    alternatives: Callable[[Scene], Iterator[Shapes]]
+    remedy: str
+    needs_speed: bool = False
+    without_speed: bool = False
+
+
+def leaky_mean(signal: Array, samples: tuple[float, ...]) -> Array:
+    """Return leaky means of a signal, shape (time constant, k), for time constants in samples."""
+    left = np.exp(-1.0 / np.array(samples))[:, None]
+    factor = np.broadcast_to(left, (len(samples), signal.size))
+    inputs = (1.0 - left) * signal
+    means: Array = recurrence(factor, inputs[None], np.full((1, len(samples)), signal[0]))[0, :, 1:]
+    return means
+
+
+def _delayed(signal: Array, samples: int) -> Array:
+    if samples >= signal.size:
+        return np.full_like(signal, signal[0])
+    return np.concatenate([np.full(samples, signal[0]), signal[:-samples]])
+
+
+def _rotor(scene: Scene) -> Iterator[Shapes]:
+    times = tuple(time for pair in ROTOR_SAMPLES for time in pair)
+    means = leaky_mean(scene.current_a, times)
+    for place in range(0, len(times), 2):
+        yield -means[place], -means[place + 1]
+
+
+def _current_offset(scene: Scene) -> Iterator[Shapes]:
+    yield (-np.ones_like(scene.voltage_v),)
+
+
+def _lost_voltage(scene: Scene) -> Iterator[Shapes]:
+    yield (-scene.direction,)
+
+
+def _dead_zone(scene: Scene) -> Iterator[Shapes]:
+    yield (-np.sign(scene.voltage_v),)
+
+
+def _sag(scene: Scene) -> Iterator[Shapes]:
+    voltage_v, progress = scene.voltage_v, scene.progress
+    yield -voltage_v * progress, -voltage_v * progress**2
+    yield (-voltage_v * np.abs(scene.current_a),)
+
+
+def _delay(scene: Scene) -> Iterator[Shapes]:
+    for samples in DELAY_SAMPLES[scene.fine]:
+        yield (_delayed(scene.voltage_v, samples) - scene.voltage_v,)
+
+
+def _current_lag(scene: Scene) -> Iterator[Shapes]:
+    for mean in leaky_mean(scene.voltage_v, LAG_SAMPLES[scene.fine]):
+        yield (mean - scene.voltage_v,)
+
+
+def _change(scene: Scene) -> Iterator[Shapes]:
+    count = scene.current_a.size
+    for share in CHANGE_AT[scene.fine]:
+        yield (np.where(np.arange(count) >= share * count, -scene.current_a, 0.0),)
+
+
+def _back_emf(scene: Scene) -> Iterator[Shapes]:
+    if scene.speed_rad_s is not None:
+        yield (-scene.speed_rad_s,)
+
+
+def _speed_delay(scene: Scene) -> Iterator[Shapes]:
+    speed = scene.speed_rad_s
+    if speed is not None:
+        for samples in (1, 4):
+            yield (_delayed(speed, samples) - speed,)
+
+
+EFFECTS: dict[str, Effect] = {
+    effect.name: effect
+    for effect in (
+        Effect(
+            'rotor',
+            _rotor,
+            "publish the speed in motor/torque's velocity: a rotor turns whose speed is not measured",
+            without_speed=True,
+        ),
+        Effect(
+            'current_offset',
+            _current_offset,
+            'torque.offset: {offset_nm:.3g} (the current, or the voltage, has an offset)',
+        ),
+        Effect(
+            'lost_voltage',
+            _lost_voltage,
+            '{motor}.brush_drop: {amount:.3g} (brushes or driver take that many volts; while the current keeps its '
+            'sign an offset of the current looks the same)',
+        ),
+        Effect(
+            'dead_zone',
+            _dead_zone,
+            'publish the voltage at the terminals instead of the command: the driver takes off {amount:.3g} V',
+        ),
+        Effect(
+            'sag',
+            _sag,
+            'publish the measured voltage instead of the command: the supply sags or wanders',
+        ),
+        Effect(
+            'delay',
+            _delay,
+            '{motor}.delay: estimate: voltage acts later than it is stamped',
+        ),
+        Effect(
+            'current_lag',
+            _current_lag,
+            'take the filter off the current, or delay the voltage alike ({motor}.delay: estimate): the sensor lags',
+        ),
+        Effect('change', _change, 'call ~/reset: the motor has become another one'),
+        Effect(
+            'back_emf_constant',
+            _back_emf,
+            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]: Kb differs by {amount:.3g} V s/rad',
+            needs_speed=True,
+        ),
+        Effect(
+            'speed_delay',
+            _speed_delay,
+            'stamp the speed when it was measured: it comes later than the current',
+            needs_speed=True,
+        ),
+    )
+}
+"""Every effect by its name."""
+
+COLOURED_NOISE = 'coloured_noise'
+
+REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
+    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's noise has a memory",
+}
+"""What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
+
+
+def possible_effects(scene: Scene) -> list[tuple[Effect, list[Shapes]]]:
+    """Return every effect that this motor can have, with the shapes that it may take."""
+    measured = scene.speed_rad_s is not None
+    return [
+        (effect, list(effect.alternatives(scene)))
+        for effect in EFFECTS.values()
+        if not (effect.needs_speed and not measured) and not (effect.without_speed and measured)
+    ]

@@ -1,0 +1,120 @@
+"""The free run of one motor at given values, and what further effects would add to it.
+
+The free run goes from voltage (and measured speed) alone; no measured current corrects it on the way. Every effect that
+the white box leaves out is a small voltage of a known shape or a small change of the reading. Its influence on the free
+run follows from the same linearised intervals as that of the context nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.normal_equations import robust_std
+from gray_box_observer.context_nodes.trajectory import (
+    Stretch,
+    Trajectory,
+    find_kicks,
+    follow,
+    linearise,
+    recurrence,
+    restart_variance,
+)
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+PASSES = 3
+"""Linearisations at most, each about the run of the one before: the free run of a nonlinear motor is then its own."""
+
+NEAR = 0.05
+"""Residual, as a share of the current's spread, up to which the run that is linearised about the readings will do."""
+
+MAX_KICKS = 0.05
+"""Share of the samples at which the state may jump before the jumps are the model's fault."""
+
+CREDIBLE = 20.0
+"""Times the largest reading: nothing is linearised about a state beyond."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeRun:
+    """Free run of one motor over k + 1 samples.
+
+    Attributes:
+        stretch: the samples, with a motor axis of one; restarted where the state was kicked.
+        inductance_h: L of the run.
+        current_a: shape (k + 1,): the run.
+        residual_a: shape (k + 1,): measured less predicted current.
+        jacobian: shape (k + 1, 1 + coordinate): derivative by the first state and by the coordinates' logarithms.
+        decay: shape (k,): what every interval leaves of a deviation.
+        reach_s: shape (k,): time over which a voltage acts in every interval, its decay taken into account.
+        weight: shape (k + 1,): what a sample counts; less than one after a restart.
+    """
+
+    stretch: Stretch
+    inductance_h: float
+    current_a: Array
+    residual_a: Array
+    jacobian: Array
+    decay: Array
+    reach_s: Array
+    weight: Array
+
+    def response(self, voltages_v: Array) -> Array:
+        """Return how the run answers small further voltages.
+
+        Args:
+            voltages_v: shape (voltage, k): mean over every interval.
+
+        Returns:
+            Shape (voltage, k + 1), in A.
+        """
+        inputs = np.where(self.stretch.restart, 0.0, voltages_v * self.reach_s / self.inductance_h)
+        rows: Array = recurrence(self.decay[None], inputs[:, None], np.zeros((inputs.shape[0], 1)))[:, 0]
+        return rows
+
+
+def free_run(white_box: WhiteBox, p: Array, stretch: Stretch) -> FreeRun:
+    """Run the white box freely through a stretch.
+
+    Args:
+        white_box: of one motor.
+        p: shape (1, coordinate): where to linearise and to run.
+        stretch: the samples, with a motor axis of one.
+    """
+    limit = CREDIBLE * np.abs(stretch.state).max() + 1e-9
+    about = stretch.state
+    start = stretch.state[:, 0]
+    for attempt in range(PASSES):
+        maps = linearise(white_box, p, stretch, np.clip(about, -limit, limit))
+        path = follow(maps, stretch, start, np.zeros_like(stretch.state))
+        residual = stretch.state - path.state
+        if attempt == 0:
+            kicks = _kicks(path, residual, stretch)
+            if kicks is not None:
+                stretch = stretch.restarted(kicks)
+        power = float((path.by_start[0] ** 2).sum())
+        shift = float((path.by_start[0] * residual[0]).sum()) / power
+        start = start + shift
+        about = path.state + shift * path.by_start
+        if float(np.std(stretch.state - about)) <= NEAR * float(np.std(stretch.state)):
+            break
+    residual = stretch.state - about
+    loose = restart_variance(maps.decay, stretch.restart)
+    jacobian = np.column_stack([path.by_start[0], (path.by_coordinate[:, 0] * p[0][:, None]).T])
+    decay = path.factor[0]
+    rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
+    reach = stretch.interval_s[0] * (1.0 - decay) / rate
+    weight = 1.0 / (1.0 + loose[0])
+    return FreeRun(stretch, 1.0 / float(p[0, 0]), about[0], residual[0], jacobian, decay, reach, weight)
+
+
+def _kicks(path: Trajectory, residual: Array, stretch: Stretch) -> NDArray[np.bool_] | None:
+    """Where the state has jumped against the model, shape (1, k); None where so often that the model is to blame."""
+    valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
+    change = residual[:, 1:] - path.factor * residual[:, :-1]
+    sharp = np.minimum(robust_std(residual, valid), robust_std(change, ~stretch.restart) / np.sqrt(2.0))
+    kicks = find_kicks(path, residual, ~stretch.restart, np.maximum(sharp, 1e-12))
+    count = int(kicks.sum())
+    return kicks if 0 < count <= MAX_KICKS * kicks.size else None

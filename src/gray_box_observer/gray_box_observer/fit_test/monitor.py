@@ -1,0 +1,464 @@
+"""Follows the fit of every motor of a group while it runs, and lets its estimates say no more than the fit allows.
+
+A motor is tested when a parameter would first be called identified, then each time its data have doubled, at last every
+LONGEST_WAIT samples; sooner after a misfit, for a motor that settles is soon another one. All is decided by counts of
+samples, so that every door leads to the same verdicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.configuration import MotorConfiguration
+from gray_box_observer.context_nodes.base import ContextUpdate
+from gray_box_observer.context_nodes.estimate import (
+    COUNTS_AS_KNOWN,
+    Estimate,
+    Verdict,
+    VerdictRules,
+)
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
+from gray_box_observer.fit_test.data_doubts import doubts
+from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
+from gray_box_observer.fit_test.policy import (
+    RATIO_MISFIT,
+    SCORE_DOUBT,
+    WHITENESS_DOUBT,
+    Judgement,
+    judge,
+)
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.suspects import explanations, likeliest
+from gray_box_observer.printable import printable
+from gray_box_observer.saved_state import (
+    LARGEST,
+    MOST,
+    ArrayRule,
+    check_array,
+    check_covariance,
+    entry,
+    group,
+    number,
+    number_or_none,
+    positive,
+    whole,
+)
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.flow import to_coordinates
+
+WINDOW = 4096
+"""Newest samples, at most, that a test looks at."""
+
+FEWEST = 64
+"""Samples of which a test tells something."""
+
+SHORTEST_WAIT = 64
+LONGEST_WAIT = 2048
+"""Samples between two tests of a motor."""
+
+UNASKED = 256
+"""Samples after which a motor is tested though nothing of it would be called identified."""
+
+MOVED = 0.1
+"""Change of a parameter's logarithm by which a motor that did not fit has become another one."""
+
+HELD = 0.01
+"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of the fit."""
+
+LESS = 0.5
+"""Share of the samples, and of the range of the voltage, that a misfit rests on which can overrule it."""
+
+PASSING = 3
+"""Misfits in a row that may be those of a motor that is changing: any good test overrules them."""
+
+CLEARLY, VERY_CLEARLY = 30.0, 300.0
+"""Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a small residual; else
+the free run is asked."""
+
+MILD = 1.5
+"""Residual over noise floor up to which it is small."""
+
+MOST_SUSPECTS = 3
+
+LONGEST_REMEDY = 500
+"""Characters of a remedy."""
+
+MANY = 1024
+"""Motors of which one is tested at one sample of the group; of more, as many more."""
+
+NEVER = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True, slots=True)
+class _Tested:
+    """What a motor's newest test has left.
+
+    Attributes:
+        assessment: what is published.
+        judgement: what follows for its estimate.
+        theta: shape (parameter,): the values tested.
+        place: in its stream of samples.
+        begin: place before the oldest sample that counted.
+        wait: samples to the next test.
+        range_v: range of the voltage in the samples that a misfit rests on.
+        misfits: tests in a row that found a misfit.
+    """
+
+    assessment: FitAssessment
+    judgement: Judgement
+    theta: Array
+    place: int
+    begin: int
+    wait: int
+    range_v: float
+    misfits: int
+
+    def outweighs(self, count: int, range_v: float) -> bool:
+        """Tell whether a misfit stands against samples that say nothing of one: they tell less than it rests on."""
+        poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
+        return self.misfits > PASSING and poorer
+
+
+class FitMonitor:
+    """Follows the fit of a group of motors.
+
+    Args:
+        motors: their configurations, in the order of the motor axis.
+        white_boxes: physics of each.
+    """
+
+    def __init__(self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]) -> None:
+        self._motors = motors
+        self._white_boxes = white_boxes
+        self._tested: list[_Tested | None] = [None] * len(motors)
+        self._due = np.full(len(motors), FEWEST)
+        self._soon = np.full(len(motors), NEVER)
+        self._begin = np.full(len(motors), NEVER)
+        self._limits = np.ones(len(motors), dtype=bool)
+
+    def assessment(self, motor: int) -> FitAssessment:
+        """Return what is known of the fit of one motor."""
+        tested = self._tested[motor]
+        return FitAssessment() if tested is None else tested.assessment
+
+    def is_urgent(self, motor: int) -> bool:
+        """Tell whether the estimate at hand waits for a test: nothing is believed of the motor without."""
+        tested = self._tested[motor]
+        return tested is None or tested.assessment.verdict is FitVerdict.MISFIT
+
+    def due(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
+        """Return which of some motors are to be tested now.
+
+        Args:
+            nodes: the rule that has learnt them.
+            estimate: theirs, in the same order.
+            motors: their places on the motor axis.
+        """
+        replay = nodes.replay
+        places = replay.received[motors]
+        changed = replay.begin(motors) > self._begin[motors]
+        waited = places >= np.where(changed, self._soon[motors], self._due[motors])
+        settling = self._limits[motors] & (places >= self._soon[motors])
+        rows = np.flatnonzero(waited | settling)
+        rows = rows[np.argsort(self._due[motors[rows]], kind='stable')]  # who has waited longest is first
+        worth = (row for row in rows.tolist() if waited[row] or self._has_moved(estimate, row, motors[row]))
+        chosen = (int(motors[row]) for row in worth if self._is_ripe(estimate, row, motors[row], places[row]))
+        return list(islice(chosen, max(1, len(self._motors) // MANY)))
+
+    def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
+        """Tell whether a first test is worth its time: something would be believed without it."""
+        hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
+        return self._tested[motor] is not None or hopeful or bool(place >= UNASKED)
+
+    def _has_moved(self, estimate: Estimate, row: int, motor: int) -> bool:
+        """Tell whether a motor that did not fit has become another one since."""
+        tested = self._tested[motor]
+        if tested is None or tested.assessment.verdict is not FitVerdict.MISFIT:
+            return False
+        return bool(np.max(np.abs(np.log(estimate.value[row] / tested.theta))) > MOVED)
+
+    def test(self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate) -> None:
+        """Test one motor.
+
+        Args:
+            nodes: the rule that has learnt it.
+            estimate: of this motor alone, as the rule gives it.
+            motor: its place on the motor axis.
+            delay: what is known of its delay.
+        """
+        replay = nodes.replay
+        one = slice(motor, motor + 1)
+        place, begin = int(replay.received[motor]), int(replay.begin(one)[0])
+        count = int(min(replay.remembered(one)[0], WINDOW))
+        if count < FEWEST:
+            self._put_off(motor, place + FEWEST - count)
+            return
+        before = self._tested[motor]
+        samples = replay.newest(count, one)
+        hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
+        if _is_held(samples[1, 0]) and (before is not None or not hopeful):
+            self._put_off(motor, place + SHORTEST_WAIT)
+            return
+        white_box = self._white_boxes[motor]
+        theta = estimate.value
+        stretch = Stretch.newest(white_box, replay, count, one)
+        analysis = analyse(white_box, to_coordinates(theta), stretch, nodes.is_drifting(motor))
+        judgement = judge(
+            analysis,
+            estimate.std[0] / theta[0],
+            place - begin,
+            speed_measured=white_box.speed_measured,
+            stamps_exact=bool(self._motors[motor].values['stamps_exact']),
+            doubted=before is not None and before.misfits > PASSING,
+        )
+        named = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
+        late = self._delay_suspect(motor, delay)
+        if named or late:
+            judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+        if judgement.verdict is not FitVerdict.OK:
+            stored = replay.newest(min(replay.stored(motor), WINDOW), one)
+            named += self._suspects(analysis, Stretch.of_content(white_box, stored), motor)
+        named = [late[0] if late and suspect.effect == 'delay' else suspect for suspect in named] + late
+        assessment = FitAssessment(
+            judgement.verdict,
+            analysis.ratio,
+            analysis.whiteness,
+            _without_repetition(named),
+            analysis.samples,
+        )
+        range_v = float(np.ptp(samples[1, 0]))
+        misfit = judgement.verdict is FitVerdict.MISFIT
+        if not misfit and before is not None and before.outweighs(count, range_v):
+            wait = min(2 * before.wait, LONGEST_WAIT)
+            self._tested[motor] = replace(before, place=place, begin=begin, wait=wait)
+        else:
+            misfits = 1 + (0 if before is None else before.misfits) if misfit else 0
+            wait = self._wait(before, judgement.verdict, count)
+            self._tested[motor] = _Tested(assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits)
+        self._follow(motor)
+
+    def _put_off(self, motor: int, place: int) -> None:
+        """Ask again at a place where there may be more to tell by."""
+        self._due[motor] = self._soon[motor] = place
+
+    def _follow(self, motor: int) -> None:
+        """Note when a motor is tested next, and whether its test limits what may be believed of it."""
+        tested = self._tested[motor]
+        assert tested is not None
+        self._due[motor] = tested.place + tested.wait
+        self._soon[motor] = tested.place + SHORTEST_WAIT
+        self._begin[motor] = tested.begin
+        judgement = tested.judgement
+        self._limits[motor] = judgement.widens or judgement.verdict is FitVerdict.MISFIT
+
+    @staticmethod
+    def _wait(before: _Tested | None, verdict: FitVerdict, count: int) -> int:
+        """Samples to the next test: as many as this one had; after a misfit few, then twice as many each time."""
+        if verdict is not FitVerdict.MISFIT:
+            return int(np.clip(count, SHORTEST_WAIT, LONGEST_WAIT))
+        again = before is not None and before.assessment.verdict is FitVerdict.MISFIT
+        return min(2 * before.wait, LONGEST_WAIT) if again and before is not None else SHORTEST_WAIT
+
+    def _delay_suspect(self, motor: int, delay: DelayEstimate) -> list[Suspect]:
+        name = self._motors[motor].name
+        if delay.complaint(name) is None:
+            return []
+        evidence = 0.5 * (delay.value_s / max(delay.std_s, 1e-12)) ** 2
+        return [Suspect('delay', evidence, f'{name}.delay: {delay.value_s:.3g}')]
+
+    def _suspects(self, analysis: ResidualAnalysis, stretch: Stretch, motor: int) -> list[Suspect]:
+        """Name what is likely left out: from the voltage balance where much is wrong, else from the free run."""
+        name = self._motors[motor].name
+        white_box = self._white_boxes[motor]
+        scores = {score.effect.name: 0.5 * score.score for score in analysis.scores}
+        coloured = analysis.whiteness > WHITENESS_DOUBT and analysis.ratio < RATIO_MISFIT
+        if coloured and max(scores.values(), default=0.0) < 0.5 * SCORE_DOUBT:
+            return [Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])]
+        explained = explanations(white_box, stretch)
+        clearest = max((one.evidence for one in explained.values()), default=0.0)
+        mild = analysis.ratio < MILD and clearest < VERY_CLEARLY
+        if scores and (clearest < CLEARLY or mild):
+            explained = {
+                effect: replace(explained[effect], evidence=evidence)
+                for effect, evidence in scores.items()
+                if effect in explained
+            }
+        torque_constant = float(white_box.torque_constant)
+        return [one.suspect(name, torque_constant) for one in likeliest(explained.values())]
+
+    def judged(self, estimate: Estimate, motors: NDArray[np.intp], rules: VerdictRules) -> Estimate:
+        """Return an estimate as far as the fit lets it be believed.
+
+        Args:
+            estimate: as the rule gives it, one row for each of some motors.
+            motors: their places on the motor axis.
+            rules: when a parameter counts as identified.
+        """
+        limited = np.flatnonzero(self._limits[motors])
+        if limited.size == 0:
+            return estimate
+        covariance = estimate.covariance
+        verdicts = list(estimate.verdicts)
+        for row in limited.tolist():
+            motor = int(motors[row])
+            tested = self._tested[motor]
+            if tested is None:
+                verdicts[row] = tuple(map(_at_most_converging, verdicts[row]))
+                continue
+            widened = _widened(tested.judgement, estimate.value[row], estimate.covariance[row])
+            if widened is not None:
+                covariance = covariance.copy() if covariance is estimate.covariance else covariance
+                covariance[row] = widened
+                std = np.sqrt(np.diagonal(widened))[None]
+                frozen = Verdict.FROZEN in verdicts[row]
+                judged = rules.judge(estimate.parameters, estimate.value[row : row + 1], std, frozen=frozen)
+                verdicts[row] = tuple(
+                    before if before is Verdict.NEGLIGIBLE else after
+                    for before, after in zip(verdicts[row], judged[0], strict=True)
+                )
+            if tested.assessment.verdict is FitVerdict.MISFIT:
+                verdicts[row] = tuple(map(_misfit, verdicts[row]))
+        return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
+
+    def forget(self) -> None:
+        """Start anew: what was tested is no more."""
+        self._tested = [None] * len(self._motors)
+        self._due[:] = FEWEST
+        self._soon[:] = self._begin[:] = NEVER
+        self._limits[:] = True
+
+    def state(self, motor: int, received: int) -> dict[str, Any]:
+        """Everything known of one motor, as plain values; places count back from the newest sample."""
+        tested = self._tested[motor]
+        if tested is None:
+            return {'due': int(self._due[motor]) - received}
+        judgement = tested.judgement
+        return {
+            'due': int(self._due[motor]) - received,
+            'assessment': {**tested.assessment.to_dict(), 'samples': tested.assessment.samples},
+            'factor': judgement.factor.tolist(),
+            'spread': judgement.spread.tolist(),
+            'theta': tested.theta.tolist(),
+            'place': tested.place - received,
+            'begin': tested.begin - received,
+            'wait': tested.wait,
+            'range_v': tested.range_v,
+            'misfits': tested.misfits,
+        }
+
+    def restore(self, plain: dict[str, Any], motor: int, received: int) -> None:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            CheckpointError: it is no state that a test could have left.
+        """
+        _check_saved(plain, len(self._white_boxes[motor].parameters))
+        if 'assessment' not in plain:
+            self._tested[motor] = None
+            self._due[motor] = plain['due'] + received
+            self._soon[motor] = self._begin[motor] = NEVER
+            self._limits[motor] = True
+            return
+        assessment = FitAssessment.from_dict(plain['assessment'])
+        judgement = Judgement(assessment.verdict, np.array(plain['factor']), np.array(plain['spread']))
+        self._tested[motor] = _Tested(
+            assessment,
+            judgement,
+            np.array(plain['theta']),
+            plain['place'] + received,
+            plain['begin'] + received,
+            plain['wait'],
+            plain['range_v'],
+            plain['misfits'],
+        )
+        self._follow(motor)
+        self._due[motor] = plain['due'] + received
+
+
+def _check_saved(plain: dict[str, Any], parameters: int) -> None:
+    """Refuse a saved state that no test could have left.
+
+    Raises:
+        CheckpointError: something is missing, or out of its range.
+    """
+    whole(plain, 'due', -MOST, MOST)
+    if 'assessment' not in plain:
+        return
+    assessment = group(plain, 'assessment')
+    if entry(assessment, 'verdict') not in [verdict.value for verdict in FitVerdict]:
+        raise CheckpointError('fit.verdict is none of those that there are')
+    number_or_none(assessment, 'ratio', 0.0, LARGEST)
+    number_or_none(assessment, 'whiteness', 0.0, LARGEST)
+    whole(assessment, 'samples')
+    suspects = entry(assessment, 'suspects')
+    if not isinstance(suspects, list) or len(suspects) > MOST_SUSPECTS:
+        raise CheckpointError(f'fit.suspects is no list of at most {MOST_SUSPECTS}')
+    for suspect in suspects:
+        number(suspect, 'evidence', -LARGEST, LARGEST)
+        if set(suspect) != {'effect', 'evidence', 'remedy'}:
+            raise CheckpointError('a suspect of the fit has other entries than effect, evidence and remedy')
+        texts = [suspect[name] for name in ('effect', 'remedy')]
+        if not all(isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts):
+            raise CheckpointError('a suspect of the fit has a name or a remedy that nobody can have written')
+    numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
+    check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
+    check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
+    check_covariance('fit.spread', numbers['spread'])
+    check_array('fit.theta', numbers['theta'], positive(parameters))
+    whole(plain, 'place', -MOST, 0)
+    whole(plain, 'begin', -MOST, 0)
+    whole(plain, 'wait', 1, LONGEST_WAIT)
+    number(plain, 'range_v', 0.0, LARGEST)
+    whole(plain, 'misfits')
+
+
+def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
+    """Return a list of numbers as an array.
+
+    Raises:
+        CheckpointError: it is none.
+    """
+    try:
+        return np.array(entry(plain, name), dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise CheckpointError(f'fit.{name} is no list of numbers') from None
+
+
+def _is_held(voltage_v: Array) -> bool:
+    """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
+    return float(np.ptp(voltage_v)) <= HELD * float(np.max(np.abs(voltage_v)))
+
+
+def _widened(judgement: Judgement, value: Array, covariance: Array) -> Array | None:
+    """Return the covariance that a judgement leaves; None where it is as before."""
+    if not judgement.widens:
+        return None
+    grown = covariance * judgement.factor[:, None] * judgement.factor
+    widened: Array = grown + judgement.spread * value[:, None] * value
+    return widened
+
+
+def _at_most_converging(verdict: Verdict) -> Verdict:
+    return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
+
+
+def _misfit(verdict: Verdict) -> Verdict:
+    return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
+
+
+def _without_repetition(named: Sequence[Suspect]) -> tuple[Suspect, ...]:
+    """Return the first few suspects, each effect once."""
+    first: dict[str, Suspect] = {}
+    for suspect in named:
+        first.setdefault(suspect.effect, suspect)
+    return tuple(first.values())[:MOST_SUSPECTS]

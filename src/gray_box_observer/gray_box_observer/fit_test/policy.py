@@ -1,0 +1,133 @@
+"""What follows from a residual analysis: the verdict, and how much less may be believed.
+
+Low: a warning, and standard deviations as wide as what was found makes them. High: a misfit, of which nothing is
+identified. Thresholds were chosen on one half of the scenarios of ``benchmarks/trust.py`` and are reported on the
+other (docs/METHOD.md, Residual analysis).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.fit_test.assessment import FitVerdict
+from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
+from gray_box_observer.white_box.base import Array
+
+RATIO_MISFIT = 4.5
+"""Residual over noise floor from which the white box does not explain the data, whatever the residual looks like."""
+
+RATIO_WARNING = 1.25
+
+RATIO_DOUBT = 2.5
+"""The same where an effect that is left out explains a part of it: right motors reach 1.9, wrong ones begin at 2.9."""
+
+WHITENESS_WARNING = 3.0
+
+WHITENESS_DOUBT = 25.0
+"""Whiteness from which the residual's correlation counts: into standard deviations, and with an effect as a misfit."""
+
+SCORE_DOUBT = 25.0
+"""Chi-square of one degree of freedom from which an effect explains a part of a residual that is not white."""
+
+SCORE_UNMEASURED = 16.0
+"""The same, by itself a misfit, where speed is not measured: a hidden rotor takes R along before it shows otherwise."""
+
+SCORE_MEASURED = 100.0
+"""The same where speed is measured: real motors are not so exact that less would be a fault."""
+
+STANDING = 0.5
+"""Share of these scores that lets a misfit stand."""
+
+MATERIAL = 0.02
+"""Change of a parameter, relative to it, by which an effect that is left out makes it useless."""
+
+NOTICEABLE = 0.003
+"""The same below which an effect is none, however clearly it stands out."""
+
+UNIFORM_STD = 1.0 / math.sqrt(12.0)
+"""Standard deviation of an unknown fraction of a sample interval."""
+
+SHORTEST = (0.6, 0.8)
+"""Sample intervals in a time constant L/R: from the second down the instant of a step counts, below the first fully."""
+
+SAFETY = 1.25
+"""Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
+
+LARGEST_SHIFT = 10.0
+"""Change of a logarithm beyond which nothing is known anyway; shifts are cut before they are squared."""
+
+LARGEST_FACTOR = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What follows from a residual analysis for one motor.
+
+    Attributes:
+        verdict: of the white box.
+        factor: shape (parameter,): by which standard deviations grow.
+        spread: shape (parameter, parameter): covariance of the parameters' logarithms that comes on top.
+    """
+
+    verdict: FitVerdict
+    factor: Array
+    spread: Array
+
+    @property
+    def widens(self) -> bool:
+        """Whether an estimate knows less than its rule says."""
+        return bool((self.factor > 1.0).any() or self.spread.any())
+
+
+def judge(
+    analysis: ResidualAnalysis,
+    relative_std: Array,
+    samples: int,
+    *,
+    speed_measured: bool,
+    stamps_exact: bool,
+    doubted: bool = False,
+) -> Judgement:
+    """Judge one motor.
+
+    Args:
+        analysis: of its residual.
+        relative_std: shape (parameter,): what its estimate says now.
+        samples: how many its estimate rests on.
+        speed_measured: whether its speed is a signal.
+        stamps_exact: whether the voltage acts at the very instant of its stamp.
+        doubted: whether it did not fit so far: less is enough then to go on doubting.
+    """
+    limit = SCORE_MEASURED if speed_measured else SCORE_UNMEASURED
+    coloured = analysis.whiteness > WHITENESS_DOUBT
+    if coloured and not speed_measured:
+        limit = SCORE_DOUBT
+    if doubted:
+        limit *= STANDING
+    spread = np.zeros((relative_std.size, relative_std.size))
+    strong = [score for score in analysis.scores if score.score > limit and np.max(np.abs(score.shift)) > NOTICEABLE]
+    material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
+    best = analysis.scores[0].score if analysis.scores else 0.0
+    doubtful = best > SCORE_DOUBT and (coloured or analysis.ratio > RATIO_DOUBT)
+    if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
+        verdict = FitVerdict.MISFIT
+    elif strong or analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_WARNING:
+        verdict = FitVerdict.WARNING
+    else:
+        verdict = FitVerdict.OK
+    for score in strong[:1]:
+        shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        spread += np.outer(shift, shift)
+    factor = np.ones(relative_std.size)
+    if coloured:
+        robust = SAFETY * analysis.robust_std * math.sqrt(analysis.samples / max(samples, analysis.samples))
+        factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
+    if not stamps_exact:
+        fully, from_here = SHORTEST
+        share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
+        late = share * UNIFORM_STD * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+        spread += np.outer(late, late)
+    return Judgement(verdict, np.nan_to_num(factor, nan=1.0), np.nan_to_num(spread))

@@ -1,0 +1,279 @@
+"""Residual analysis of a free run: its size, its whiteness, and whether what was left out explains it.
+
+Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a noise floor, the
+Ljung-Box statistic, and a score test of every effect with a covariance that correlated residuals cannot fool
+(Newey and West 1987).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.normal_equations import MAD_TO_STD
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.fit_test.effects import Effect, Scene, possible_effects
+from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.white_box.base import Array, WhiteBox
+
+LAGS = 20
+"""Autocorrelations that the Ljung-Box statistic takes in."""
+
+CREDIBLE = 6.0
+"""Standard deviations beyond which a residual counts for no more: an outlier is not a misfit."""
+
+LIKELY = 10.0
+"""Score, by white residuals, from which an effect is worth the robust test."""
+
+COLOURED = 3.0
+"""Whiteness from which correlated residuals are taken into the covariance of the parameters."""
+
+DISTINCT = 1e-6
+"""Share of an effect's response that must not be explained by the parameters: of less nothing can be told."""
+
+INTEGRATION = 1e-4
+"""Noise floor that is believed at least, as a share of the current's spread: steps of the integration err by less."""
+
+SMALLEST = 1e-12
+"""The same in A, where no current flows."""
+
+
+@dataclass(frozen=True, slots=True)
+class EffectScore:
+    """Robust score test of one effect.
+
+    Attributes:
+        effect: which.
+        score: chi-square of one degree of freedom a shape.
+        shift: shape (parameter,): by how much the logarithms of the parameters would move with it.
+    """
+
+    effect: Effect
+    score: float
+    shift: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualAnalysis:
+    """What the residual of one motor's free run says.
+
+    Attributes:
+        samples: how many it rests on.
+        floor_a: noise floor of the current in A.
+        ratio: root mean square of the residual over the noise floor.
+        whiteness: Ljung-Box statistic over its degrees of freedom.
+        scores: of effects, the largest first.
+        robust_std: shape (parameter,): standard deviations of the logarithms over these samples, under the residual's
+            own correlation; NaN where the residual is white or nothing can be said.
+        delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if the voltage acted
+            one sample interval later than it is stamped.
+        intervals: sample intervals in an electrical time constant L/R.
+    """
+
+    samples: int
+    floor_a: float
+    ratio: float
+    whiteness: float
+    scores: tuple[EffectScore, ...]
+    robust_std: Array
+    delay_shift: Array
+    intervals: float
+
+
+def difference_noise(signal: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its second differences; robust against jumps."""
+    second = signal[2:] - 2.0 * signal[1:-1] + signal[:-2]
+    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
+
+
+def ljung_box(residual: Array, lags: int = LAGS) -> float:
+    """Return the Ljung-Box statistic over its degrees of freedom; about 1 for white noise."""
+    count = residual.size
+    centred = residual - residual.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 0.0
+    correlations = np.array([float(centred[lag:] @ centred[:-lag]) for lag in range(1, lags + 1)]) / power
+    weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
+    return float(weights @ correlations**2) / lags
+
+
+def analyse(white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = False) -> ResidualAnalysis:
+    """Analyse the free run of one motor.
+
+    Args:
+        white_box: of one motor.
+        p: shape (1, coordinate): published values as coordinates.
+        stretch: the newest samples, with a motor axis of one.
+        drifting: whether what heats is known to drift, which is no misfit then.
+    """
+    run = free_run(white_box, p, stretch)
+    step_a = float(quantisation_step(stretch.state)[0])
+    least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
+    floor_a = max(difference_noise(run.residual_a), least_a)
+    limit_a = CREDIBLE * max(MAD_TO_STD * float(np.median(np.abs(run.residual_a))), floor_a)
+    weight = np.sqrt(run.weight)
+    residual = np.clip(run.residual_a, -limit_a, limit_a) * weight
+    base = run.jacobian
+    if drifting:
+        base = np.column_stack([base, *run.response(_ramps(white_box, run))])
+    projection = _Projection(base * weight[:, None], residual, run.jacobian.shape[1])
+    if drifting:
+        residual = projection.remainder
+    size_a = math.sqrt(float(residual @ residual) / residual.size)
+    whiteness = ljung_box(residual) if size_a > least_a else 1.0
+    robust = projection.robust_std() if whiteness > COLOURED else np.full(p.shape[1], np.nan)
+    return ResidualAnalysis(
+        samples=residual.size,
+        floor_a=floor_a,
+        ratio=size_a / floor_a,
+        whiteness=whiteness,
+        scores=_scores(run, projection, scene_of(white_box, run), weight, least_a),
+        robust_std=robust,
+        delay_shift=_delay_shift(run, projection, weight),
+        intervals=_intervals(white_box, p, stretch),
+    )
+
+
+def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
+    """Return what effects are made of, along a free run."""
+    speed = run.stretch.speed_rad_s[0] if white_box.speed_measured else None
+    return Scene(run.stretch.voltage_v[0], _between(run.current_a), None if speed is None else _between(speed))
+
+
+def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
+    voltage_v = run.stretch.voltage_v[0]
+    later = np.diff(voltage_v, prepend=voltage_v[:1])
+    return -projection.shift(run.response(-later[None])[0] * weight)
+
+
+def _intervals(white_box: WhiteBox, p: Array, stretch: Stretch) -> float:
+    names = [parameter.name for parameter in white_box.parameters]
+    interval_s = stretch.interval_s[stretch.interval_s > 0.0]
+    if 'resistance' not in names or interval_s.size == 0:
+        return math.inf
+    return 1.0 / (float(p[0, names.index('resistance')]) * float(np.median(interval_s)))
+
+
+def _between(signal: Array) -> Array:
+    middle: Array = 0.5 * (signal[1:] + signal[:-1])
+    return middle
+
+
+def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
+    """Voltages of a resistance that drifts, shape (power, k)."""
+    progress = np.linspace(-1.0, 1.0, run.decay.size)
+    current_a = _between(run.current_a)
+    return np.stack([-current_a * progress**power for power in (1, 2, 3)])
+
+
+class _Projection:
+    """Least squares of the residual on the parameters, and what is left of it.
+
+    Args:
+        base: shape (sample, column): derivatives by first state, coordinates and what else is free.
+        residual: shape (sample,).
+        unknowns: how many of the columns are first state and coordinates.
+    """
+
+    def __init__(self, base: Array, residual: Array, unknowns: int) -> None:
+        self._scale = np.linalg.norm(base, axis=0) + 1e-300
+        self._q, self._r = np.linalg.qr(base / self._scale)
+        self._unknowns = unknowns
+        self.remainder: Array = self.without(residual)
+
+    def without(self, signal: Array) -> Array:
+        """Return what the columns do not explain of a signal, shape (sample, ...)."""
+        left: Array = signal - self._q @ (self._q.T @ signal)
+        return left
+
+    def shift(self, signal: Array) -> Array:
+        """Return how the logarithms of the parameters answer a signal that is taken for theirs, shape (parameter,)."""
+        moved = self._solved(self._q.T @ signal) / self._scale
+        return _of_parameters(moved[1 : self._unknowns])
+
+    def robust_std(self) -> Array:
+        """Standard deviations of the logarithms of the parameters, shape (parameter,), whatever the correlation."""
+        reached = self._q * self.remainder[:, None]
+        spread = self._solved(long_run_covariance(reached)) / self._scale[:, None]
+        spread = (self._solved(spread.T) / self._scale[:, None])[1 : self._unknowns, 1 : self._unknowns]
+        moved = _of_parameters(_of_parameters(spread).T)
+        std: Array = np.sqrt(np.maximum(np.diagonal(moved), 0.0))
+        return std
+
+    def _solved(self, right: Array) -> Array:
+        diagonal = np.abs(np.diagonal(self._r))
+        if not (diagonal > 1e-12 * diagonal.max()).all():
+            return np.asarray(np.linalg.pinv(self._r) @ right)
+        return np.asarray(np.linalg.solve(self._r, right))
+
+
+def _of_parameters(coordinates: Array) -> Array:
+    """Turn changes of the coordinates' logarithms, shape (coordinate, ...), into those of the parameters."""
+    moved = coordinates - coordinates[:1]
+    moved[0] = -coordinates[0]
+    return moved
+
+
+def long_run_covariance(terms: Array) -> Array:
+    """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
+    count = terms.shape[0]
+    bandwidth = int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
+    padded = 1 << (count + bandwidth).bit_length()
+    spectrum = np.fft.rfft(terms, padded, axis=0)
+    lags = np.arange(bandwidth + 1)
+    kernel = np.zeros(padded)
+    kernel[lags] = 1.0 - lags / (bandwidth + 1.0)
+    kernel[-lags[1:]] = kernel[lags[1:]]
+    weights = np.fft.rfft(kernel).real.copy()
+    weights[1 : (padded + 1) // 2] *= 2.0
+    covariance: Array = ((spectrum.conj() * weights[:, None]).T @ spectrum).real / padded
+    return covariance
+
+
+def _scores(
+    run: FreeRun, projection: _Projection, scene: Scene, weight: Array, least_a: float
+) -> tuple[EffectScore, ...]:
+    """Test every effect; those that white residuals, of ``least_a`` at least, already rule out are left out."""
+    listed = [(effect, shapes) for effect, alternatives in possible_effects(scene) for shapes in alternatives]
+    voltages = np.stack([shape for _, shapes in listed for shape in shapes])
+    response = run.response(voltages).T * weight[:, None]
+    distinct = projection.without(response)
+    power = (distinct**2).sum(axis=0)
+    own = power > DISTINCT * (response**2).sum(axis=0)
+    remainder = projection.remainder
+    best: dict[str, EffectScore] = {}
+    first = 0
+    for effect, shapes in listed:
+        columns = np.arange(first, first + len(shapes))
+        first += len(shapes)
+        columns = columns[own[columns]]
+        tested = _score(distinct[:, columns], remainder, least_a) if columns.size else None
+        if tested is None:
+            continue
+        score, amount = tested
+        if effect.name not in best or score > best[effect.name].score:
+            shift = -projection.shift(response[:, columns] @ amount)
+            best[effect.name] = EffectScore(effect, score, shift)
+    return tuple(sorted(best.values(), key=lambda tested: -tested.score))
+
+
+def _score(distinct: Array, remainder: Array, least_a: float) -> tuple[float, Array] | None:
+    """Robust score of one alternative and how much of it there is; None where white residuals rule it out."""
+    gram = distinct.T @ distinct
+    reached = distinct.T @ remainder
+    amount: Array = np.asarray(np.linalg.lstsq(gram, reached, rcond=1e-10)[0], dtype=float)
+    explained = float(reached @ amount)
+    degrees = distinct.shape[1]
+    left = remainder - distinct @ amount
+    noise = max(float(left @ left) / remainder.size, least_a**2)
+    if explained < LIKELY * degrees * noise:
+        return None
+    covariance = long_run_covariance(distinct * left[:, None])
+    white = gram * noise
+    covariance = covariance + 0.5 * white
+    score = float(reached @ np.linalg.lstsq(covariance, reached, rcond=1e-10)[0]) / degrees
+    return score, amount

@@ -1,0 +1,159 @@
+"""What is likely left out where the white box does not explain the data.
+
+The published values of a misfit may be absurd, and a free run from them tells little. The voltage balance in weak form
+is linear whatever they are: multiplied by a triangle over a few samples and integrated, it needs no derivative of the
+current. Every effect is tried beside the parameters by least squares, and the likeliest comes first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.fit_test.effects import Effect, Scene, Shapes, possible_effects
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.base import Array
+
+WINDOW = 8
+"""Samples over which the triangle rises, and as many over which it falls."""
+
+STRIDE = 3
+"""Samples between two rows; neighbours overlap, and so many count for one."""
+
+FEWEST_ROWS = 24
+
+CLEAR = 5.0
+"""Log-likelihood that an effect must bring to be named."""
+
+ALIKE = ('current_offset', 'lost_voltage', 'dead_zone')
+"""What cannot be told apart while current and voltage keep their signs."""
+
+TIED = 2.0
+"""Log-likelihood by which explanations must differ to be told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """One effect beside the parameters, fitted to the voltage balance.
+
+    Attributes:
+        effect: which.
+        evidence: log-likelihood that it brings.
+        amount: how much of its first shape there is, in the unit of the shape's coefficient.
+        resistance: R in ohm beside it, or as it is given; NaN where it is not.
+    """
+
+    effect: Effect
+    evidence: float
+    amount: float
+    resistance: float
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether a resistance was found beside it: else its amount means nothing."""
+        return math.isfinite(self.amount) and self.resistance > 0.0
+
+    def suspect(self, motor: str, torque_constant: float) -> Suspect:
+        """Name it, with a remedy that can be pasted.
+
+        Args:
+            motor: its name.
+            torque_constant: Kt in N m/A.
+        """
+        offset_nm = torque_constant * self.amount / self.resistance
+        remedy = self.effect.remedy.format(motor=motor, amount=self.amount, offset_nm=offset_nm)
+        return Suspect(self.effect.name, self.evidence, remedy)
+
+
+def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explanation]:
+    """Fit every effect beside the parameters; return the best alternative of each, by the effect's name.
+
+    Args:
+        white_box: of one motor.
+        stretch: its samples, with a motor axis of one.
+    """
+    rows, names, listed = _balance(white_box, stretch)
+    if rows.shape[1] < FEWEST_ROWS:
+        return {}
+    regressors = list(rows[: len(names)])
+    target = rows[len(names)]
+    unexplained, _ = _fit(regressors, target)
+    given_ohm = float(white_box.known.get('resistance', math.nan))
+    best: dict[str, Explanation] = {}
+    first = len(names) + 1
+    for effect, shapes in listed:
+        further = list(rows[first : first + len(shapes)])
+        first += len(shapes)
+        left, weights = _fit([*regressors, *further], target)
+        gain = 0.5 * target.size / STRIDE * math.log(unexplained / left)
+        evidence = gain - 0.5 * len(shapes) * math.log(target.size)
+        if effect.name not in best or evidence > best[effect.name].evidence:
+            resistance = float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
+            amount = float(weights[len(names)])
+            best[effect.name] = Explanation(effect, evidence, amount, resistance)
+    return best
+
+
+def likeliest(found: Iterable[Explanation]) -> list[Explanation]:
+    """Return explanations that bring enough, the best first.
+
+    An offset and a lost voltage are the same while the current keeps its sign; one that takes voltage is more often a
+    loss, one that gives it an offset.
+    """
+    clear = (one for one in found if one.evidence > CLEAR and one.is_physical)
+    ranked = sorted(clear, key=lambda one: -one.evidence)
+    tied = [one for one in ranked if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED]
+    if ranked and len(tied) > 1 and ranked[0] in tied:
+        wanted = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
+        tied.sort(key=lambda one: one.effect.name != wanted)
+        ranked = tied + [one for one in ranked if one not in tied]
+    return ranked
+
+
+def _balance(white_box: MotorWhiteBox, stretch: Stretch) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
+    """Voltage balance in weak form: rows of parameters, of the voltage, and of every effect's shapes."""
+    current_a, interval_s = stretch.state[0], stretch.interval_s[0]
+    speed = white_box.speed(stretch.state, stretch.speed_rad_s)
+    whole = ~stretch.restart[0]
+    taken_off = np.broadcast_to(white_box.drive(0.0 * stretch.state, stretch.state, speed), speed.shape)
+    drive_v = stretch.voltage_v[0] + _middle(taken_off[0])
+    bases = [np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)]
+    measured = _middle(speed[0]) if white_box.speed_measured else None
+    scene = Scene(stretch.voltage_v[0], _middle(current_a), measured, fine=True)
+    listed = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
+    signals = [np.diff(current_a), *(_middle(base) * interval_s for base in bases), drive_v * interval_s]
+    signals += [-shape * interval_s for _, shapes in listed for shape in shapes]
+    rows = _windowed(np.where(whole, np.stack(signals), 0.0), whole)
+    return rows, [parameter.name for parameter in white_box.parameters], listed
+
+
+def _middle(signal: Array) -> Array:
+    middle: Array = 0.5 * (signal[1:] + signal[:-1])
+    return middle
+
+
+def _windowed(signals: Array, whole: Array) -> Array:
+    """Integrals over triangles of some samples, shape (signal, row); none spans a new signal history."""
+    count = signals.shape[1]
+    triangle = np.concatenate([np.arange(1, WINDOW + 1), np.arange(WINDOW - 1, 0, -1)]) / WINDOW
+    if count < triangle.size:
+        return np.empty((signals.shape[0], 0))
+    starts = np.arange(0, count - triangle.size + 1, STRIDE)
+    windows = starts[:, None] + np.arange(triangle.size)
+    sound = whole[windows].all(axis=1)
+    rows: Array = signals[:, windows[sound]] @ triangle
+    return rows
+
+
+def _fit(regressors: list[Array], target: Array) -> tuple[float, Array]:
+    """Fit a target by least squares; return the sum of squares that is left, and the weights."""
+    columns = np.column_stack(regressors)
+    scale = np.linalg.norm(columns, axis=0) + 1e-300
+    weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0]
+    left = target - columns @ (weights / scale)
+    return float(left @ left) + 1e-24 * float(target @ target) + 1e-300, weights / scale

@@ -1,0 +1,210 @@
+"""Wrong units, a flipped speed and a forgotten Kb are told by name, and nothing else is."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.fit_test.data_doubts import doubts
+from gray_box_observer.white_box.base import Array
+
+INTERVAL, VOLTAGE, TORQUE, SPEED = range(4)
+
+DRAWN = 8
+
+RATE_HZ = 1000.0
+
+DURATION_S = 2.0
+
+LARGEST_V = 12.0
+
+
+STEPS = 10
+"""Of the simulation, within an interval."""
+
+
+@cache
+def _gear_motors(seed: int = 0) -> tuple[tuple[PlantParameters, Array], ...]:
+    """Draw gear motors with dry and viscous friction, and drive each to and fro; samples of shape (signal, n)."""
+    rng = np.random.default_rng(seed)
+    resistance = np.exp(rng.uniform(np.log(0.5), np.log(8.0), DRAWN))
+    constant = np.exp(rng.uniform(np.log(0.05), np.log(0.8), DRAWN))
+    damping = constant**2 / resistance
+    drawn = {
+        'inductance': resistance * rng.uniform(3e-4, 2e-3, DRAWN),
+        'resistance': resistance,
+        'torque_constant': constant,
+        'back_emf_constant': constant,
+        'inertia': rng.uniform(0.03, 0.2, DRAWN) * damping,
+        'viscous_friction': 0.05 * damping,
+        'coulomb_friction': 0.1 * constant * LARGEST_V / resistance,
+    }
+    plants = [
+        PlantParameters(hysteresis=0.0, **{name: float(value[k]) for name, value in drawn.items()})
+        for k in range(DRAWN)
+    ]
+    count = round(DURATION_S * RATE_HZ)
+    levels = np.repeat(rng.uniform(-LARGEST_V, LARGEST_V, (DRAWN, count // 200 + 1)), 200, axis=1)
+    return tuple(zip(plants, _moved(drawn, levels[:, :count], rng), strict=True))
+
+
+def _moved(drawn: dict[str, Array], voltage_v: Array, rng: np.random.Generator) -> Array:
+    """Let motors with a rotor run, and measure with 1 % of noise on torque; shape (motor, signal, n)."""
+    step_s = 1.0 / RATE_HZ / STEPS
+    kept = np.exp(-step_s * drawn['resistance'] / drawn['inductance'])
+    constant = drawn['torque_constant']
+    soft = 0.005 * LARGEST_V / constant
+    current = np.zeros(DRAWN)
+    speed = np.zeros(DRAWN)
+    samples = np.zeros((DRAWN, 4, voltage_v.shape[1]))
+    for k in range(voltage_v.shape[1]):
+        samples[:, TORQUE, k] = constant * current
+        samples[:, SPEED, k] = speed
+        for _ in range(STEPS):
+            final = (voltage_v[:, k] - constant * speed) / drawn['resistance']
+            current = final + (current - final) * kept
+            friction = drawn['viscous_friction'] * speed + drawn['coulomb_friction'] * np.tanh(speed / soft)
+            speed = speed + step_s * (constant * current - friction) / drawn['inertia']
+    samples[:, INTERVAL, 1:] = 1.0 / RATE_HZ
+    samples[:, VOLTAGE, 1:] = voltage_v[:, :-1]
+    noise = 0.01 * samples[:, TORQUE].std(axis=1, keepdims=True)
+    samples[:, TORQUE] += noise * rng.standard_normal(samples[:, TORQUE].shape)
+    return samples
+
+
+def _thesis_motor(resistance: float, noise: float) -> tuple[PlantParameters, Array]:
+    """Record the motor of the thesis, at 100 Hz, its speed ``w = Kt i`` measured."""
+    plant = PlantParameters(resistance=resistance, inductance=0.5 * resistance)
+    recording = Simulation({'motor': plant}, 'R[-15,15]D[1,5]', torque_noise_relative=noise).record(30.0)
+    samples = np.zeros((4, recording.stamp_ns.size))
+    samples[INTERVAL, 1:] = np.diff(recording.stamp_ns) / 1e9
+    samples[VOLTAGE, 1:] = recording.voltage_v[0, :-1]
+    samples[TORQUE] = recording.torque_nm[0]
+    samples[SPEED] = recording.speed_rad_s[0]
+    return plant, samples
+
+
+def _effects(plant: PlantParameters, samples: Array, speed: bool = True, **given: Any) -> list[str]:
+    """Return the effects that are doubted of a motor of which Kt and Kb are said unless something else is."""
+    stated = {'torque_constant': plant.torque_constant, 'back_emf_constant': plant.back_emf_constant, **given}
+    values = {f'motor.{name}': value for name, value in stated.items() if value is not None}
+    motor = Configuration.from_flat(values).motors['motor']
+    white_box = motor.white_box(speed_measured=speed)
+    truth = {'inductance': plant.inductance, 'resistance': plant.resistance}
+    theta = np.array([truth.get(name, 1.0) for name in white_box.context_nodes])
+    return [suspect.effect for suspect in doubts(white_box, samples, theta, motor)]
+
+
+def _scaled(samples: Array, row: int, factor: float) -> Array:
+    changed = samples.copy()
+    changed[row] *= factor
+    return changed
+
+
+drawn_motor = pytest.mark.parametrize('k', range(DRAWN))
+
+
+@drawn_motor
+@pytest.mark.parametrize('speed', [True, False])
+def test_a_healthy_gear_motor_gives_no_doubt(k: int, speed: bool) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, samples, speed=speed) == []
+
+
+@drawn_motor
+def test_ma_for_a_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, TORQUE, 1e3)) == ['units_of_current']
+
+
+@drawn_motor
+def test_mv_for_v_is_told_and_not_taken_for_another_kb(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, VOLTAGE, 1e3)) == ['units_of_voltage']
+
+
+@drawn_motor
+def test_ms_for_s_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, INTERVAL, 1e3)) == ['units_of_time']
+
+
+@drawn_motor
+def test_ms_for_s_is_told_where_every_sample_begins_a_new_history(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, INTERVAL, 0.0)) == ['units_of_time']
+
+
+def test_us_for_s_is_told() -> None:
+    plant, samples = _gear_motors()[0]
+    assert _effects(plant, _scaled(samples, INTERVAL, 1e-3))[:1] == ['units_of_time']
+
+
+@drawn_motor
+@pytest.mark.parametrize('among_nodes', [False, True])
+def test_a_flipped_speed_is_told(k: int, among_nodes: bool) -> None:
+    plant, samples = _gear_motors()[k]
+    nodes = ['inductance', 'resistance', 'back_emf_constant']
+    given = {'context_nodes': nodes, 'back_emf_constant': None} if among_nodes else {}
+    assert _effects(plant, _scaled(samples, SPEED, -1.0), **given) == ['speed_sign']
+
+
+@drawn_motor
+def test_a_forgotten_kb_is_told_with_its_value(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    motor = Configuration.from_flat({'motor.torque_constant': plant.torque_constant}).motors['motor']
+    found = doubts(motor.white_box(speed_measured=True), samples, np.ones(3), motor)
+    assert [suspect.effect for suspect in found] == ['back_emf_constant']
+    told = float(found[0].remedy.split()[1])
+    assert told == pytest.approx(plant.back_emf_constant, rel=0.1)
+
+
+@drawn_motor
+def test_a_speed_that_is_noisy_and_late_is_no_doubt_about_kb_or_sign(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    late = samples.copy()
+    late[SPEED, 3:] = samples[SPEED, :-3]
+    late[SPEED] += np.random.default_rng(k).normal(0.0, 0.05 * np.std(samples[SPEED]), late.shape[1])
+    assert _effects(plant, late) == []
+
+
+@pytest.mark.parametrize('rows', [1, 10, 49])
+def test_too_few_samples_are_not_judged(rows: int) -> None:
+    plant, samples = _gear_motors()[0]
+    assert _effects(plant, _scaled(samples, TORQUE, 1e3)[:, :rows]) == []
+
+
+def test_speeds_that_are_not_measured_may_be_anything() -> None:
+    plant, samples = _gear_motors()[0]
+    assert _effects(plant, _scaled(samples, SPEED, np.nan), speed=False) == []
+    assert _effects(plant, _scaled(samples, SPEED, np.nan), speed=True) == []
+
+
+def test_a_data_sheet_ends_the_doubt_about_its_unit() -> None:
+    plant, samples = _gear_motors()[0]
+    strong = _scaled(samples, TORQUE, 1e3)
+    sheet = {'initial.resistance': plant.resistance / 1e3, 'initial_relative_std.resistance': 0.1}
+    assert _effects(plant, strong, **sheet) == []
+
+
+@pytest.mark.parametrize('resistance', [0.03, 1.0, 400.0])
+@pytest.mark.parametrize('noise', [0.0, 0.01, 0.5])
+@pytest.mark.parametrize('speed', [True, False])
+def test_the_motor_of_the_thesis_gives_no_doubt_whatever_its_resistance(
+    resistance: float, noise: float, speed: bool
+) -> None:
+    plant, samples = _thesis_motor(resistance, noise)
+    assert _effects(plant, samples, speed=speed, torque_constant=None, back_emf_constant=None) == []
+
+
+def test_a_motor_at_rest_gives_no_doubt() -> None:
+    plant, samples = _gear_motors()[0]
+    still = samples.copy()
+    still[VOLTAGE:] = 0.0
+    assert _effects(plant, still) == []

@@ -1,0 +1,134 @@
+"""What the fit lets be believed, through the observer: misfits are never identified, good motors are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from linear_motor_records import (
+    INTERVAL_S,
+    RESISTANCE_OHM,
+    TORQUE_CONSTANT,
+    Record,
+    current_of,
+    current_of_free_rotor,
+    noise,
+    steps,
+)
+
+from gray_box_observer import checkpoint
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.observer import Observer
+
+SAMPLES = 3000
+STD_A = 0.05
+
+
+def _healthy(seed: int = 1, samples: int = SAMPLES) -> Record:
+    voltage_v = steps(samples, seed)
+    return Record(voltage_v, current_of(voltage_v) + noise(samples, STD_A, seed + 50))
+
+
+def _free_rotor(seed: int = 2, samples: int = SAMPLES) -> Record:
+    voltage_v = steps(samples, seed)
+    return Record(voltage_v, current_of_free_rotor(voltage_v) + noise(samples, STD_A, seed + 50))
+
+
+def test_a_motor_that_the_white_box_explains_is_identified_and_its_fit_is_ok() -> None:
+    motor = _healthy().observed().motors['motor']
+    assert motor.fit.verdict is FitVerdict.OK
+    assert motor.fit.ratio == pytest.approx(1.0, abs=0.1)
+    assert motor.estimate.identified(0)
+    assert motor.fit.suspects == ()
+
+
+def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> None:
+    motor = _free_rotor().observed().motors['motor']
+    assert motor.fit.verdict is FitVerdict.MISFIT
+    assert Verdict.IDENTIFIED not in motor.estimate.verdicts[0]
+    assert motor.fit.suspects[0].effect == 'rotor'
+    assert 'velocity' in motor.fit.suspects[0].remedy
+    json.dumps(motor.fit.to_dict(), allow_nan=False)
+
+
+def test_the_remedy_for_an_offset_takes_it_off() -> None:
+    record = _healthy()
+    spoilt = Record(record.voltage_v, record.current_a + 0.3)
+    suspect = spoilt.observed().motors['motor'].fit.suspects[0]
+    assert suspect.effect == 'current_offset'
+    offset_nm = float(suspect.remedy.split(':')[1].split('(')[0])
+    assert offset_nm == pytest.approx(-0.3 * TORQUE_CONSTANT, rel=0.1)
+
+
+def test_coloured_noise_is_a_warning_and_the_estimate_says_how_little_it_knows() -> None:
+    voltage_v = steps(SAMPLES, 3)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.2, 4, memory=0.9))
+    motor = record.observed().motors['motor']
+    assert motor.fit.verdict is FitVerdict.WARNING
+    assert motor.fit.suspects[0].effect == 'coloured_noise'
+    error = abs(motor.estimate.value[0, 1] - RESISTANCE_OHM)
+    assert error < 3.0 * motor.estimate.std[0, 1]
+
+
+def test_a_wrong_unit_leaves_no_residual_and_is_a_misfit_all_the_same() -> None:
+    record = _healthy()
+    milli = Record(record.voltage_v, 1000.0 * record.current_a)
+    fit = milli.observed().motors['motor'].fit
+    assert fit.verdict is FitVerdict.MISFIT
+    assert fit.suspects[0].effect == 'units_of_current'
+
+
+def test_the_fit_survives_a_checkpoint(tmp_path: Path) -> None:
+    record = _free_rotor(samples=2000)
+    first = Record(record.voltage_v[:1500], record.current_a[:1500]).observed()
+    path = tmp_path / 'motor.safetensors'
+    checkpoint.write(checkpoint.capture(first), path)
+    restored = Observer(first.configuration)
+    checkpoint.load(restored, path)
+    before, after = first.motors['motor'], restored.motors['motor']
+    assert after.fit == before.fit
+    assert after.estimate.verdicts == before.estimate.verdicts
+    assert after.state()[0]['fit'] == before.state()[0]['fit']
+    _feed(restored, record, 1500)
+    assert after.fit.verdict is FitVerdict.MISFIT
+
+
+def _feed(observer: Observer, record: Record, begin: int) -> None:
+    for sample in range(begin, record.voltage_v.size):
+        stamp_ns = round(sample * INTERVAL_S * 1e9)
+        observer.voltage('motor', stamp_ns, float(record.voltage_v[sample]))
+        observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(record.current_a[sample]))
+    observer.flush()
+
+
+def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
+    record = _free_rotor()
+    observer = record.observed()
+    level = np.full(2000, record.voltage_v[-1])
+    held = Record(np.concatenate([record.voltage_v, level]), np.concatenate([record.current_a, np.zeros(2000)]))
+    _feed(observer, held, SAMPLES)
+    assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
+
+
+def test_l_below_a_sample_interval_is_believed_only_where_stamps_are_exact() -> None:
+    """With 10 ms between samples of a motor whose L/R is 2 ms, L is what the instant of a step says."""
+    coarse = _healthy(samples=20000)
+    every = Record(coarse.voltage_v[::10].repeat(10), coarse.current_a)
+    voltage_v = every.voltage_v
+    record = Record(voltage_v[::10], (current_of(voltage_v) + noise(20000, STD_A, 9))[::10])
+    believed = [_observed_every(record, 10, stamps_exact=exact).motors['motor'].estimate for exact in (False, True)]
+    assert believed[0].std[0, 0] > 3.0 * believed[1].std[0, 0]
+    assert believed[0].std[0, 1] < 0.02 * believed[0].value[0, 1]
+
+
+def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
+    stretched = Record(np.empty(0), np.empty(0)).observed(**motor)
+    for sample, (voltage_v, current_a) in enumerate(zip(record.voltage_v, record.current_a, strict=True)):
+        stamp_ns = round(factor * sample * INTERVAL_S * 1e9)
+        stretched.voltage('motor', stamp_ns, float(voltage_v))
+        stretched.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
+    stretched.flush()
+    return stretched

@@ -1,0 +1,93 @@
+"""A residual analysis says what a residual is, whatever made it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
+
+from gray_box_observer.fit_test.residual_analysis import analyse, ljung_box, long_run_covariance
+
+SAMPLES = 4000
+STD_A = 0.05
+
+
+def _record(seed: int, **noisy: float) -> Record:
+    voltage_v = steps(SAMPLES, seed)
+    return Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, seed + 100, **noisy))
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_white_noise_on_the_right_physics_leaves_nothing_to_explain(seed: int) -> None:
+    analysis = analyse(WHITE_BOX, TRUTH, _record(seed).stretch)
+    assert analysis.ratio == pytest.approx(1.0, abs=0.06)
+    assert analysis.whiteness < 2.0
+    assert all(score.score < 12.0 for score in analysis.scores)
+    assert analysis.floor_a == pytest.approx(STD_A, rel=0.06)
+
+
+def test_an_offset_of_the_current_stands_out_though_the_residual_stays_small() -> None:
+    record = _record(1)
+    offset = Record(record.voltage_v, record.current_a + STD_A)
+    analysis = analyse(WHITE_BOX, TRUTH, offset.stretch)
+    assert analysis.scores[0].score > 100.0
+    assert 'current_offset' in {score.effect.name for score in analysis.scores}
+
+
+def test_noise_with_a_memory_widens_the_standard_deviations_and_is_no_effect() -> None:
+    analysis = analyse(WHITE_BOX, TRUTH, _record(2, memory=0.9).stretch)
+    white = analyse(WHITE_BOX, TRUTH, _record(2).stretch)
+    assert analysis.whiteness > 100.0
+    assert np.isfinite(analysis.robust_std).all()
+    assert np.isnan(white.robust_std).all()
+    assert all(score.score < 20.0 for score in analysis.scores)
+
+
+def test_robust_standard_deviations_are_those_of_repeated_fits() -> None:
+    shifts, stds = [], []
+    for seed in range(30):
+        voltage_v = steps(SAMPLES, 3)
+        current_a = current_of(voltage_v) + noise(SAMPLES, STD_A, seed, memory=0.8)
+        analysis = analyse(WHITE_BOX, TRUTH, Record(voltage_v, current_a).stretch)
+        fit = Record(voltage_v, current_a).stretch
+        shifts.append(_fitted_shift(fit))
+        stds.append(analysis.robust_std)
+    assert np.mean(stds, axis=0) == pytest.approx(np.std(shifts, axis=0), rel=0.4)
+
+
+def _fitted_shift(stretch: object) -> np.ndarray:
+    """One Gauss-Newton step from the truth, in logarithms of the parameters."""
+    from gray_box_observer.fit_test.free_run import free_run
+
+    run = free_run(WHITE_BOX, TRUTH, stretch)  # type: ignore[arg-type]
+    moved = np.linalg.lstsq(run.jacobian, run.residual_a, rcond=None)[0]
+    return np.array([-moved[1], moved[2] - moved[1]])
+
+
+def test_a_rotor_that_nobody_measures_leaves_a_large_and_coloured_residual() -> None:
+    voltage_v = steps(SAMPLES, 4)
+    current_a = current_of_free_rotor(voltage_v) + noise(SAMPLES, STD_A, 5)
+    analysis = analyse(WHITE_BOX, TRUTH, Record(voltage_v, current_a).stretch)
+    assert analysis.ratio > 4.5
+    assert analysis.whiteness > 100.0
+
+
+def test_quantised_readings_do_not_look_free_of_noise() -> None:
+    step_a = 0.4
+    voltage_v = steps(SAMPLES, 6)
+    exact = current_of(voltage_v) + noise(SAMPLES, 0.01, 7)
+    analysis = analyse(WHITE_BOX, TRUTH, Record(voltage_v, np.round(exact / step_a) * step_a).stretch)
+    assert analysis.floor_a >= step_a / np.sqrt(12.0) * 0.999
+    assert analysis.ratio < 1.25
+
+
+def test_the_ljung_box_statistic_is_about_one_for_white_noise() -> None:
+    values = [ljung_box(noise(2000, 1.0, seed)) for seed in range(50)]
+    assert np.mean(values) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize(('memory', 'inflation'), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])
+def test_the_long_run_covariance_is_that_of_sums(memory: float, inflation: float) -> None:
+    count = 4096
+    values = [long_run_covariance(noise(count, 1.0, seed, memory)[:, None])[0, 0] / count for seed in range(20)]
+    assert np.mean(values) == pytest.approx(inflation, rel=0.25)
