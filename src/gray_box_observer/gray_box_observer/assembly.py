@@ -21,6 +21,7 @@ from gray_box_observer.context_nodes import (
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.parameters import KNOWN_PARAMETERS
 from gray_box_observer.predictor import AlarmRules, Predictor, ResidualAlarm, Training, TrainingRules, Variant
@@ -68,7 +69,7 @@ def motor_observer(
         if configuration['variant'] == Variant.PHYSICS.value:
             alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
-    return MotorObserver(white_box, nodes, predictor, delay, alarm)
+    return MotorObserver(white_box, nodes, predictor, delay, FitMonitor(motors, boxes), alarm)
 
 
 def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:

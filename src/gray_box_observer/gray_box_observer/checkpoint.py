@@ -1,45 +1,56 @@
 """Saving what was learnt to one versioned file, and taking it back bit for bit.
 
-The file is safetensors: arrays, and text in its header. Nothing in it can run. Saving has two halves, so that the
-sample path pays for the first only: :func:`capture` copies what was learnt, :func:`write` makes a file of it.
+The file is safetensors (:mod:`checkpoint_format`). Saving has two halves, so that the sample path pays for the first
+only: :func:`capture` copies what was learnt, :func:`write` makes a file of it. No file that is none of ours is
+overwritten, renamed or removed.
 """
 
 from __future__ import annotations
 
-import glob
-import hashlib
 import json
 import os
-import struct
-import tempfile
-import time
-from collections.abc import Mapping
+import re
+from collections.abc import Container, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load as read_arrays
-from safetensors.numpy import save as write_arrays
 
-from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.atomic_write import PARTIAL, SCRAP_AGE_S, atomic_write
+from gray_box_observer.checkpoint_format import (
+    FORMAT,
+    VERSION,
+    decode,
+    encode,
+    encode_content,
+    is_ours,
+    read_file,
+)
+from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import CheckpointError, ConfigurationError, GrayBoxError
 from gray_box_observer.observer import Observer
+from gray_box_observer.printable import printable
+from gray_box_observer.saved_state import entry, flag, group
 from gray_box_observer.white_box.base import Array
 
-FORMAT = 'gray_box_observer checkpoint'
+__all__ = [
+    'FORMAT', 'PARTIAL', 'SCRAP_AGE_S', 'VERSION', 'Resumed', 'Snapshot', 'capture', 'decode', 'encode', 'load',
+    'resume', 'save', 'set_aside', 'write',
+]  # fmt: skip
 
-VERSION = 6
+MOST_ASIDE = 10
+"""Files of a kind that are kept aside; the oldest beyond are removed."""
 
-PARTIAL = '.partial'
-"""What the name of a file ends with that is not whole yet."""
+SIGNAL_BYTES = 32
+"""Bytes of a remembered sample: four signals in double precision."""
 
-SCRAP_AGE_S = 60.0
-"""A partial file that nobody has written to for so long belongs to a process that was killed."""
+COPIES = 8
+"""Times that a memory of samples may stand in a checkpoint of one motor: it may have been saved with a larger one."""
 
-_LENGTH = struct.Struct('<Q')
-"""What a safetensors file begins with: the length of its header."""
+FIXED_BYTES = 16 << 20
+"""Bytes that a checkpoint of one motor may have beside its samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +78,11 @@ def capture(observer: Observer) -> Snapshot:
     rule = observer.configuration['context_update']
     plain: dict[str, Any] = {'context_update': rule, 'together': together, 'motors': {}}
     arrays: dict[str, Array] = {}
-    for name, motor in observer.motors.items():
-        plain['motors'][name], own = motor.state()
+    for name, motor in list(observer.motors.items()):
+        state = observer.contain(observer.group_of(name), motor.state)
+        if state is None:  # it has stopped
+            continue
+        plain['motors'][name], own = state
         arrays.update({f'{name}/{key}': np.array(array) for key, array in own.items()})
     return Snapshot(json.dumps(plain), arrays)
 
@@ -77,9 +91,20 @@ def write(snapshot: Snapshot, path: Path) -> None:
     """Write a snapshot to a file, all or nothing: a crash leaves the old file.
 
     Raises:
-        GrayBoxError: the file cannot be written.
+        CheckpointError: the file cannot be written, or what stands there is none of ours.
     """
-    _write_whole(path, _encode(snapshot.content, snapshot.arrays, VERSION))
+    data = encode_content(snapshot.content, snapshot.arrays)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if os.path.lexists(path) and not path.is_dir() and not is_ours(path):
+            raise CheckpointError(
+                f'cannot write {path}: what stands there is no checkpoint of this package; '
+                'move it away, or give another checkpoint.path'
+            )
+        with atomic_write(path, private=True, durable=True) as file:
+            file.write(data)
+    except OSError as error:
+        raise CheckpointError(f'cannot write {path}: {error.strerror}') from error
 
 
 def save(observer: Observer, path: Path) -> None:
@@ -89,47 +114,6 @@ def save(observer: Observer, path: Path) -> None:
         GrayBoxError: nothing was learnt yet, or the file cannot be written.
     """
     write(capture(observer), path)
-
-
-def _write_whole(path: Path, data: bytes) -> None:
-    """Write beside the file and put it in its place; where that fails, the old file stays and nothing else does."""
-    partial = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _sweep(path)
-        with tempfile.NamedTemporaryFile(
-            dir=path.parent, prefix=f'.{path.name}.', suffix=PARTIAL, delete=False
-        ) as file:
-            partial = Path(file.name)
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise GrayBoxError(f'cannot write {path}: {error.strerror}') from error
-    finally:
-        if partial is not None:
-            with suppress(OSError):  # where it took its place there is none left; on a dead disk there is no help
-                partial.unlink(missing_ok=True)
-
-
-def _sweep(path: Path) -> None:
-    """Remove what writers of this file have left that were killed; a young one may still be written."""
-    for scrap in path.parent.glob(f'.{glob.escape(path.name)}.*{PARTIAL}'):
-        with suppress(OSError):
-            if time.time() - scrap.stat().st_mtime > SCRAP_AGE_S:
-                scrap.unlink()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Let the new name outlive a power cut too, where the file system can do that."""
-    with suppress(OSError):
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,90 +145,117 @@ def resume(observer: Observer, path: Path) -> Resumed:
 
 
 def set_aside(path: Path, why: str) -> Path | None:
-    """Rename a checkpoint to ``NAME.WHY``, or ``NAME.WHY-2`` and so on; return the new path, None where that fails."""
-    if not path.is_file():
+    """Rename a checkpoint to ``NAME.WHY``, or ``NAME.WHY-2`` and so on; keep the newest MOST_ASIDE of these.
+
+    Returns:
+        The new path; None where the file is none of ours, or cannot be renamed.
+    """
+    if not is_ours(path):
         return None
-    number = 1
-    while (aside := path.with_name(f'{path.name}.{why}' + (f'-{number}' if number > 1 else ''))).exists():
-        number += 1
     try:
-        return path.rename(aside)
+        before = _kept_aside(path, why)
+        number = max(before, default=0) + 1
+        while os.path.lexists(aside := _aside(path, why, number)):
+            number += 1
+        path.rename(aside)
     except OSError:
         return None
+    ours = [old for old in sorted(before) if is_ours(_aside(path, why, old))]
+    for old in ours[: max(0, len(ours) + 1 - MOST_ASIDE)]:
+        with suppress(OSError):
+            _aside(path, why, old).unlink()
+    return aside
+
+
+def _aside(path: Path, why: str, number: int) -> Path:
+    return path.with_name(f'{path.name}.{why}' + (f'-{number}' if number > 1 else ''))
+
+
+def _kept_aside(path: Path, why: str) -> list[int]:
+    """Numbers of the files that stand aside already."""
+    pattern = re.compile(rf'{re.escape(path.name)}\.{re.escape(why)}(?:-([1-9]\d{{0,8}}))?')
+    with os.scandir(path.parent) as entries:
+        matches = [pattern.fullmatch(entry.name) for entry in entries]
+    return [int(match[1] or 1) for match in matches if match]
+
+
+def most_bytes(configuration: Configuration) -> int:
+    """Return how large a checkpoint of these motors may be: a larger file is not read."""
+    memories = ('recursive.replay_capacity', 'gradient.replay_capacity', 'training.replay_capacity')
+    samples = sum(int(configuration[name]) for name in memories) + 512 * int(configuration['training.segments'])
+    return len(configuration.motors) * (FIXED_BYTES + COPIES * SIGNAL_BYTES * samples)
 
 
 def load(observer: Observer, path: Path) -> None:
     """Take back what :func:`save` wrote; the signal history starts anew, the estimates stand where they stood.
 
     Raises:
-        GrayBoxError: no such file, not a checkpoint, another version, damaged, or motors or parameters that do not
+        CheckpointError: no such file, not a checkpoint, another version, damaged, or motors or parameters that do not
             match.
     """
     try:
-        plain, arrays = decode(path.read_bytes())
-        rule, together, motors = plain['context_update'], plain['together'], dict(plain['motors'])
+        data = read_file(path, most_bytes(observer.configuration))
     except OSError as error:
-        raise GrayBoxError(f'cannot read {path}: {error.strerror}') from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise GrayBoxError(f'{path} does not hold what this release expects: {error!r}') from error
-    except GrayBoxError as error:
-        raise GrayBoxError(f'{path} {error}') from error
-    if rule != observer.configuration['context_update']:
-        expected = observer.configuration['context_update']
-        raise GrayBoxError(f'{path} is a checkpoint of the rule {rule}, expected {expected}: see context_update')
-    strangers = sorted(set(motors) - set(observer.configuration.motors))
-    if strangers:
-        raise GrayBoxError(f'{path} holds motor {strangers[0]}, which is not among the configured ones')
-    saved = {}
-    for name, own in motors.items():
-        prefix = f'{name}/'
-        saved[name] = own, {k[len(prefix) :]: value for k, value in arrays.items() if k.startswith(prefix)}
+        raise CheckpointError(f'cannot read {path}: {error.strerror}') from error
     try:
-        observer.restore(saved, together)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:  # whole, and yet not ours
-        raise GrayBoxError(f'{path} does not hold what this release expects: {error!r}') from error
+        plain, arrays = decode(data)
+    except CheckpointError as error:
+        raise CheckpointError(f'{path} {error}') from error
+    try:
+        _restore(observer, path, plain, arrays)
+    except CheckpointError as error:
+        raise CheckpointError(f'{path} does not hold what this release expects: {error}') from error
+    except _NOT_OURS as error:
+        reason = printable(repr(error), 200)
+        raise CheckpointError(f'{path} does not hold what this release expects: {reason}') from error
 
 
-def encode(plain: dict[str, Any], arrays: Mapping[str, Array], version: int = VERSION) -> bytes:
-    """Turn plain values and arrays of any numeric type into the bytes of a checkpoint."""
-    return _encode(json.dumps(plain), arrays, version)
+_NOT_OURS = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
+"""What may come of a state that obeys every rule and yet is none."""
 
 
-def _encode(content: str, arrays: Mapping[str, Array], version: int) -> bytes:
-    whole = {name: np.array(array, order='C') for name, array in arrays.items()}  # a view has other bytes behind it
-    header = {'format': FORMAT, 'version': str(version), 'content': content, 'sha256': _digest(content, whole)}
-    return write_arrays(whole, metadata=header)
-
-
-def decode(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return what :func:`encode` was given.
+def _restore(observer: Observer, path: Path, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+    """Let an observer go on from what a checkpoint holds: all of it or nothing.
 
     Raises:
-        GrayBoxError: no checkpoint, another version, or damaged; the message goes after the file's name.
+        CheckpointError: it is no state that could have been learnt; the message goes after the file's name.
+        ConfigurationError: it is of another rule, other motors or another white box.
     """
-    try:
-        arrays = read_arrays(data)  # checks lengths and offsets first
-        (length,) = _LENGTH.unpack_from(data)
-        header = json.loads(data[_LENGTH.size : _LENGTH.size + length]).get('__metadata__', {})
-    except (SafetensorError, struct.error, ValueError, KeyError) as error:
-        raise GrayBoxError('is not a checkpoint of this package, or was cut short') from error
-    if header.get('format') != FORMAT:
-        raise GrayBoxError('is not a checkpoint of this package: it holds other arrays')
-    if header.get('version') != str(VERSION):
-        raise GrayBoxError(
-            f'is of version {header.get("version")}, expected {VERSION}: it was saved by another release'
+    rule, expected = entry(plain, 'context_update'), observer.configuration['context_update']
+    motors, known = group(plain, 'motors'), observer.configuration.motors
+    if rule != expected:
+        raise ConfigurationError(
+            f'{path} is a checkpoint of the rule {printable(rule, 40)}, expected {expected}: see context_update'
         )
-    content = header.get('content', '')
-    if header.get('sha256') != _digest(content, arrays):
-        raise GrayBoxError('is damaged: its content does not match its checksum')
-    plain: dict[str, Any] = json.loads(content)
-    return plain, arrays
+    if not motors:
+        raise CheckpointError('there is no motor in it')
+    unknown = sorted(set(motors) - set(known))
+    if unknown:
+        raise ConfigurationError(
+            f'{path} holds motor {printable(unknown[0], 40)}, which is not among the configured ones'
+        )
+    together = _names_together(entry(plain, 'together'), known)
+    by_motor: dict[str, dict[str, Array]] = {name: {} for name in motors}
+    for name, array in arrays.items():
+        motor, _, key = name.partition('/')
+        by_motor.setdefault(motor, {})[key] = array
+    saved = {}
+    for name in motors:
+        own = dict(group(motors, name))
+        flag(group(own, 'white_box'), 'speed_measured')
+        saved[name] = own, by_motor[name]
+    observer.restore(saved, together)
 
 
-def _digest(content: str, arrays: dict[str, Array]) -> str:
-    """Checksum of everything that was learnt."""
-    digest = hashlib.sha256(content.encode())
-    for name in sorted(arrays):
-        digest.update(f'{name} {arrays[name].dtype.str} {arrays[name].shape}'.encode())
-        digest.update(arrays[name].tobytes())
-    return digest.hexdigest()
+def _names_together(groups: Any, known: Container[str]) -> list[list[str]]:
+    """Return whose motors were computed together.
+
+    Raises:
+        CheckpointError: these are no lists of configured motors, each of them once.
+    """
+    if not isinstance(groups, list) or not all(isinstance(names, list) for names in groups):
+        raise CheckpointError('together is no list of groups of motors')
+    every = [name for names in groups for name in names]
+    if not all(isinstance(name, str) and name in known for name in every) or len(set(every)) < len(every):
+        raise CheckpointError('together names no configured motor, or one twice')
+    return groups

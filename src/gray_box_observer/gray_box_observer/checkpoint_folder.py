@@ -14,11 +14,17 @@ LONGEST_NAME = 200
 """Bytes of a name: a file that is not whole yet has a longer one, and 255 is the limit of most file systems."""
 
 
+SUFFIX = '.safetensors'
+"""What the name of a checkpoint ends with: no name that anything else on the machine obeys does."""
+
+
 class CheckpointFolder:
     """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses it.
 
     What is given when the node starts (launch file, YAML, command line) is the word of whoever may start processes, and
-    is trusted: an absolute path then declares its own folder. What comes later, over the network, has to stay there.
+    is trusted: an absolute path then declares its own folder. What comes later, over the network, has to stay there,
+    below no folder whose name begins with a dot. Whoever names it, a checkpoint ends in ``.safetensors`` and is no dot
+    file.
 
     Args:
         folder: the parameter ``checkpoint.folder``; empty: the folder of an absolute path, else the default.
@@ -43,9 +49,10 @@ class CheckpointFolder:
             ConfigurationError: it is no file name, or leads out of the folder, be it by ``..`` or by a symbolic link.
         """
         given = Path(path)
-        if not given.name or '\0' in path:
+        if not given.name or not path.isprintable():
             raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
         if given.is_absolute() and path == self._trusted:
+            _check_name(path, (given.name,))
             return given
         if len(given.parts) > MOST_PARTS or any(len(part.encode()) > LONGEST_NAME for part in given.parts):
             raise ConfigurationError(
@@ -56,15 +63,25 @@ class CheckpointFolder:
             raise ConfigurationError(f"checkpoint.path must not hold '..', got {path!r}: give a path in {self.folder}")
         file = self.folder / given  # an absolute one stays what it is
         try:
-            inside = file.resolve().is_relative_to(self.folder.resolve())
+            real_file, real_folder = file.resolve(), self.folder.resolve()
         except (OSError, RuntimeError) as error:  # a loop of links; a name that is too long
             raise ConfigurationError(f'checkpoint.path {path!r} cannot be followed: {error}') from error
-        if not inside:
+        if not real_file.is_relative_to(real_folder):
             raise ConfigurationError(
                 f'checkpoint.path {path!r} leads out of {self.folder}: '
                 'give a path in there, or another checkpoint.folder when the node starts'
             )
+        _check_name(path, (*real_file.relative_to(real_folder).parts, given.name))
         return file
+
+
+def _check_name(path: str, parts: tuple[str, ...]) -> None:
+    """Refuse a name that another program may obey: of a start-up file, of a key, of a folder of settings."""
+    hidden = next((part for part in parts if part.startswith('.')), None)
+    if hidden is not None:
+        raise ConfigurationError(f"checkpoint.path must hold no name that begins with '.', got {path!r}")
+    if not parts[-1].endswith(SUFFIX):
+        raise ConfigurationError(f'checkpoint.path must end in {SUFFIX}, got {path!r}: no other file is written')
 
 
 def default_folder(node: str) -> Path:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from gray_box_observer import checkpoint
@@ -10,6 +12,7 @@ from gray_box_observer.checkpoint import Resumed
 from gray_box_observer.checkpoint_folder import CheckpointFolder
 from gray_box_observer.checkpoint_writer import CheckpointWriter
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.incident import Incident
 from gray_box_observer.observer import Observer
 
 PATIENCE_S = 2.0
@@ -37,6 +40,7 @@ class CheckpointKeeper:
         self.path = path
         self.automatic = automatic
         self._writer = CheckpointWriter()
+        self._reports: list[threading.Thread] = []
         self._kept = 0
         self._since_s: float | None = None
 
@@ -100,8 +104,30 @@ class CheckpointKeeper:
         aside = checkpoint.set_aside(self.file, 'reset')
         return None if aside is None else str(aside)
 
+    def report(self, incident: Incident, tell: Callable[[str], object]) -> None:
+        """Have an incident written beside the checkpoint, where that has a place.
+
+        A thread writes: a disk that does not answer must not keep the other motors waiting.
+
+        Args:
+            incident: what has stopped a motor.
+            tell: gets one line, from that thread, that says where it stands or why it does not.
+        """
+        try:
+            file = self.file
+        except GrayBoxError:  # the path leads out of the folder by now
+            return
+        if not self.automatic and not file.parent.is_dir():
+            return
+        writing = threading.Thread(target=_write_report, args=(incident, file, tell), daemon=True, name='incident')
+        self._reports = [thread for thread in self._reports if thread.is_alive()]
+        self._reports.append(writing)
+        writing.start()
+
     def close(self, observer: Observer | None) -> str | None:
         """Bring the file up to date for the last time; return what went wrong, if anything did."""
+        for report in self._reports:
+            report.join(END_PATIENCE_S)
         self.keep(observer)
         if not self._writer.close(END_PATIENCE_S):
             return f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk answer?'
@@ -116,3 +142,10 @@ class CheckpointKeeper:
     def age_s(self) -> float | None:
         """Time since a checkpoint was last taken; None where none was."""
         return None if self._since_s is None else time.monotonic() - self._since_s
+
+
+def _write_report(incident: Incident, file: Path, tell: Callable[[str], object]) -> None:
+    try:
+        tell(f'what led there is in {incident.write(file)}')
+    except Exception as error:  # it comes from a broken observer: anything may be in it
+        tell(f'what led there could not be written: {error}')

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.bounded_yaml import read_yaml
 from gray_box_observer.device import check_name
-from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.parameters import KNOWN_PARAMETERS, MOTOR_PARAMETERS, OBSERVER_PARAMETERS, SIGNALS
+from gray_box_observer.errors import ConfigurationError, InputError, brief
+from gray_box_observer.parameters import (
+    KNOWN_PARAMETERS,
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    SIGNALS,
+    ParameterSpec,
+)
 from gray_box_observer.white_box import MotorWhiteBox
 
 NODE_NAME = 'gray_box_observer'
@@ -25,7 +30,8 @@ NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 RANGE = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
 """Many motors with a number behind their name: ``m[1..1000]``."""
 
-MOST_MOTORS = 1_000_000
+MOST_MOTORS = 100_000
+"""Of a whole list, ranges written out: more would take the node minutes and gigabytes before it hears anything."""
 
 DEFAULTS = 'defaults'
 """Group of parameters for the motors that say nothing else in their own."""
@@ -35,10 +41,17 @@ MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
 
 @dataclass(frozen=True)
 class MotorConfiguration:
-    """What is known of one motor beforehand; values by the names of MOTOR_PARAMETERS."""
+    """What is known of one motor beforehand.
+
+    Attributes:
+        name: its name.
+        values: by the names of MOTOR_PARAMETERS.
+        stated: names of those that the user has stated; the others have their defaults, which say nothing of it.
+    """
 
     name: str
     values: Mapping[str, Any]
+    stated: frozenset[str] = frozenset()
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
@@ -49,6 +62,11 @@ class MotorConfiguration:
             if name not in nodes and self.values[parameter] > 0.0
         }
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
+
+    def is_notable(self, spec: ParameterSpec) -> bool:
+        """Tell whether a value must be known to repeat a run: a constant, or one that was stated or is no default."""
+        differs = self.values[spec.name] != spec.default
+        return differs or spec.name in self.stated or spec.name in ('torque_constant', 'back_emf_constant')
 
     @property
     def estimates_delay(self) -> bool:
@@ -87,6 +105,17 @@ class Configuration:
     def __getitem__(self, name: str) -> Any:
         return self.values[name]
 
+    def notable(self) -> dict[str, Any]:
+        """Return what sets this configuration apart, by dotted names: values that are not the default, or stated."""
+        found = {
+            spec.name: self.values[spec.name] for spec in OBSERVER_PARAMETERS if self.values[spec.name] != spec.default
+        }
+        for name, motor in self.motors.items():
+            found.update(
+                {f'{name}.{spec.name}': motor.values[spec.name] for spec in MOTOR_PARAMETERS if motor.is_notable(spec)}
+            )
+        return found
+
     def group(self, prefix: str) -> dict[str, Any]:
         """Return the values below a prefix, by the rest of their names."""
         return {name[len(prefix) + 1 :]: v for name, v in self.values.items() if name.startswith(f'{prefix}.')}
@@ -108,7 +137,12 @@ class Configuration:
         ):
             raise ConfigurationError(
                 f'motors must be distinct names that can stand in a topic (letters, digits, _; not {DEFAULTS}), got '
-                f'{names!r}'
+                f'{brief(names)}'
+            )
+        reserved = [name for name in names if name in RESERVED]
+        if reserved:
+            raise ConfigurationError(
+                f'motors: {reserved[0]} is the name of parameters of the observer itself; give the motor another one'
             )
         if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
             raise ConfigurationError(
@@ -128,8 +162,9 @@ class Configuration:
         check_name(values['device'])
         for name in SIGNALS:
             _check_signal(name, values)
+        shared = _stated(DEFAULTS, rest)
         common = {spec.name: rest.pop(f'{DEFAULTS}.{spec.name}', spec.default) for spec in MOTOR_PARAMETERS}
-        motors = {name: _motor(name, rest, common) for name in names}
+        motors = _motors(names, rest, common, shared)
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(rest)))
 
@@ -142,7 +177,13 @@ class Configuration:
         flat = dict(self.values)
         for name, motor in self.motors.items():
             flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
-        return replace(self.from_flat(flat | {k: v for k, v in given.items() if k in flat}), unknown=self.unknown)
+        changes = {name: value for name, value in given.items() if name in flat}
+        made = self.from_flat(flat | changes)
+        motors = {
+            name: replace(motor, stated=self.motors[name].stated | _stated(name, changes))
+            for name, motor in made.motors.items()
+        }
+        return replace(made, motors=motors, unknown=self.unknown)
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
@@ -161,17 +202,18 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
         ConfigurationError: no such file, not YAML, or nothing for the observer in it.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except OSError as error:
-        raise ConfigurationError(f'cannot read the parameter file {path}: {error.strerror}') from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f'{path} is not YAML: {" ".join(str(error).split())}') from error
+        document = read_yaml(path)
+    except InputError as error:
+        raise ConfigurationError(f'parameter file {error}') from None
     given: dict[str, Any] = {}
     for node, content in document.items() if isinstance(document, dict) else ():
         if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
             if not isinstance(content, dict) or not isinstance(content.get('ros__parameters'), dict):
-                raise ConfigurationError(f'{path}: expected ros__parameters below {node!r}')
-            given.update(flatten(content['ros__parameters']))
+                raise ConfigurationError(f'{path}: expected ros__parameters below {brief(node)}')
+            try:
+                given.update(flatten(content['ros__parameters']))
+            except ConfigurationError as error:
+                raise ConfigurationError(f'parameter file {path}: {error}') from None
     if not given:
         raise ConfigurationError(f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"')
     return given
@@ -195,18 +237,31 @@ FOREIGN_GROUPS = ('qos_overrides.',)
 """Groups of parameters that rclpy declares itself."""
 
 
+RESERVED = frozenset(
+    name.partition('.')[0]
+    for name in (*(spec.name for spec in OBSERVER_PARAMETERS), *FOREIGN_PARAMETERS, *FOREIGN_GROUPS)
+)
+"""Names that no motor may have: its parameters would be the observer's."""
+
+
 def _is_foreign(name: str) -> bool:
     return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
 
 
 def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Turn nested groups into dotted names."""
+    """Turn nested groups into dotted names.
+
+    Raises:
+        ConfigurationError: a name is there twice, once with a dot and once as a group.
+    """
     flat: dict[str, Any] = {}
     for name, value in tree.items():
-        if isinstance(value, Mapping):
-            flat.update(flatten(value, f'{prefix}{name}.'))
-        else:
-            flat[f'{prefix}{name}'] = value
+        dotted = f'{prefix}{name}'
+        values = flatten(value, f'{dotted}.') if isinstance(value, Mapping) else {dotted: value}
+        twice = next((repeated for repeated in values if repeated in flat), None)
+        if twice is not None:
+            raise ConfigurationError(f'parameter {brief(twice)} stands twice')
+        flat.update(values)
     return flat
 
 
@@ -217,7 +272,7 @@ def _check_signal(name: str, values: Mapping[str, Any]) -> None:
     if not MESSAGE_TYPE.fullmatch(values[f'{name}.type']):
         raise ConfigurationError(
             f'parameter {name}.type must be a message type such as sensor_msgs/msg/JointState, '
-            f'got {values[f"{name}.type"]!r}'
+            f'got {brief(values[f"{name}.type"])}'
         )
     scale = values[f'{name}.scale']
     if not math.isfinite(scale) or scale == 0.0:
@@ -242,23 +297,51 @@ def expanded(names: Any) -> Any:
     """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3; what is no list of names stays as it is."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return names
+    ranges = [RANGE.fullmatch(name) for name in names]
+    counts = [max(0, int(r[3]) - int(r[2]) + 1) if r else 1 for r in ranges]
+    if sum(counts) > MOST_MOTORS:  # before any is written out
+        raise ConfigurationError(
+            f'motors: {brief(names)} stands for {sum(counts)} motors, expected {MOST_MOTORS} at most'
+        )
     written: list[str] = []
-    for name in names:
-        found = RANGE.fullmatch(name)
+    for name, found, count in zip(names, ranges, counts, strict=True):
         numbers = range(int(found[2]), int(found[3]) + 1) if found else range(0)
-        if len(numbers) > MOST_MOTORS:
-            raise ConfigurationError(f'motors: {name} stands for {len(numbers)} motors, expected {MOST_MOTORS} at most')
-        written += [f'{found[1]}{number}' for number in numbers] if found and numbers else [name]
+        written += [f'{found[1]}{number}' for number in numbers] if found and count else [name]
     return written
 
 
-def _motor(name: str, rest: dict[str, Any], common: Mapping[str, Any]) -> MotorConfiguration:
+def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
+    """Return the names of MOTOR_PARAMETERS that a group states among dotted names."""
+    return frozenset(spec.name for spec in MOTOR_PARAMETERS if f'{group}.{spec.name}' in flat)
+
+
+def _motors(
+    names: Sequence[str], rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+) -> dict[str, MotorConfiguration]:
+    """Configure every motor; those without a group of their own are checked once, for they are alike."""
+    named = {name.partition('.')[0] for name in rest}
+    motors: dict[str, MotorConfiguration] = {}
+    alike: dict[str, Any] = {}
+    lists: list[str] = []
+    for name in names:
+        if name in named:
+            motors[name] = _motor(name, rest, common, shared)
+            continue
+        if not alike:
+            alike = dict(_motor(name, rest, common, shared).values)
+            lists = [key for key, value in alike.items() if isinstance(value, list)]
+        motors[name] = MotorConfiguration(name, alike | {key: list(alike[key]) for key in lists}, shared)
+    return motors
+
+
+def _motor(name: str, rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]) -> MotorConfiguration:
     """Take one motor's group out of the values that are left; what is not in it is that of all motors."""
+    stated = shared | _stated(name, rest)
     values = {
         spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.')
         for spec in MOTOR_PARAMETERS
     }
-    motor = MotorConfiguration(name, values)
+    motor = MotorConfiguration(name, values, stated)
     for node in values['context_nodes']:
         if values.get(f'known.{node}', 0.0) > 0.0:
             raise ConfigurationError(
@@ -272,7 +355,9 @@ def _motor(name: str, rest: dict[str, Any], common: Mapping[str, Any]) -> MotorC
             )
     limits_v = values['voltage_limits']
     if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
-        raise ConfigurationError(f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {limits_v}')
+        raise ConfigurationError(
+            f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {brief(limits_v)}'
+        )
     try:
         motor.white_box(speed_measured=values['speed_source'] != 'torque_constant')
     except ConfigurationError as error:

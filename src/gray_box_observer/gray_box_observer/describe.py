@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
+from gray_box_observer.assumptions import assumptions
 from gray_box_observer.data_sheet import contradiction
+from gray_box_observer.finite import plain
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.incident import in_words
+from gray_box_observer.observer import Observer
 from gray_box_observer.offline import Outcome
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.samples import Rejection
@@ -14,12 +18,21 @@ from gray_box_observer.samples import Rejection
 def warnings_of(outcome: Outcome) -> list[str]:
     """Return everything that the user should know of a run, one sentence each."""
     observer = outcome.observer
-    unseen = [name for name in observer.configuration.motors if name not in observer.motors]
+    seen = {*observer.motors, *observer.incidents}
+    unseen = [name for name in observer.configuration.motors if name not in seen]
     motors = observer.configuration.motors
+    gap_s = observer.configuration['gap_s']
     doubts = {name: contradiction(motors[name], estimate) for name, estimate in observer.estimates().items()}
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
+    fits = {name: motor.fit for name, motor in observer.motors.items()}
     return [
         *outcome.warnings,
+        *(
+            f'motor {name}: {fit.sentence}'
+            for name, fit in fits.items()
+            if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
+        ),
+        *_stops(outcome.observer),
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen),
         *(
             f'{counts.total()} messages of {name} could not be read'
@@ -31,13 +44,39 @@ def warnings_of(outcome: Outcome) -> list[str]:
             for name, course in outcome.courses.items()
             if course.alarms_s
         ),
+        *(
+            f'motor {name}: no sample lies within gap_s of {gap_s:g} s after the one before: '
+            'are its stamps in another unit?'
+            for name, course in outcome.courses.items()
+            if course.duration_s == 0.0 and course.last_ns - course.first_ns > gap_s * 1e9
+        ),
         *(complaint for complaint in complaints if complaint is not None),
         *(f'motor {name}: {doubt}' for name, doubt in doubts.items() if doubt is not None),
     ]
 
 
+def assumptions_of(outcome: Outcome) -> list[str]:
+    """Return what is taken for granted of every motor because nobody has stated it, one sentence each."""
+    motors = outcome.observer.configuration.motors
+    return [
+        f'motor {name}: {text}'
+        for name, motor in outcome.observer.motors.items()
+        for text in assumptions(motors[name], motor.white_box).values()
+    ]
+
+
+def _stops(observer: Observer) -> list[str]:
+    """Say which motors have stopped, those that were computed together in one sentence."""
+    incidents = {id(incident): incident for incident in observer.incidents.values()}.values()
+    return [
+        f'{in_words(incident.motors)} stopped by a defect, nothing is known of it: {incident.reason}; '
+        'report it with the field stopped of --json'
+        for incident in incidents
+    ]
+
+
 def describe(outcome: Outcome) -> dict[str, Any]:
-    """Return the result as plain values: what ``--json`` writes."""
+    """Return the result as plain values: what ``--json`` writes; a number that is not finite is None."""
     motors: dict[str, dict[str, Any]] = {}
     delays = outcome.observer.delays()
     for name, estimate in outcome.observer.estimates().items():
@@ -58,14 +97,21 @@ def describe(outcome: Outcome) -> dict[str, Any]:
                 for j, p in enumerate(estimate.parameters)
             },
             'covariance': estimate.covariance[0].tolist(),
+            'fit': outcome.observer.motors[name].fit.to_dict(),
+            'fit_percent': outcome.observer.motors[name].fit_percent(),
             'predictor': None if skill is None else skill.to_dict(),
             'alarms': None,
+            'changes_s': [round(time_s, 6) for time_s in outcome.courses[name].changes_s],
         }
         if outcome.observer.motors[name].alarm is not None:
             times_s = [round(time_s, 6) for time_s in outcome.courses[name].alarms_s]
             motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
         delay = delays[name]
         if delay.asked or delay.complaint(name) is not None:
-            found = [None if math.isnan(number) else number for number in (delay.value_s, delay.std_s)]
-            motors[name]['delay_s'] = {'value': found[0], 'std': found[1], 'applied': delay.applied_s}
-    return {'motors': motors, 'digest': outcome.digest}
+            motors[name]['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
+    incidents = outcome.observer.incidents.items()
+    stopped = {name: {'reason': incident.reason, 'traceback': incident.trace} for name, incident in incidents}
+    result: dict[str, Any] = plain(
+        {'motors': motors, **({'stopped': stopped} if stopped else {}), 'digest': outcome.digest}
+    )
+    return result

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, brief
 
 CPU = 'cpu'
 """No device of its own: numpy and compiled code; networks are taught by torch on the processor."""
@@ -30,7 +30,7 @@ def check_name(name: str) -> None:
         ConfigurationError: neither ``cpu`` nor ``cuda`` nor ``cuda:N``.
     """
     if not NAME.fullmatch(name):
-        raise ConfigurationError(f'parameter device must be cpu, cuda or cuda:N (such as cuda:0), got {name!r}')
+        raise ConfigurationError(f'parameter device must be cpu, cuda or cuda:N (such as cuda:0), got {brief(name)}')
 
 
 def torch_device(name: str) -> str | None:

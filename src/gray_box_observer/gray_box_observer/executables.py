@@ -65,6 +65,11 @@ def _start(name: str, module: str, args: Sequence[str] | None) -> int:
     for variable in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
         os.environ.setdefault(variable, '1')
     settle_memory()
+    unreadable = next((word for word in (sys.argv if args is None else args) if not _is_text(word)), None)
+    if unreadable is not None:  # no message, JSON or report could name it
+        shown = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
+        print(f'{name}: error: the argument {shown} is no UTF-8: rename the file', file=sys.stderr)
+        return EXIT_USER_ERROR
     try:
         code: int = importlib.import_module(module).main(args)
     except ModuleNotFoundError as error:
@@ -74,6 +79,15 @@ def _start(name: str, module: str, args: Sequence[str] | None) -> int:
         print(f'{name}: error: this Python has no {package}: {_remedy(package)}', file=sys.stderr)
         return EXIT_USER_ERROR
     return code
+
+
+def _is_text(word: str) -> bool:
+    """Whether an argument can be written down; Python keeps bytes that are no UTF-8 as lone surrogates."""
+    try:
+        word.encode('utf-8')
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _remedy(package: str) -> str:

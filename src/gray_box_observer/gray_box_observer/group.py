@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.motor_observer import Aftermath, MotorObserver
 from gray_box_observer.predictor import Prediction
 from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples.stopped import StoppedPairing
 from gray_box_observer.white_box.base import Array
 
 
@@ -23,18 +24,28 @@ class Group:
 
     Attributes:
         names: in the order of the motor axis.
-        pairing: makes their samples.
-        observer: learns them; None before the first.
+        pairing: makes their samples; of motors that have stopped, counts what comes.
+        observer: learns them; None before the first, and of motors that have stopped.
     """
 
     names: tuple[str, ...]
-    pairing: Pairing
+    pairing: Pairing | StoppedPairing
     observer: MotorObserver | None = None
 
     @property
     def untouched(self) -> bool:
         """Whether nothing has come for any of them yet."""
-        return self.observer is None and not (self.pairing.received_voltage or self.pairing.received_torque)
+        return self.is_open and not (self.pairing.received_voltage or self.pairing.received_torque)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether a defect has stopped them."""
+        return isinstance(self.pairing, StoppedPairing)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it may still be settled otherwise who belongs together: nothing was learnt yet."""
+        return self.observer is None and not self.is_stopped
 
 
 class Result(NamedTuple):

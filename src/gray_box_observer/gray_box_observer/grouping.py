@@ -15,19 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.assembly import kind, pairing_rules
+from gray_box_observer.bounded_cache import BoundedCache, size_of_names, worth_remembering
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.group import Group
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.white_box.base import Array
 
-MOST_PLANS = 256
+MAX_PLANS = 256
 """Lists of names of which it is remembered whom they mean; a publisher keeps its list, so few are enough."""
 
-MOST_NAMES = 20_000
-"""A longer list is not remembered: somebody who sends ever other lists of a million would fill the memory."""
-
-MOST_LETTERS = 1_000_000
-"""Nor is one of more letters, however few its names are."""
+MAX_PLAN_BYTES = 8_000_000
+"""What these lists may take together: somebody who sends ever other lists would fill the memory."""
 
 Values = Sequence[float] | Array
 """Values of a message, one a name."""
@@ -88,7 +86,8 @@ class Grouping:
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
         self._places: dict[str, tuple[Group, int]] = {}
-        self._parts: dict[tuple[str, tuple[str, ...]], list[Part]] = {}
+        self._parts: BoundedCache[tuple[str, tuple[str, ...]], list[Part]]
+        self._parts = BoundedCache(MAX_PLANS, MAX_PLAN_BYTES)
         for name in configuration.motors:
             self._settle([name])
 
@@ -138,9 +137,7 @@ class Grouping:
             self._divide({name for name in names if name in self._places})
             parts = self._found(names)
             if worth_remembering(names):
-                if len(self._parts) > MOST_PLANS:
-                    self._parts.clear()
-                self._parts[signal, names] = parts
+                self._parts.remember((signal, names), parts, size_of_names(names))
         return parts
 
     def gather(self, names: Sequence[str]) -> None:
@@ -164,13 +161,23 @@ class Grouping:
     def _settle(self, names: Sequence[str], pairing: Pairing | None = None) -> None:
         """Make a group; without pairing one of which nothing has come yet."""
         if pairing is None:
-            own_speed = bool(self._configuration['speed.topic'])
-            delay_s = self._configuration.motors[names[0]].delay_s
-            rules = pairing_rules(self._configuration)
-            pairing = Pairing(rules, len(names), own_speed=own_speed, delay_s=delay_s)
+            pairing = self._new_pairing(names)
         group = Group(tuple(names), pairing)
         self._places.update({name: (group, place) for place, name in enumerate(names)})
         self._parts.clear()
+
+    def _new_pairing(self, names: Sequence[str]) -> Pairing:
+        own_speed = bool(self._configuration['speed.topic'])
+        first = self._configuration.motors[names[0]]
+        uses_speed = first.values['speed_source'] != 'torque_constant'
+        rules = pairing_rules(self._configuration)
+        return Pairing(rules, len(names), own_speed=own_speed, uses_speed=uses_speed, delay_s=first.delay_s)
+
+    def pairing_of(self, group: Group) -> Pairing:
+        """Return a pairing that has seen nothing and counts on, for motors that had stopped."""
+        pairing = self._new_pairing(group.names)
+        pairing.count_as([group.pairing.of(place) for place in range(len(group.names))])
+        return pairing
 
     def _found(self, names: tuple[str, ...]) -> list[Part]:
         """Find where in a message every group stands."""
@@ -194,26 +201,22 @@ class Grouping:
         """Part motors of groups that have not begun to learn yet, where only some of them are among those given."""
         for group in self.groups:
             some = spoken_of.intersection(group.names)
-            if len(group.names) > 1 and group.observer is None and 0 < len(some) < len(group.names):
+            if len(group.names) > 1 and group.is_open and 0 < len(some) < len(group.names):
                 self._split(group, some)
 
     def _tell_speeds_apart(self, names: tuple[str, ...], speeds: Array) -> None:
         """Part motors with speed from those without, before they begin to learn."""
         parts = self._parts.get(('torque', names))
-        if parts is None or any(part.group.observer is None for part in parts):
+        if parts is None or any(part.group.is_open for part in parts):
             self._divide({name for name, speed in zip(names, speeds.tolist(), strict=True) if math.isfinite(speed)})
 
     def _split(self, group: Group, some: set[str]) -> None:
         """Make two groups of one; what has come for them so far is gone through again."""
+        assert isinstance(group.pairing, Pairing)  # it is open
         for names in ([n for n in group.names if n in some], [n for n in group.names if n not in some]):
             together = len(names) >= self._configuration['group_from']
             for own in [names] if together else [[name] for name in names]:
                 self._settle(own, group.pairing.part([group.names.index(name) for name in own]))
-
-
-def worth_remembering(names: tuple[str, ...]) -> bool:
-    """Tell whether a list of names is short enough to be remembered."""
-    return len(names) <= MOST_NAMES and sum(map(len, names)) <= MOST_LETTERS
 
 
 def _once(groups: Any) -> list[Group]:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import argparse
+from collections.abc import Container, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.errors import GrayBoxError, brief
 
 if TYPE_CHECKING:  # only logs need it
     from gray_box_observer.bag.csv_mapping import CsvMapping
+
+
+MOST_NAMED = 8
+"""Motors that a message names."""
 
 
 def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) -> Configuration:
@@ -31,14 +37,34 @@ def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) ->
     others = [str(name) for name in told.get('motors', [])]
     if others and not any(name in named.motors for name in others):
         raise GrayBoxError(
-            f'motors are {", ".join(others)} by {teller}, but {", ".join(named.motors)} by the parameter file: '
+            f'motors are {_in_words(others)} by {teller}, but {_in_words(list(named.motors))} by the parameter file: '
             "call them alike, such as by 'motor=NAME' among --columns"
         )
-    constants = {name: value for name, value in told.items() if name.partition('.')[0] in named.motors}
+    constants = {name: value for name, value in told.items() if _is_constant(name, named.motors)}
     for name, value in constants.items():
-        if given.get(name, value) != value:
-            raise GrayBoxError(f'{name} is {value} by {teller}, but {given[name]} by the parameter file: leave one out')
+        if name in given and given[name] != value:
+            raise GrayBoxError(
+                f'{brief(name)[1:-1]} is {brief(value)} by {teller}, but {brief(given[name])} by the parameter file: '
+                'leave one out'
+            )
     return Configuration.from_flat({**names, **constants, **given})
+
+
+def _in_words(names: Sequence[str]) -> str:
+    """Names of motors, as far as a line bears them."""
+    rest = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return f'{", ".join(names[:MOST_NAMED])}{rest}'
+
+
+def read_limits(options: argparse.Namespace) -> ReadLimits:
+    """How much of a bag may be held in memory at one time."""
+    return ReadLimits.from_mb(options.max_chunk_mb, '--max-chunk-mb {}')
+
+
+def _is_constant(name: str, motors: Container[str]) -> bool:
+    """Whether the data may tell this parameter: the torque constant that they were made with, and no other."""
+    motor, _, parameter = name.rpartition('.')
+    return parameter == 'torque_constant' and motor in motors
 
 
 def read_mapping(words: Sequence[str]) -> CsvMapping:

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.bounded_cache import BoundedCache, size_of_names, worth_remembering
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
-from gray_box_observer.grouping import worth_remembering
 from gray_box_observer.observer import GroupResult, Observer
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.samples import Rejection
@@ -26,8 +26,14 @@ MOST_STRANGERS = 100
 LONGEST_NAME = 64
 """Of such a name, as much as is remembered: a message may hold anything."""
 
-MOST_LISTS = 64
+LATEST_NS = 1 << 62
+"""Stamps are kept in 64 bits, with room for differences and delays; headers of ROS end in 2038, which is half of it."""
+
+MAX_LISTS = 64
 """Lists of names of which it is remembered who is in them."""
+
+MAX_LIST_BYTES = 8_000_000
+"""What these lists may take together."""
 
 
 class _Census(NamedTuple):
@@ -45,6 +51,7 @@ class Signal:
         topic: where it comes from; empty where it has no topic of its own.
         type_name: message type.
         scale: factor from the field to SI units.
+        offset: what is added then, in SI units.
         unknown: names in messages that no configured motor has, and how often they came; not all where there are many.
     """
 
@@ -54,8 +61,9 @@ class Signal:
         self.type_name: str = configuration[f'{name}.type']
         self._path = FieldPath(configuration[f'{name}.field'])
         self.scale: float = configuration[f'{name}.scale']
+        self.offset: float = configuration[f'{name}.offset']
         self._motors = dict.fromkeys(configuration.motors)
-        self._lists: dict[tuple[str, ...], _Census] = {}
+        self._lists: BoundedCache[tuple[str, ...], _Census] = BoundedCache(MAX_LISTS, MAX_LIST_BYTES)
         self.unknown: Counter[str] = Counter()
         self._readable = False
 
@@ -72,23 +80,27 @@ class Signal:
             if self._readable:  # this one message is short of something
                 raise
             raise ConfigurationError(f'{self.name}.field {self._path.text!r} on {self.topic}: {error}') from error
-        self._readable = True
         names = names_of(message)
         if isinstance(value, (int, float)):
-            return self._only_motor(), (self.scale * value,), True
+            self._readable = True
+            return self._only_motor(), (self.scale * value + self.offset,), True
         if names is None:
             if len(value) == 1:
-                return self._only_motor(), (self.scale * float(value[0]),), True
+                self._readable = True
+                return self._only_motor(), (self.scale * float(value[0]) + self.offset,), True
+            if self._readable:  # this one message is of another length
+                raise SampleError(f'{len(value)} values of {self._path.text} without names')
             raise ConfigurationError(
                 f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
         if len(names) != len(value):
             raise SampleError(f'{len(names)} names but {len(value)} values of {self._path.text}')
+        self._readable = True
         told = tuple(names)
         if len(told) == 1:  # the usual case, in plain floats
-            values: Sequence[float] | Array = (self.scale * float(value[0]),)
+            values: Sequence[float] | Array = (self.scale * float(value[0]) + self.offset,)
         else:
-            values = self.scale * np.asarray(value, dtype=float)
+            values = self.scale * np.asarray(value, dtype=float) + self.offset
         census = self._lists.get(told) or self._census(told)
         if census.twice is not None:
             raise SampleError(f'{census.twice} is named twice')
@@ -103,10 +115,8 @@ class Signal:
         strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
         twice = next((name for name, count in ours.items() if count > 1), None)
         found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
-        if len(self._lists) >= MOST_LISTS:
-            self._lists.clear()
         if worth_remembering(names):
-            self._lists[names] = found
+            self._lists.remember(names, found, size_of_names(names))
         return found
 
     def _only_motor(self) -> tuple[str, ...]:
@@ -119,12 +129,19 @@ class Signal:
 
 
 def stamp_of(message: Any, arrival_ns: int = 0) -> int:
-    """Return the stamp in ns: the header's; where the type has none, the time it arrived with."""
+    """Return the stamp in ns: the header's; where the type has none, the time it arrived with.
+
+    Raises:
+        SampleError: it lies further from 1970 than a century, which differences of stamps would not bear.
+    """
     ready: int | None = getattr(message, 'stamp_ns', None)  # a view of the bag reader
     if ready is not None:
         return ready
     stamp = getattr(getattr(message, 'header', None), 'stamp', None)
-    return arrival_ns if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    stamp_ns = arrival_ns if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    if not -LATEST_NS < stamp_ns < LATEST_NS:
+        raise SampleError(f'stamp of {stamp_ns} ns is beyond {LATEST_NS} ns')
+    return stamp_ns
 
 
 def names_of(message: Any) -> Sequence[str] | None:
@@ -156,6 +173,7 @@ class Intake:
         received: messages by signal; of each motor that one speaks of, :class:`Pairing` counts on.
         rejected: messages that could not be read at all, by signal and reason.
         others: messages that spoke of no configured motor, by signal.
+        max_message_bytes: a larger message is refused before it is decoded; whoever decodes sees to it.
     """
 
     def __init__(self, observer: Observer, configuration: Configuration) -> None:
@@ -165,6 +183,7 @@ class Intake:
         self.received: Counter[str] = Counter()
         self.others: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
+        self.max_message_bytes = round(configuration['max_message_mb'] * 1e6)
 
     def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
         """Take one message of a signal; return what it held and what it has led to.
@@ -178,20 +197,25 @@ class Intake:
             ConfigurationError: the message does not have the configured field.
         """
         self.received[name] += 1
-        stamp_ns = stamp_of(message, arrival_ns)
+        try:
+            stamp_ns = stamp_of(message, arrival_ns)
+        except (SampleError, TypeError, ValueError, OverflowError, AttributeError):
+            self.rejected[name][Rejection.MALFORMED] += 1
+            return Taken(0, (), [])
         try:
             names, values, known = self.signals[name].read(message)
             speeds = self._speeds(message) if name == 'torque' else None
-        except (SampleError, TypeError, ValueError):
-            self.malformed(name)
+        except (SampleError, TypeError, ValueError, ArithmeticError, LookupError, AttributeError):
+            self.rejected[name][Rejection.MALFORMED] += 1
             return Taken(stamp_ns, (), [])
         if not known:
             self.others[name] += 1
         return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
 
-    def malformed(self, name: str) -> None:
-        """Count a message that could not be read; it leads to nothing."""
-        self.rejected[name][Rejection.MALFORMED] += 1
+    def refuse(self, name: str, reason: Rejection) -> None:
+        """Count a message that came and was not read; it leads to nothing."""
+        self.received[name] += 1
+        self.rejected[name][reason] += 1
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
         """Speeds from the torque message's velocity; None where it has none or speed has a topic of its own."""
@@ -201,5 +225,7 @@ class Intake:
         names = names_of(message)
         if names is None or len(velocity) != len(names):
             return None
-        scale = self.signals['speed'].scale
-        return (scale * float(velocity[0]),) if len(names) == 1 else scale * np.asarray(velocity, dtype=float)
+        speed = self.signals['speed']
+        if len(names) == 1:
+            return (speed.scale * float(velocity[0]) + speed.offset,)
+        return speed.scale * np.asarray(velocity, dtype=float) + speed.offset

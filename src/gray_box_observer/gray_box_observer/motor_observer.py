@@ -9,10 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.saved_state import entry, flag, group
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 
@@ -50,6 +54,7 @@ class MotorObserver:
         context_nodes: the rule that learns the parameters.
         predictor: forecasts torque; None where there is none.
         delay: asks whether voltage and torque are shifted against each other.
+        fit: asks whether the white box explains the data, and lets estimates say no more than that.
         alarm: watches the prediction's residual; None where no prediction is good enough to judge by.
 
     Attributes:
@@ -63,22 +68,27 @@ class MotorObserver:
         context_nodes: ContextUpdate,
         predictor: Predictor | None,
         delay: DelayWatch | DelayRound,
+        fit: FitMonitor,
         alarm: ResidualAlarm | None = None,
     ) -> None:
         self.white_box = white_box
         self.context_nodes = context_nodes
         self._predictor = predictor
         self.delay = delay
+        self._fit = fit
+        self._tests: list[int] = []
         self._alarm = alarm
         self._aftermath: Aftermath | None = None
         self._frozen = False
         self._foreseen: tuple[bytes, Prediction] | None = None
         self._interval_s, self._evenly = np.empty(0), False
         self.motors = context_nodes.theta.shape[0]
+        self._places = np.arange(self.motors)
         self._nobody = np.zeros(self.motors, dtype=bool)
         self._identified = self._nobody
+        self._known_parameters = np.zeros((self.motors, len(white_box.parameters)), dtype=bool)
         self.changed: NDArray[np.intp] = _NOBODY
-        self._know(context_nodes.estimate(), slice(None))
+        self._know(self.estimate(), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -134,6 +144,9 @@ class MotorObserver:
 
     def settle(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
+        for motor in self._tests:
+            self._test(motor)
+        self._tests = []
         left = self._aftermath
         if left is None:
             return
@@ -183,9 +196,31 @@ class MotorObserver:
             return None
         self.changed = _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
         which: Any = slice(None) if self.changed.size == self.motors else self.changed
-        estimate = self.context_nodes.estimate(which)
+        estimate = self._tested(self.context_nodes.estimate(which))
         self._know(estimate, which)
         return estimate
+
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values of all motors or of some, believed as far as the fit lets them be."""
+        self.settle()
+        estimate = self.context_nodes.estimate(which)
+        return self._fit.judged(estimate, self._places[which], self.context_nodes.verdict_rules)
+
+    def _tested(self, estimate: Estimate) -> Estimate:
+        """Test the fit of motors whose estimates have changed; return these as far as they may be believed.
+
+        Who waits for nothing is tested when the sample's results are out.
+        """
+        for motor in self._fit.due(self.context_nodes, estimate, self.changed):
+            if self._fit.is_urgent(motor):
+                self._test(motor)
+            else:
+                self._tests.append(motor)
+        return self._fit.judged(estimate, self.changed, self.context_nodes.verdict_rules)
+
+    def _test(self, motor: int) -> None:
+        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
 
     def _know(self, estimate: Estimate, which: Any) -> None:
         """Keep what is believed of some motors, and whether all is identified, which freezing does not undo.
@@ -194,7 +229,8 @@ class MotorObserver:
         """
         if not self._frozen:
             self._identified = self._identified.copy()
-            self._identified[which] = [estimate.identified(motor) for motor in range(estimate.value.shape[0])]
+            self._known_parameters[which] = [[v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts]
+            self._identified[which] = self._known_parameters[which].all(axis=1)
         if estimate.value.shape[0] == self.motors:
             self._theta, self._covariance = estimate.value, estimate.covariance
         else:
@@ -218,6 +254,15 @@ class MotorObserver:
         """The same of one motor."""
         return bool(self._identified[motor])
 
+    def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
+        """The same of every parameter of one motor."""
+        return tuple(self._known_parameters[motor].tolist())
+
+    def fit_of(self, motor: int) -> FitAssessment:
+        """How well the white box explains the data of one motor."""
+        self.settle()
+        return self._fit.assessment(motor)
+
     def delay_of(self, motor: int) -> DelayEstimate:
         """What is known of the delay of one motor."""
         return self.delay.estimate if isinstance(self.delay, DelayWatch) else self.delay.estimate_of(motor)
@@ -225,7 +270,7 @@ class MotorObserver:
     def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
         self.context_nodes.verdict_rules = verdicts
-        self._know(self.context_nodes.estimate(), slice(None))
+        self._know(self.estimate(), slice(None))
         if self.alarm is not None:
             self.alarm.rules = alarm
         if self.predictor is not None:
@@ -257,7 +302,8 @@ class MotorObserver:
             self.predictor.training.refill(content)
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
-        self._know(context_nodes.estimate(), slice(None))
+        self._fit.forget()
+        self._know(self.estimate(), slice(None))
         self._foreseen = None
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
@@ -277,7 +323,9 @@ class MotorObserver:
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
             'delay': delay,
+            'fit': self._fit.state(motor, int(self.context_nodes.replay.received[motor])),
             'identified': self.identified_of(motor),
+            'identified_parameters': list(self.parameters_identified_of(motor)),
         }
         alarm = {} if self.alarm is None else self.alarm.state(motor)
         groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
@@ -289,22 +337,36 @@ class MotorObserver:
             self._predictor.training.close()
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave, for one motor."""
+        """Take back what :meth:`state` gave, for one motor.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters, or by other rules.
+            CheckpointError: it is no state that could have been learnt.
+        """
         which = slice(motor, motor + 1)
-        self.context_nodes.restore(plain['context_nodes'], _group(arrays, 'nodes'), motor)
-        self._know(self.context_nodes.estimate(which), which)
+        flag(plain, 'identified')
+        known = entry(plain, 'identified_parameters')
+        if not isinstance(known, list) or [type(one) for one in known] != [bool] * len(self.white_box.parameters):
+            raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
+        self.context_nodes.restore(dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor)
+        estimate = self.context_nodes.estimate(which)
+        if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
+            raise CheckpointError('what is believed is no estimate: it is not finite')
+        self._fit.restore(dict(group(plain, 'fit')), motor, int(self.context_nodes.replay.received[motor]))
+        self._know(self.estimate(which), which)
         if self._frozen:  # verdicts tell it no more
             self._identified = self._identified.copy()
             self._identified[which] = plain['identified']
+            self._known_parameters[which] = known
         if self.predictor is not None:
             self.predictor.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')
         if self.alarm is not None and alarm:
             self.alarm.restore(alarm, motor)
         if isinstance(self.delay, DelayWatch):
-            self.delay.restore(plain['delay'])
+            self.delay.restore(dict(group(plain, 'delay')))
         else:
-            self.delay.restore(plain['delay'], motor)
+            self.delay.restore(dict(group(plain, 'delay')), motor)
 
 
 _NOBODY = np.arange(0)

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.samples import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
@@ -67,7 +71,7 @@ class MotorView:
     @property
     def estimate(self) -> Estimate:
         """The present values with covariance and verdicts."""
-        return self.observer.context_nodes.estimate(self._one)
+        return self.observer.estimate(self._one)
 
     @property
     def theta(self) -> Array:
@@ -80,14 +84,38 @@ class MotorView:
         return self.observer.identified_of(self.place)
 
     @property
+    def parameters_identified(self) -> tuple[bool, ...]:
+        """The same of every parameter."""
+        return self.observer.parameters_identified_of(self.place)
+
+    @property
     def counters(self) -> dict[str, int]:
         """What the rule has met so far, by a name for diagnostics."""
         return self.observer.context_nodes.counters(self.place)
 
     @property
+    def changes(self) -> int:
+        """How often it was found changed."""
+        return self.counters.get('motor changes', 0)
+
+    @property
     def delay(self) -> DelayEstimate:
         """What is known of its delay."""
         return self.observer.delay_of(self.place)
+
+    @property
+    def fit(self) -> FitAssessment:
+        """How well the white box explains its data."""
+        return self.observer.fit_of(self.place)
+
+    def fit_percent(self) -> float | None:
+        """Return the fit of the free run to the samples remembered, in per cent (NRMSE); None: not known."""
+        replay = self.remembered()
+        if len(replay) < 2:
+            return None
+        interval_s, voltage_v, torque_nm, speed_rad_s = replay.newest(len(replay))[:, 0]
+        run_nm = white_box_torque(self.white_box, self.theta[0], interval_s, voltage_v, torque_nm, speed_rad_s)
+        return fit_percent(np.where(interval_s > 0.0, torque_nm, np.nan), run_nm)
 
     @property
     def training(self) -> TrainingView | None:

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,20 +25,26 @@ from gray_box_observer.assembly import (
 )
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.device import torch_device
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.group import Group, GroupResult, Result
 from gray_box_observer.grouping import Grouping, Part, Values
+from gray_box_observer.incident import Incident
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.motor_view import MotorView
 from gray_box_observer.predictor import Skill
-from gray_box_observer.samples import Sample
+from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.counts import PairingCounts
 from gray_box_observer.samples.sample import nanoseconds
+from gray_box_observer.samples.stopped import StoppedPairing
 from gray_box_observer.white_box.base import Array
 
 __all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
+
+T = TypeVar('T')
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +63,15 @@ class Observer:
         configuration: parameters of the observer and of every motor.
         training: makes the trainer of a motor from its configuration; None: no predictor.
 
+    Whatever escapes inside the observer of a group stops that group, and no other. It learns and predicts no more, its
+    motors leave :attr:`motors`, and what comes for them is refused. :class:`ConfigurationError` goes through: a device
+    that is gone ends everything.
+
+    Attributes:
+        configuration: as above.
+        motors: every motor that has been seen and has not stopped.
+        incidents: what has stopped motors, by their names; a restored state sets them going again.
+
     Raises:
         ConfigurationError: there is no such device as the configuration asks for.
     """
@@ -66,18 +83,19 @@ class Observer:
         self._frozen = bool(configuration['freeze'])
         self._grouping = Grouping(configuration)
         self.motors: dict[str, MotorView] = {}
+        self.incidents: dict[str, Incident] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
         """Take one armature voltage in V; return what the samples that it completes have led to."""
-        return _flat(self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None))
+        return self._flat(self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None))
 
     def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
         """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
-        return _flat(self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
+        return self._flat(self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
 
     def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
         """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
-        return _flat(self._take([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None))
+        return self._flat(self._take([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None))
 
     def take(
         self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
@@ -111,17 +129,65 @@ class Observer:
 
     def flush(self) -> list[Result]:
         """Learn what still waits for a voltage (end of a bag)."""
-        return _flat(result for group in self.every_group for result in self._learn(group, group.pairing.flush()))
+        return self._flat([result for group in self.every_group for result in self._flush(group)])
+
+    def results(self, result: GroupResult) -> list[Result]:
+        """Return what a sample of a group has led to, motor by motor; nothing where the group has stopped since."""
+        return self.contain(result.group, lambda: list(result)) or []
+
+    def contain(self, group: Group, action: Callable[[], T], samples: Sequence[Sample] = ()) -> T | None:
+        """Do something inside the observer of a group; where that fails, stop the group.
+
+        Args:
+            group: the motors.
+            action: what to do.
+            samples: those that are at hand, for the report.
+
+        Returns:
+            What the action gives; None where the group has stopped, now or before.
+
+        Raises:
+            ConfigurationError: a device that is gone.
+        """
+        if group.is_stopped:
+            return None
+        try:
+            return action()
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            self.stop(group, error, samples)
+            return None
+
+    def stop(self, group: Group, error: Exception, samples: Sequence[Sample] = ()) -> None:
+        """Stop the motors of a group because of an error; the others go on. The first error counts."""
+        if group.is_stopped:
+            return
+        incident = Incident.from_error(group, error, samples)
+        counts = [group.pairing.of(place) for place in range(len(group.names))]
+        if group.observer is not None:
+            with suppress(Exception):  # it is broken
+                group.observer.close()
+        group.observer, group.pairing = None, StoppedPairing(counts)
+        for name in group.names:
+            self.motors.pop(name, None)
+            self.incidents[name] = incident
 
     def forecast_group(self, group: Group, stamp_ns: int) -> Array | None:
         """Predict the torque of every motor of a group at a stamp that is still to come, shape (motor,); NaN: unknown.
 
         None where the voltage is not known up to the stamp; changes nothing.
         """
-        ahead = group.pairing.ahead(stamp_ns)
-        if group.observer is None or ahead is None:
+        try:
+            ahead = group.pairing.ahead(stamp_ns)
+            if group.observer is None or ahead is None:
+                return None
+            prediction = group.observer.predict(*(np.atleast_1d(value) for value in ahead))
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            self.stop(group, error)
             return None
-        prediction = group.observer.predict(*(np.atleast_1d(value) for value in ahead))
         return None if prediction is None else prediction.torque_nm
 
     def foresee(self, group: Group) -> None:
@@ -131,7 +197,12 @@ class Observer:
         """
         newest, pairing = group.pairing.newest_voltage, group.pairing
         if group.observer is not None and newest is not None and newest[0] == pairing.newest_sample_ns:
-            group.observer.foresee(newest[1])
+            try:
+                group.observer.foresee(newest[1])
+            except ConfigurationError:
+                raise
+            except Exception as error:
+                self.stop(group, error)
 
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
         """Predict the torque at a stamp whose voltage is known and whose torque is still to come; changes nothing."""
@@ -166,6 +237,9 @@ class Observer:
 
     def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
         """Return stamp and torques, shape (motor,), of :meth:`forecast_held` for every motor of a group."""
+        return self.contain(group, lambda: self._forecast_held(group, horizon_s))
+
+    def _forecast_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
         observer, pairing = group.observer, group.pairing
         newest = pairing.newest_voltage
         if observer is None or newest is None:
@@ -176,6 +250,18 @@ class Observer:
             return None
         torque_nm = observer.forecast_held(ahead, horizon_s, voltage_v)
         return None if torque_nm is None else (since_ns + nanoseconds(horizon_s), torque_nm)
+
+    def group_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
+        """Return names and present estimates of every group that has been seen."""
+        found = []
+        for group in self.every_group:
+            observer = group.observer
+            if observer is None:
+                continue
+            estimate = self.contain(group, observer.estimate)
+            if estimate is not None:
+                found.append((group.names, estimate))
+        return found
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor that has been seen."""
@@ -189,6 +275,19 @@ class Observer:
             return given, given.identified(0)
         return seen.estimate, seen.identified
 
+    def parameters_identified(self, motor: str) -> tuple[bool, ...]:
+        """Return which parameters of a motor are identified; of one not seen yet, by what was given."""
+        seen = self.motors.get(motor)
+        if seen is not None:
+            return seen.parameters_identified
+        given = initial_estimate(self.configuration, self.configuration.motors[motor])
+        return tuple(verdict in COUNTS_AS_KNOWN for verdict in given.verdicts[0])
+
+    def fit(self, motor: str) -> FitAssessment:
+        """Return how well the white box explains the data of a motor; untested where it was not seen yet."""
+        seen = self.motors.get(motor)
+        return FitAssessment() if seen is None else seen.fit
+
     def delays(self) -> dict[str, DelayEstimate]:
         """Return what is known of the delay between voltage and torque of every motor that has been seen."""
         return {name: motor.delay for name, motor in self.motors.items()}
@@ -198,11 +297,16 @@ class Observer:
         if motor not in self._grouping:
             return False
         group, place = self._grouping.place(motor)
-        return group.observer is not None and bool(group.observer.alarmed[place])
+        observer = group.observer
+        return observer is not None and bool(self.contain(group, lambda: observer.alarmed[place]))
 
     def skill(self, motor: str) -> Skill | None:
         """Return the predictor's scores; None where there is no predictor."""
         group, place = self._grouping.place(motor)
+        return self.contain(group, lambda: self._skill(group, place))
+
+    @staticmethod
+    def _skill(group: Group, place: int) -> Skill | None:
         if group.observer is None or group.observer.predictor is None:
             return None
         return group.observer.predictor.scores.skill(place)
@@ -217,7 +321,7 @@ class Observer:
         self._frozen = frozen
         for group in self.every_group:
             if group.observer is not None:
-                group.observer.freeze(frozen)
+                self.contain(group, partial(group.observer.freeze, frozen))
 
     def reconfigure(self, configuration: Configuration) -> None:
         """Take over the values of parameters that may change at any time; what was learnt stays."""
@@ -226,7 +330,8 @@ class Observer:
         verdicts, alarm = verdict_rules(configuration), alarm_rules(configuration)
         for group in self.every_group:
             if group.observer is not None:
-                group.observer.reconfigure(verdicts, alarm, configuration['training.core_share'])
+                core_share = configuration['training.core_share']
+                self.contain(group, partial(group.observer.reconfigure, verdicts, alarm, core_share))
         if configuration['freeze'] != self._frozen:
             self.freeze(configuration['freeze'])
 
@@ -253,12 +358,17 @@ class Observer:
                 observer.close()
             raise
         for group, observer in made:  # all good: take over
-            self._learn(group, group.pairing.flush())  # what still waited belongs to the old signal history
-            group.pairing.restart(observer.delay_of(0).applied_s)
+            self._flush(group)  # what still waited belongs to the old signal history
             if group.observer is not None:
-                group.observer.settle()
+                self.contain(group, group.observer.settle)
+            if group.observer is not None:
                 group.observer.close()
+            if isinstance(group.pairing, StoppedPairing):  # what is restored did not fail
+                group.pairing = self._grouping.pairing_of(group)
+            group.pairing.restart(observer.delay_of(0).applied_s)
             self._adopt(group, observer)
+            for name in group.names:
+                self.incidents.pop(name, None)
 
     def _restored(self, group: Group, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]) -> MotorObserver:
         """Make the observer of a group from what was saved; what was not saved stays as it is."""
@@ -287,7 +397,7 @@ class Observer:
         """Stop whatever trains in the background."""
         for group in self.every_group:
             if group.observer is not None:
-                group.observer.close()
+                self.contain(group, group.observer.close)
 
     @property
     def every_group(self) -> list[Group]:
@@ -300,14 +410,25 @@ class Observer:
         """Let every group have its part of a message."""
         results: list[GroupResult] = []
         for part in parts:
-            samples = part.take(signal, stamp_ns, values, speeds)
-            if samples:
-                results += self._learn(part.group, samples)
+            samples: list[Sample] = []
+            try:
+                samples = part.take(signal, stamp_ns, values, speeds)
+                if samples:
+                    results += self._learn(part.group, samples)
+            except ConfigurationError:
+                raise
+            except Exception as error:
+                self.stop(part.group, error, samples)
         return results
+
+    def _flush(self, group: Group) -> list[GroupResult]:
+        """Learn what still waits for a voltage."""
+        return self.contain(group, lambda: self._learn(group, group.pairing.flush())) or []
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
         waiting, pairing = deque(samples), group.pairing
+        assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
         while waiting:
             sample = waiting.popleft()
             if group.observer is None:
@@ -320,6 +441,8 @@ class Observer:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
             left, estimate = observer.step(sample)
+            if estimate is not None and not np.isfinite(estimate.value).all():
+                raise ArithmeticError('an estimate that is not finite')
             results.append(GroupResult(group, sample, left.prediction, observer.changed, estimate, left))
             delay_s = None
             if not self._frozen:
@@ -328,7 +451,7 @@ class Observer:
                 known, rest = pairing.redelay(delay_s, sample.stamp_ns)
                 motors = [self.configuration.motors[name] for name in group.names]
                 observer.relearn(context_nodes(self.configuration, motors, observer.white_box), known)
-                estimate = observer.context_nodes.estimate()
+                estimate = observer.estimate()
                 results[-1] = replace(results[-1], estimate=estimate, changed=np.arange(len(group.names)))
                 waiting = deque(rest)
         return results
@@ -345,7 +468,6 @@ class Observer:
         made.freeze(self._frozen)
         return made
 
-
-def _flat(results: Iterable[GroupResult]) -> list[Result]:
-    """Results of groups, motor by motor."""
-    return [one for result in results for one in result]
+    def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
+        """Results of groups, motor by motor."""
+        return [one for result in results for one in self.results(result)]

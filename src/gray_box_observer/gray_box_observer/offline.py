@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.assembly import TrainingFactory
+from gray_box_observer.bag.contents import name_list
 from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
 from gray_box_observer.bag.joint_state import JointStateDecoder
+from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.bag.mcap_content import RawMessage
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.configuration import Configuration
@@ -20,6 +22,7 @@ from gray_box_observer.errors import BagError, SampleError
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.parameters import SIGNALS
+from gray_box_observer.samples import Rejection
 
 PROGRESS_STEP = 512
 
@@ -36,6 +39,8 @@ class Course:
         duration_s: time that its samples cover, without gaps and jumps of the clock.
         alarms_s: when the alarm on the residual was raised, in s of that time.
         alarmed: whether it stands.
+        changes_s: when the motor was found changed, in s of that time.
+        change_count: how often that was counted.
     """
 
     first_ns: int
@@ -43,6 +48,14 @@ class Course:
     duration_s: float = 0.0
     alarms_s: list[float] = field(default_factory=list)
     alarmed: bool = False
+    changes_s: list[float] = field(default_factory=list)
+    change_count: int = 0
+
+    def count_changes(self, count: int) -> None:
+        """Remember the time where the motor was found changed since it was counted last."""
+        if count > self.change_count:
+            self.changes_s.append(self.duration_s)
+        self.change_count = count
 
     def take(self, result: Result) -> None:
         """Go on by one result."""
@@ -78,6 +91,7 @@ def run(
     training: TrainingFactory | None,
     listener: Listener | None = None,
     progress: Progress = lambda count: None,
+    limits: ReadLimits | None = None,
 ) -> Outcome:
     """Feed every bag to one observer, one after another.
 
@@ -87,6 +101,7 @@ def run(
         training: makes the predictor's trainer; None: no predictor.
         listener: called with every result, where there is one.
         progress: called with the number of messages read since it was last called.
+        limits: how much of a bag may be held in memory at one time; None for the defaults.
 
     Raises:
         BagError: a bag cannot be read, lacks the topics, or no sample in any of them could be used.
@@ -102,6 +117,9 @@ def run(
             if course is None:
                 course = courses[result.motor] = Course(result.sample.stamp_ns)
             course.take(result)
+            motor = observer.motors.get(result.motor)  # none where it has stopped since
+            if motor is not None and result.estimate is not None:
+                course.count_changes(motor.changes)
             if result.estimate is not None:
                 digest.update(result.motor.encode())
                 digest.update(np.int64(result.estimate.stamp_ns).tobytes())
@@ -111,18 +129,60 @@ def run(
                 listener(result)
 
     try:
-        for path in bags:
-            with BagReader(path) as bag:
-                _feed(bag, path, configuration, outcome, take, progress)
-                if bag.lost:
-                    outcome.warnings.append(f'{path}: {bag.lost}')
-            take(observer.flush())
+        _feed_all(bags, configuration, outcome, take, progress, limits)
     finally:
         observer.close()
-    if not courses:
+    if not courses and not observer.incidents:
         raise BagError(_why_nothing(bags, outcome))
     outcome.digest = digest.hexdigest()
     return outcome
+
+
+def feed(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    outcome: Outcome,
+    listener: Listener,
+    progress: Progress = lambda count: None,
+    limits: ReadLimits | None = None,
+) -> None:
+    """Feed further bags to the observer of a run that has ended; neither its digest nor its course goes on.
+
+    Args:
+        bags: rosbag2 folders or bare MCAP files.
+        configuration: of the observer.
+        outcome: of the run, whose observer and intake take the messages; warnings are added to it.
+        listener: called with every result.
+        progress: called with the number of messages read since it was last called.
+        limits: what of a bag may be held in memory at one time.
+
+    Raises:
+        BagError: a bag cannot be read or lacks the topics.
+        ConfigurationError: messages do not have the configured fields.
+    """
+
+    def take(results: Iterable[Result]) -> None:
+        for result in results:
+            listener(result)
+
+    _feed_all(bags, configuration, outcome, take, progress, limits)
+
+
+def _feed_all(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    outcome: Outcome,
+    take: Callable[[Iterable[Result]], None],
+    progress: Progress,
+    limits: ReadLimits | None = None,
+) -> None:
+    """Feed bags one after another."""
+    for path in bags:
+        with BagReader(path, limits) as bag:
+            _feed(bag, path, configuration, outcome, take, progress)
+            if bag.lost:
+                outcome.warnings.append(f'{path}: {bag.lost}')
+        take(outcome.observer.flush())
 
 
 def match_topics(wanted: str, available: Iterable[str]) -> list[str]:
@@ -140,38 +200,56 @@ def _feed(
     take: Callable[[Iterable[Result]], None],
     progress: Progress,
 ) -> None:
-    signals = _signals_of(bag, path, configuration, outcome)
+    signals = _signals_of(bag, path, configuration, outcome.warnings)
     intake, count = outcome.intake, 0
-    for raw, message in _decoded(bag, signals):
+    for raw, message in _decoded(bag, signals, intake.max_message_bytes):
         if message is None:
+            oversized = len(raw.data) > intake.max_message_bytes
             for signal in signals[raw.topic]:
-                intake.malformed(signal)
+                intake.refuse(signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED)
             continue
         for signal in signals[raw.topic]:
-            for group in intake.take(signal, message, raw.publish_time_ns).groups:
-                take(group)
+            for result in intake.take(signal, message, raw.publish_time_ns).groups:
+                take(outcome.observer.results(result))
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)
     progress(count % PROGRESS_STEP)
 
 
-def _decoded(bag: BagReader, topics: Collection[str]) -> Iterator[tuple[RawMessage, Any]]:
-    """Yield every message with its content; None where it is malformed and not counted as lost by the bag."""
+def _decoded(bag: BagReader, topics: Collection[str], max_bytes: int) -> Iterator[tuple[RawMessage, Any]]:
+    """Yield every message with its content; None where it is too large, or malformed and not counted as lost."""
     if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
-        yield from bag.decoded(topics)
+        for raw, message in bag.decoded(topics):
+            yield raw, None if len(raw.data) > max_bytes else message
         return
     decode = JointStateDecoder()
     for raw in bag.messages(topics):
         try:
-            message = decode(raw.data)
+            message = None if len(raw.data) > max_bytes else decode(raw.data)
         except SampleError:
             message = None
         yield raw, message
 
 
-def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcome: Outcome) -> dict[str, list[str]]:
+def require_signals(path: Path, configuration: Configuration, limits: ReadLimits | None = None) -> None:
+    """Say before the work, not after it, that a bag cannot be read or lacks a topic.
+
+    Raises:
+        BagError: it cannot be read, a topic is missing, or there are several that it could be.
+    """
+    with BagReader(path, limits) as bag:
+        _signals_of(bag, path, configuration, [])
+
+
+def _signals_of(bag: BagReader, path: Path, configuration: Configuration, warnings: list[str]) -> dict[str, list[str]]:
     """Return the signals that every topic of interest carries; one message may hold several.
+
+    Args:
+        bag: opened.
+        path: of the bag, for messages.
+        configuration: of the observer.
+        warnings: a topic of another type than configured is added to them.
 
     Raises:
         BagError: a topic is missing, or there are several that it could be.
@@ -183,11 +261,11 @@ def _signals_of(bag: BagReader, path: Path, configuration: Configuration, outcom
             continue
         found = match_topics(wanted, bag.topics)
         if len(found) != 1:
-            have = ', '.join(sorted(bag.topics)) or 'none'
+            have = name_list(bag.topics)
             problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
             raise BagError(f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter {name}.topic')
         signals.setdefault(found[0], []).append(name)
-        outcome.warnings += _mismatch(f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration)
+        warnings += _mismatch(f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration)
     return signals
 
 

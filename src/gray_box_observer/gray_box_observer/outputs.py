@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.finite import plain
 
 
 def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
@@ -34,12 +35,12 @@ def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
 
 
 def write_json(result: dict[str, Any], target: str) -> None:
-    """Write a result as JSON, to a file or, for ``-``, to standard output.
+    """Write a result as JSON, to a file or, for ``-``, to standard output; what is not finite becomes ``null``.
 
     Raises:
         GrayBoxError: the file cannot be written.
     """
-    text = json.dumps(result, indent=2, allow_nan=False)
+    text = json.dumps(plain(result), indent=2, allow_nan=False)
     if target == '-':
         print(text)
         return

@@ -5,14 +5,18 @@ Names are those of ROS parameters; each motor has a group of its own.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, brief
 from gray_box_observer.white_box import TERMS
 
 SIGNALS = ('voltage', 'torque', 'speed')
 """What is measured; each has a group of parameters that say where it comes from."""
+
+LONGEST_TEXT = 4096
+"""Of a text; no path may be longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,37 +49,56 @@ class ParameterSpec:
             ConfigurationError: wrong type, outside the range, or not among the choices.
         """
         name = f'{where}{self.name}'
-        if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+        if isinstance(self.default, float):
+            value = _as_float(value)
         if isinstance(self.default, list) and isinstance(value, tuple):
             value = list(value)
         if isinstance(self.default, list) and isinstance(self.default[0], float) and isinstance(value, list):
-            value = [float(v) if isinstance(v, int) and not isinstance(v, bool) else v for v in value]
+            value = [_as_float(entry) for entry in value]
         if value in self.words:
             return value
         if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise ConfigurationError(f'parameter {name} must be a number or {" or ".join(self.words)}, got {value!r}')
+            raise ConfigurationError(
+                f'parameter {name} must be a number or {" or ".join(self.words)}, got {brief(value)}'
+            )
         if type(value) is not type(self.default):
             wanted, got = type(self.default).__name__, type(value).__name__
-            raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {value!r} ({got})')
+            raise ConfigurationError(f'parameter {name} must be of type {wanted}, got {brief(value)} ({got})')
         if isinstance(value, list) and any(type(entry) is not type(self.default[0]) for entry in value):
             wanted = type(self.default[0]).__name__
-            raise ConfigurationError(f'parameter {name} must be a list of {wanted}, got {value!r}')
+            raise ConfigurationError(f'parameter {name} must be a list of {wanted}, got {brief(value)}')
         if self.choices and value not in self.choices:
-            raise ConfigurationError(f'parameter {name} must be one of {", ".join(self.choices)}, got {value!r}')
-        numbers = value if isinstance(value, list) else [value]
-        for number in numbers:
+            raise ConfigurationError(f'parameter {name} must be one of {", ".join(self.choices)}, got {brief(value)}')
+        entries = value if isinstance(value, list) else [value]
+        if any(isinstance(entry, str) and len(entry) > LONGEST_TEXT for entry in entries):
+            raise ConfigurationError(
+                f'parameter {name} must have at most {LONGEST_TEXT} characters, got {brief(value)}'
+            )
+        for number in entries:
             if isinstance(number, (int, float)) and not isinstance(number, bool):
                 self._check_range(name, number)
         return value
 
     def _check_range(self, name: str, number: float) -> None:
+        if self.minimum is None and self.maximum is None:
+            return
         above = self.minimum is None or number >= self.minimum
         below = self.maximum is None or number <= self.maximum
-        if not (above and below):  # NaN is neither
+        is_finite = isinstance(number, int) or math.isfinite(number)
+        if not (above and below and is_finite):
             low = '-inf' if self.minimum is None else f'{self.minimum:g}'
             high = 'inf' if self.maximum is None else f'{self.maximum:g}'
-            raise ConfigurationError(f'parameter {name} must be in [{low}, {high}], got {number!r}')
+            raise ConfigurationError(f'parameter {name} must be in [{low}, {high}], got {brief(number)}')
+
+
+def _as_float(value: Any) -> Any:
+    """A whole number as a float, infinite where none is so large; anything else as it is."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
 
 
 def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool, what: str) -> list[ParameterSpec]:
@@ -92,11 +115,14 @@ def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool,
         specs.append(
             ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in SI units (a current: give Kt).')
         )
+        specs.append(ParameterSpec(f'{name}.offset', 0.0, f'Added to {what} after the scale, in SI units.', -1e9, 1e9))
     return specs
 
 
 OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
-    ParameterSpec('motors', ['motor'], 'Names of the motors, as in JointState.name; m[1..9] stands for m1 to m9.'),
+    ParameterSpec(
+        'motors', ['motor'], 'Names of the motors, as in JointState.name; m[1..9] stands for m1 to m9. At most 100,000.'
+    ),
     ParameterSpec(
         'group_from',
         8,
@@ -131,7 +157,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         'cpu',
         'Where groups of 8192 motors or more are computed, and taught: cpu, or by torch on cuda or cuda:N.',
     ),
-    ParameterSpec('seed', 0, 'Seed of everything random.', 0),
+    ParameterSpec('seed', 0, 'Seed of everything random.', 0, 2**62),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
     ParameterSpec(
         'gap_s', 0.5, 'Silence of torque, in s, after which the signal history starts anew.', 1e-6, 1e6, live=True
@@ -141,6 +167,13 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ),
     ParameterSpec(
         'jump_back_s', 1.0, 'Backward jump of a stamp, in s, that means a restarted clock.', 0.0, 1e6, live=True
+    ),
+    ParameterSpec(
+        'max_message_mb',
+        4.0,
+        'Larger messages are refused before they are read, in MB; of one topic 16 times as much may wait.',
+        0.001,
+        1e6,
     ),
     *_signal('voltage', 'motor/voltage', 'sensor_msgs/msg/JointState', 'effort', True, 'armature voltage'),
     *_signal('torque', 'motor/torque', 'sensor_msgs/msg/JointState', 'effort', True, 'motor torque'),
@@ -204,7 +237,7 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'checkpoint.path',
         'gray_box_observer.safetensors',
-        'File in checkpoint.folder that save writes and load reads.',
+        'File in checkpoint.folder that save writes and load reads; ends in .safetensors.',
         live=True,
     ),
     ParameterSpec(
@@ -262,6 +295,11 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from what is seen.',
         -1e6,
         1e6,
+    ),
+    ParameterSpec(
+        'stamps_exact',
+        False,
+        'Voltage acts at the very instant of its stamp: L is believed though L/R is shorter than a sample interval.',
     ),
     ParameterSpec(
         'delay',

@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 
 from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.ros import discovery, parameters, topics
+from dc_motor_sim.ros import command_line, discovery, parameters, topics
 from dc_motor_sim.simulation import Sample
 from dc_motor_sim.stamps import NANOSECONDS_PER_SECOND, to_nanoseconds, to_seconds
 
@@ -275,6 +275,7 @@ def main(args: Sequence[str] | None = None) -> int:
     kept_here = discovery.default_range(os.environ)
     os.environ.update(kept_here)
     try:
+        command_line.check(argv)
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(args=argv)
         if unknown:

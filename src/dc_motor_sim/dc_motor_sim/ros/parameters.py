@@ -19,6 +19,11 @@ from dc_motor_sim.plant import SPEED_MODES, PlantParameters
 from dc_motor_sim.quantity import Quantity, about, check_fields, quantity_of
 from dc_motor_sim.simulation import Simulation
 
+_RANGE = re.compile(r'([A-Za-z][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
+
+MOST_MOTORS = 10_000
+"""Of a whole list, ranges written out; each declares a dozen parameters."""
+
 _EXCITATION_OF_MOTOR = Quantity("excitation of this motor; empty for the node's own")
 
 
@@ -26,7 +31,7 @@ _EXCITATION_OF_MOTOR = Quantity("excitation of this motor; empty for the node's 
 class NodeParameters:
     """Parameters of the node itself."""
 
-    motors: tuple[str, ...] = field(default=('motor',), metadata=about('names of the motors'))
+    motors: tuple[str, ...] = field(default=('motor',), metadata=about('names of the motors, at most 10,000'))
     excitation: str = field(
         default='R[5,15]D[1,20]',
         metadata=about(
@@ -236,9 +241,12 @@ def _descriptor(quantity: Quantity, *, live: bool, of: Field[Any] | None = None)
 
 def _expanded(motors: tuple[str, ...]) -> tuple[str, ...]:
     """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3."""
+    ranges = [_RANGE.fullmatch(text) for text in motors]
+    counts = [max(0, int(found[3]) - int(found[2]) + 1) if found else 1 for found in ranges]
+    if sum(counts) > MOST_MOTORS:  # before any is written out
+        raise ConfigurationError(f'motors stands for {sum(counts)} motors; expected {MOST_MOTORS} at most')
     names: list[str] = []
-    for text in motors:
-        found = re.fullmatch(r'([A-Za-z][A-Za-z0-9_]*)\[(\d{1,6})\.\.(\d{1,6})\]', text)
+    for text, found in zip(motors, ranges, strict=True):
         names += [f'{found[1]}{k}' for k in range(int(found[2]), int(found[3]) + 1)] if found else [text]
     return tuple(names)
 

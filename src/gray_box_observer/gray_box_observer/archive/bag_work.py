@@ -11,6 +11,7 @@ from typing import Any
 from gray_box_observer import offline
 from gray_box_observer.assembly import TrainingFactory
 from gray_box_observer.bag.carried import carried_by
+from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.describe import describe, warnings_of
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.identify_options import configure
@@ -36,6 +37,12 @@ class BagResult:
     motors: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     start_ns: Mapping[str, int] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Write down paths that are no UTF-8 as text that any file can hold."""
+        object.__setattr__(self, 'bag', _as_text(self.bag))
+        object.__setattr__(self, 'error', None if self.error is None else _as_text(self.error))
+        object.__setattr__(self, 'warnings', tuple(map(_as_text, self.warnings)))
+
     def to_dict(self) -> dict[str, Any]:
         """Return what ``identify --each --json`` says of a bag."""
         return {
@@ -58,16 +65,18 @@ class BagWork:
     Attributes:
         given: parameters by their dotted names, as the parameter file gives them.
         training: makes the predictor's trainer; None: no predictor.
+        limits: how much of a bag may be held in memory at one time.
     """
 
     given: Mapping[str, Any]
     training: TrainingFactory | None = None
+    limits: ReadLimits = field(default_factory=ReadLimits)
 
     def __call__(self, bag: Path) -> BagResult:
         """Identify one bag; never raises what a bag can cause, nor what a defect of ours makes of a bag."""
         try:
             configuration = configure(self.given, carried_by([bag]), 'the bag')
-            outcome = offline.run([bag], configuration, self.training)
+            outcome = offline.run([bag], configuration, self.training, limits=self.limits)
             found = describe(outcome)
         except GrayBoxError as error:
             return BagResult(str(bag), error=' '.join(str(error).split()))
@@ -80,6 +89,10 @@ class BagWork:
             motors=found['motors'],
             start_ns={name: course.first_ns for name, course in outcome.courses.items()},
         )
+
+
+def _as_text(text: str) -> str:
+    return text.encode('utf-8', 'backslashreplace').decode('utf-8')
 
 
 def _place_of(error: Exception) -> str:

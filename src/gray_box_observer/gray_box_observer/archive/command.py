@@ -15,14 +15,17 @@ from gray_box_observer.archive.bag_work import BagResult, BagWork
 from gray_box_observer.archive.dask_engine import DaskEngine, require_dask
 from gray_box_observer.archive.discovery import find_bags
 from gray_box_observer.archive.options import DEFAULT_RETRIES, EXIT_INTERRUPTED, EXIT_SOME_FAILED
+from gray_box_observer.archive.process_engine import ProcessEngine
 from gray_box_observer.archive.serial_engine import SerialEngine
 from gray_box_observer.archive.table import require_pyarrow, write_table
 from gray_box_observer.archive.trends import digest_of, gather
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.device import torch_device
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.identify_options import read_limits
 from gray_box_observer.outputs import refuse_unwritable, write_json
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.printable import printable
 from gray_box_observer.report.trend import ArchiveHistory, MotorTrend
 from gray_box_observer.report.trend_page import drift_words, write_trend_report
 
@@ -54,7 +57,7 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
     is_interrupted = False
     with _progress(len(bags)) as count:
         try:
-            for index, result in engine.run(BagWork(given, training), bags):
+            for index, result in engine.run(BagWork(given, training, read_limits(options)), bags):
                 found[index] = result
                 count(result)
         except KeyboardInterrupt:
@@ -69,7 +72,7 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
     return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
 
 
-def _engine(options: argparse.Namespace) -> SerialEngine | DaskEngine:
+def _engine(options: argparse.Namespace) -> SerialEngine | ProcessEngine | DaskEngine:
     """Make the engine, and say before the work what is missing for it and for the results."""
     if options.table is not None:
         require_pyarrow()
@@ -77,12 +80,12 @@ def _engine(options: argparse.Namespace) -> SerialEngine | DaskEngine:
         from gray_box_observer.report import require_plotly
 
         require_plotly()
-    if options.engine != 'dask':
-        return SerialEngine()
-    require_dask()
-    return DaskEngine(
-        options.scheduler, options.workers, DEFAULT_RETRIES if options.retries is None else options.retries
-    )
+    if options.scheduler is not None:
+        require_dask()
+        return DaskEngine(options.scheduler)
+    if options.engine in ('processes', 'dask'):
+        return ProcessEngine(options.workers, DEFAULT_RETRIES if options.retries is None else options.retries)
+    return SerialEngine()
 
 
 def _json_file(options: argparse.Namespace) -> Path | None:
@@ -93,7 +96,7 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     """Write what was asked for, and say what went wrong."""
     for result in results:
         if result.error not in (None, _INTERRUPTED):
-            print(f'identify: {_named(result)}', file=sys.stderr)
+            print(printable(f'identify: {_named(result)}'), file=sys.stderr)
     warned = sum(bool(result.warnings) for result in results)
     if warned:
         print(f'identify: warning: {warned} bags have warnings; --table and --json say which', file=sys.stderr)
@@ -137,7 +140,7 @@ def _print_trends(results: Sequence[BagResult], motors: Sequence[MotorTrend], st
     failed = sum(result.error is not None for result in results)
     print(f'{len(results)} bags, {failed} without result', file=stream)
     for motor in motors:
-        print(f'{motor.name}: {len(motor.parameters[0].value)} bags', file=stream)
+        print(f'{printable(motor.name)}: {len(motor.parameters[0].value)} bags', file=stream)
         for trend in motor.parameters:
             value, std = trend.value[-1], trend.std[-1]
             told = f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} in the last'

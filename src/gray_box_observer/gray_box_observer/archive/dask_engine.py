@@ -1,29 +1,26 @@
-"""Bags spread over the processes of a Dask cluster: one of this machine's own, or one that is there already.
+"""Bags spread over the processes of a Dask cluster that is there already.
 
-Workers are processes of one thread each, so that a worker never holds more than one bag, and only a few chunks of that.
+Its workers should be of one thread each, so that a worker never holds more than one bag, and a few chunks of that.
+Whoever may connect to its scheduler may run code in it: none is started here, where `process_engine` does the same.
 """
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
-import logging
-import os
 import re
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 import gray_box_observer
-from gray_box_observer.archive import worker_setup
 from gray_box_observer.archive.bag_work import BagResult
-from gray_box_observer.archive.options import DEFAULT_RETRIES
+from gray_box_observer.archive.process_engine import DIED
 from gray_box_observer.archive.serial_engine import Work
 from gray_box_observer.context_nodes import ordinary_block
 from gray_box_observer.errors import GrayBoxError
@@ -33,15 +30,6 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT_S = 15.0
 WORKER_TIMEOUT_S = 60.0
-_QUIET: Mapping[str, Any] = {
-    'distributed.worker.profile.enabled': False,  # costs some percent
-    # What a bag has freed is kept for the next; Dask has it given back, and fetched again, all the time.
-    'distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_': 1 << 28,
-    'distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX': 1,
-    'distributed.admin.tick.interval': '1s',  # 50 times a second every process woke to see whether it is awake
-    'distributed.scheduler.http.routes': [],  # nobody is told where the pages of the own cluster are
-    'distributed.worker.http.routes': [],
-}
 _ADDRESS = re.compile(r'((tcp|tls|wss?)://)?[^/\s]+:\d{1,5}')
 
 
@@ -52,24 +40,18 @@ def require_dask() -> None:
         GrayBoxError: dask.distributed is not installed.
     """
     if find_spec('distributed') is None:
-        raise GrayBoxError('--engine dask needs dask.distributed, which is not installed: pip install distributed')
+        raise GrayBoxError('--scheduler needs dask.distributed, which is not installed: pip install distributed')
 
 
 @dataclass(frozen=True, slots=True)
 class DaskEngine:
-    """Spreads bags over a Dask cluster.
+    """Spreads bags over a Dask cluster, which says itself how often a bag is taken up again after its worker died.
 
     Attributes:
-        scheduler: address of an existing cluster's scheduler, such as ``tcp://host:8786``; None: a cluster of this
-            machine's own, which ends with the run.
-        workers: processes of the own cluster; None: one a core that this process may use.
-        retries: how often a bag is taken up again after its worker died, in the own cluster; an existing one has a
-            setting of its own (``distributed.scheduler.allowed-failures``).
+        scheduler: address of its scheduler, such as ``tcp://host:8786``.
     """
 
-    scheduler: str | None = None
-    workers: int | None = None
-    retries: int = DEFAULT_RETRIES
+    scheduler: str
 
     name = 'dask'
 
@@ -97,48 +79,26 @@ class DaskEngine:
                     yield index, result
             for suspect in sorted(suspects):
                 for index, result in _spread(client, work, bags, [suspect]):
-                    yield index, result or BagResult(str(bags[index]), error=_DIED)
+                    yield index, result or BagResult(str(bags[index]), error=DIED)
 
     def _connect(self, stack: ExitStack) -> Client:
         from distributed import Client
 
-        if self.scheduler is not None and not _ADDRESS.fullmatch(self.scheduler):
+        if not _ADDRESS.fullmatch(self.scheduler):
             raise GrayBoxError(
                 f'{self.scheduler!r} is no address of a Dask scheduler; expected such as tcp://host:8786'
             )
-        address = self._own_cluster(stack) if self.scheduler is None else self.scheduler
         try:
-            client: Client = stack.enter_context(Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False))
+            client: Client = stack.enter_context(
+                Client(self.scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
+            )
             client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
         except (TimeoutError, asyncio.TimeoutError, OSError, ValueError) as error:
-            where = 'its own Dask cluster' if self.scheduler is None else f'the Dask cluster at {self.scheduler}'
             reason = ' '.join(str(error).split()) or 'no answer'
-            raise GrayBoxError(f'{where} cannot be used: {reason}') from error
+            raise GrayBoxError(f'the Dask cluster at {self.scheduler} cannot be used: {reason}') from error
         return client
 
-    def _own_cluster(self, stack: ExitStack) -> Any:
-        """Start a cluster that only this machine can reach; its processes end with the stack."""
-        import dask
-        from distributed import LocalCluster
 
-        stack.enter_context(dask.config.set(_QUIET))
-        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix='identify-', ignore_cleanup_errors=True))
-        return stack.enter_context(
-            LocalCluster(
-                n_workers=self.workers or len(os.sched_getaffinity(0)),
-                threads_per_worker=1,
-                processes=True,
-                host='127.0.0.1',
-                dashboard_address='127.0.0.1:0',
-                local_directory=folder,
-                preload=[worker_setup.__name__],
-                silence_logs=logging.CRITICAL,  # what becomes of a bag is told in its row
-                scheduler_kwargs={'allowed_failures': self.retries, 'dashboard': False},
-            )
-        )
-
-
-_DIED = 'its worker process died again and again while reading it (out of memory?)'
 _LOST = 'the connection to the Dask scheduler was lost before it was read'
 
 

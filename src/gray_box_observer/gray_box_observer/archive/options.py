@@ -7,10 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.plain_number import parse_int
 
 EXIT_SOME_FAILED = 3
 EXIT_INTERRUPTED = 130
 DEFAULT_RETRIES = 2
+MOST_WORKERS = 1024
+MOST_RETRIES = 1000
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -24,20 +27,24 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         '--engine',
-        choices=('serial', 'dask'),
-        help='--each, one bag after another (default) or spread by dask.distributed',
+        choices=('serial', 'processes', 'dask'),
+        help='--each, one bag after another (default), over processes of this machine, or over the Dask cluster of '
+        '--scheduler; dask without --scheduler means processes',
     )
     group.add_argument(
-        '--workers', type=_at_least(1), metavar='N', help='worker processes of dask; a core each by default'
+        '--workers',
+        type=between(1, MOST_WORKERS),
+        metavar='N',
+        help='worker processes of this machine; a core each by default',
     )
     group.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='an existing Dask cluster, such as tcp://host:8786; else one is started here',
+        help='a Dask cluster that is there, such as tcp://host:8786: whoever may connect to it may run code in it',
     )
     group.add_argument(
         '--retries',
-        type=_at_least(0),
+        type=between(0, MOST_RETRIES),
         metavar='N',
         help=f'how often a bag is taken up again after its worker died (default {DEFAULT_RETRIES})',
     )
@@ -49,20 +56,23 @@ def is_asked(options: argparse.Namespace) -> bool:
     Raises:
         GrayBoxError: an option has no meaning without another one.
     """
-    needs = (('--workers', options.workers), ('--scheduler', options.scheduler), ('--retries', options.retries))
-    for name, value in needs:
-        if value is not None and options.engine != 'dask':
-            raise GrayBoxError(f'{name} needs --engine dask')
-        if value is not None and options.scheduler is not None and name != '--scheduler':
-            raise GrayBoxError(f'{name} is for a cluster started here; the one at {options.scheduler} has its own')
+    if options.scheduler is not None and options.engine != 'dask':
+        raise GrayBoxError('--scheduler needs --engine dask')
+    for name, value in (('--workers', options.workers), ('--retries', options.retries)):
+        if value is not None and options.engine not in ('processes', 'dask'):
+            raise GrayBoxError(f'{name} needs --engine processes')
+        if value is not None and options.scheduler is not None:
+            raise GrayBoxError(f'{name} is for processes of this machine; {options.scheduler} has its own')
     return bool(options.each or options.table is not None or options.engine is not None)
 
 
-def _at_least(lowest: int) -> Callable[[str], int]:
+def between(lowest: int, highest: int) -> Callable[[str], int]:
+    """Make what reads a whole number of the command line, within these bounds."""
+
     def number(text: str) -> int:
-        value = int(text)
-        if value < lowest:
-            raise argparse.ArgumentTypeError(f'must be at least {lowest}, got {value}')
+        value = parse_int(text)
+        if not lowest <= value <= highest:
+            raise argparse.ArgumentTypeError(f'must be from {lowest} to {highest}, got {value}')
         return value
 
     return number

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from gray_box_observer.archive.bag_work import BagResult
+from gray_box_observer.atomic_write import atomic_write
 from gray_box_observer.errors import GrayBoxError
 
 COLUMNS = {
@@ -65,7 +65,7 @@ def rows(results: Iterable[BagResult]) -> Iterator[dict[str, Any]]:
 
 
 def write_table(results: Iterable[BagResult], path: Path) -> None:
-    """Write the table as a whole or not at all: it is written beside ``path`` and then takes its place.
+    """Write the table as a whole or not at all.
 
     Args:
         results: of the bags, in the order of the table.
@@ -82,13 +82,9 @@ def write_table(results: Iterable[BagResult], path: Path) -> None:
     types['timestamp'] = pyarrow.timestamp('ns', tz='UTC')
     schema = pyarrow.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
     table = pyarrow.Table.from_pylist(list(rows(results)), schema=schema)
-    partial = path.with_name(f'.{path.name}.{os.getpid()}.partial')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            parquet.write_table(table, partial)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        with atomic_write(path) as file:
+            parquet.write_table(table, file)
     except OSError as error:
         raise GrayBoxError(f'cannot write the table {path}: {error.strerror or error}') from error

@@ -32,8 +32,8 @@ def _trend(name: str, unit: str, entries: list[tuple[int, str, Any]]) -> Paramet
         name,
         unit,
         np.array([start_ns for start_ns, _, _ in entries], dtype=np.int64),
-        np.array([parameter['value'] for _, _, parameter in entries]),
-        np.array([parameter['std'] for _, _, parameter in entries]),
+        np.array([parameter['value'] for _, _, parameter in entries], dtype=float),
+        np.array([parameter['std'] for _, _, parameter in entries], dtype=float),
         [parameter['verdict'] for _, _, parameter in entries],
         [bag for _, bag, _ in entries],
     )

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Container
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
+from gray_box_observer.bag.limits import MESSAGE_OVERHEAD_BYTES, ReadLimits
 from gray_box_observer.bag.losses import UNFINISHED, Losses
 from gray_box_observer.bag.mcap_content import (
     RawMessage,
+    TooLarge,
     Unreadable,
     parse_definitions,
     parse_messages,
     read_records,
+    survey_messages,
 )
 from gray_box_observer.bag.mcap_layout import Layout, Piece, walk
-from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, Definitions
+from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, MESSAGE_HEAD, Definitions
 from gray_box_observer.bag.metadata import ListedFile, list_files
 from gray_box_observer.errors import BagError
 
@@ -37,13 +40,15 @@ class BagFiles:
     Args:
         path: A rosbag2 folder or a single MCAP file.
         losses: Is told what cannot be read.
+        limits: How much may be held in memory at one time.
 
     Raises:
         BagError: There is no bag, or none of its files can be used.
     """
 
-    def __init__(self, path: Path, losses: Losses) -> None:
+    def __init__(self, path: Path, losses: Losses, limits: ReadLimits) -> None:
         self.path = path
+        self.limits = limits
         self._losses = losses
         self._opened: tuple[Path, BinaryIO] | None = None
         self._is_closed = False
@@ -62,13 +67,14 @@ class BagFiles:
             self._opened[1].close()
             self._opened = None
 
-    def read(self, file: BagFile, piece: Piece, topics: Collection[str] | None) -> list[RawMessage]:
+    def read(self, file: BagFile, piece: Piece, topics: Collection[str] | None, room: int) -> list[RawMessage]:
         """The messages of one piece in the order of the file; what cannot be read is noted.
 
         Args:
             file: The file.
             piece: What of it.
             topics: Names of the topics that are wanted; None for all.
+            room: Bytes of memory that the messages may take; a piece that needs more is left out.
 
         Raises:
             BagError: The file can no longer be read at all, or the bag is closed.
@@ -79,21 +85,50 @@ class BagFiles:
             wanted = {number: channel for number, channel in channels.items() if channel.topic in topics}
             if not wanted:
                 return []
+        records = self._records(file, piece)
+        if records is None or not self._fits(file, piece, records, wanted, room):
+            return []
+        found, rest, orphan_count = parse_messages(records, channels, wanted)
+        self._note_rest(file, piece, rest, orphan_count)
+        return found
+
+    def _records(self, file: BagFile, piece: Piece) -> bytes | None:
+        """The records of a piece; None, and a note, where they cannot be read."""
         try:
-            records = read_records(self._stream(file.path), piece)
+            return read_records(self._stream(file.path), piece, self.limits)
+        except TooLarge as error:
+            self._damage(file, piece, piece.length, f'what stands at byte {piece.offset} is left out: {error}')
         except Unreadable as error:
             self._damage(file, piece, piece.length, f'a damaged chunk at byte {piece.offset} ({error})')
-            return []
         except OSError as error:
             raise BagError(f'{file.path}: cannot be read: {error.strerror or error}') from None
-        found, left, orphans = parse_messages(records, channels, wanted)
+        return None
+
+    def _fits(self, file: BagFile, piece: Piece, records: bytes, wanted: Container[int], room: int) -> bool:
+        """Whether the wanted messages may be held; they are weighed only where there is reason to doubt it."""
+        if len(records) // MESSAGE_HEAD.size * MESSAGE_OVERHEAD_BYTES + len(records) <= room:
+            return True
+        weight = survey_messages(records, wanted).weight
+        if weight <= room:
+            return True
+        limit = self.limits.message_bytes
+        needed = limit - room + weight
+        others = ', with those of overlapping chunks,' if room < limit else ''
+        what = (
+            f'the messages at byte {piece.offset} are left out: they would take {needed / 1e6:.0f} MB '
+            f'of memory{others} where {limit / 1e6:.0f} MB are the limit; {self.limits.remedy(needed / 2)}'
+        )
+        self._damage(file, piece, piece.length, what)
+        return False
+
+    def _note_rest(self, file: BagFile, piece: Piece, rest: int, orphan_count: int) -> None:
+        """Note what of a piece is no message that can be read."""
         if piece.is_cut:
-            self._damage(file, piece, left + END_BYTES, 'the file ends in the middle of a chunk')
-        elif left:
-            self._damage(file, piece, left, f'a malformed record in the chunk at byte {piece.offset}')
-        elif orphans:
-            self._damage(file, piece, 0, f'{orphans} messages of a topic that the file does not declare')
-        return found
+            self._damage(file, piece, rest + END_BYTES, 'the file ends in the middle of a chunk')
+        elif rest:
+            self._damage(file, piece, rest, f'a malformed record in the chunk at byte {piece.offset}')
+        elif orphan_count:
+            self._damage(file, piece, 0, f'{orphan_count} messages of a topic that the file does not declare')
 
     def _damage(self, file: BagFile, piece: Piece, byte_count: int, what: str) -> None:
         self._losses.damage(file.path, piece.offset, byte_count, what)
@@ -141,37 +176,43 @@ class BagFiles:
         layout, definitions = file.layout, Definitions()
         for piece in layout.pieces:
             try:
-                parse_definitions(read_records(self._stream(file.path), piece), definitions)
+                parse_definitions(read_records(self._stream(file.path), piece, self.limits), definitions)
             except (Unreadable, OSError):
                 continue  # the second look below says so
         layout.channels = definitions.channels | layout.channels
-        held: dict[Piece, Counter[str]] = {}
+        held: dict[Piece, int] = {}
+        in_chunks, outside = Counter[int](), Counter[int]()
         for piece in layout.pieces:
-            found = self.read(file, piece, None)
-            if found:
-                times = [message.log_time_ns for message in found]
-                true = replace(piece, start_ns=min(times), end_ns=max(times))
-                held[true] = Counter(message.topic for message in found)
-        self._leave_out_strangers(file, held)
+            records = self._records(file, piece)
+            if records is None:
+                continue
+            survey = survey_messages(records, layout.channels)
+            self._note_rest(file, piece, survey.rest, survey.orphan_count)
+            if survey.counts:
+                true = replace(piece, start_ns=survey.start_ns, end_ns=survey.end_ns)
+                held[true] = survey.counts.total()
+                (in_chunks if piece.is_chunk else outside).update(survey.counts)
+        if self._leave_out_strangers(file, held, in_chunks.total()):
+            outside.clear()
         layout.pieces = list(held)
-        for topics in held.values():
-            counts.update(topics)
+        for number, count in (in_chunks + outside).items():
+            counts[layout.channels[number].topic] += count
         self._losses.of_layout(file.path, layout)
         return [(piece.start_ns, piece.end_ns) for piece in held]
 
-    def _leave_out_strangers(self, file: BagFile, held: dict[Piece, Counter[str]]) -> None:
+    def _leave_out_strangers(self, file: BagFile, held: dict[Piece, int], in_chunks: int) -> bool:
         """Leave out what stands outside chunks if the chunks alone hold all that the summary tells of.
 
         One wrong byte makes any record into such a message, and no checksum covers it.
         """
         expected = file.layout.expected
-        loose = {piece: counts.total() for piece, counts in held.items() if not piece.is_chunk}
-        in_chunks = sum(counts.total() for piece, counts in held.items() if piece.is_chunk)
-        if expected is not None and in_chunks == expected.message_count > 0:
-            for piece, count in loose.items():
-                what = f'{count} messages outside the chunks at byte {piece.offset} that the summary does not know'
-                self._damage(file, piece, piece.length, what)
-                del held[piece]
+        if expected is None or not in_chunks == expected.message_count > 0:
+            return False
+        for piece in [piece for piece in held if not piece.is_chunk]:
+            what = f'{held[piece]} messages outside the chunks at byte {piece.offset} that the summary does not know'
+            self._damage(file, piece, piece.length, what)
+            del held[piece]
+        return True
 
     def _stream(self, path: Path) -> BinaryIO:
         """The opened file; only one stands open at a time, for a bag may have thousands."""

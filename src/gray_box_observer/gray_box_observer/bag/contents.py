@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+_MOST_NAMES = 30
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +42,11 @@ class Loss:
         if len(self.reasons) > 3:
             shown += f'; and {len(self.reasons) - 3} more'
         return f'{shown}; {self.byte_count} bytes could not be read'
+
+
+def name_list(names: Iterable[str]) -> str:
+    """Say names in order, for one line to the user: a bag may have tens of thousands, each as long as a book."""
+    ordered = sorted(names)
+    shown = [name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME]}...' for name in ordered[:_MOST_NAMES]]
+    more = f' and {len(ordered) - _MOST_NAMES} more' if len(ordered) > _MOST_NAMES else ''
+    return (', '.join(shown) or 'none') + more

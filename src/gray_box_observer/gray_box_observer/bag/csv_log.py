@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.bag.carried import to_custom_data
+from gray_box_observer.bag.csv_doubts import finite_doubt, interval_doubt, order_doubt, unit_doubts
 from gray_box_observer.bag.csv_mapping import CsvMapping, MotorColumns
 from gray_box_observer.bag.expressions import Expression
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
@@ -48,6 +51,8 @@ class CsvSummary:
         non_finite_rows: Rows kept although a value in them is not finite; the observer will reject these samples.
         messages: Messages in the bag.
         duration_s: From the first stamp to the last.
+        interval_s: From one row kept to the next, as a median; NaN of a single row.
+        warnings: What looks as if it meant something else, each one line that names the log, the line and the column.
     """
 
     rows: int
@@ -56,6 +61,8 @@ class CsvSummary:
     non_finite_rows: int
     messages: int
     duration_s: float
+    interval_s: float = math.nan
+    warnings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         left_out = f'{self.filtered_rows} filtered, {self.unordered_rows} not later than the row before'
@@ -74,7 +81,15 @@ class _Motor:
     torque_nm: NDArray[np.float64]
     speed_rad_s: NDArray[np.float64] | None
 
+    def signals(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Yield the name and the values of each signal."""
+        yield 'voltage', self.voltage_v
+        yield 'torque', self.torque_nm
+        if self.speed_rad_s is not None:
+            yield 'speed', self.speed_rad_s
+
     def is_finite(self) -> NDArray[np.bool_]:
+        """Which rows have finite values of all signals."""
         finite = np.isfinite(self.voltage_v) & np.isfinite(self.torque_nm)
         return finite if self.speed_rad_s is None else finite & np.isfinite(self.speed_rad_s)
 
@@ -101,8 +116,9 @@ def csv_to_bag(
     path = Path(csv_path)
     shape = look_at(path)
     expressions = _Expressions(mapping, shape)
-    table = read_columns(path, shape, expressions.columns)
-    row_count = next(iter(table.values())).size
+    columns = read_columns(path, shape, expressions.columns)
+    table = columns.values
+    row_count = columns.lines.size
     if expressions.time is not None:
         time_s = expressions.time(table)
     else:
@@ -113,7 +129,11 @@ def csv_to_bag(
     in_time = passes.copy() if mapping.where_drops == 'row' else np.ones(row_count, dtype=bool)
     filtered = int(row_count - passes.sum())
     considered = int(in_time.sum())
-    in_time[in_time] = _increasing(time_s[in_time])
+    rows = np.flatnonzero(in_time)
+    in_order = _increasing(time_s[rows])
+    doubts = [*unit_doubts(mapping, shape.names)]
+    doubts += order_doubt(time_s[rows], in_order, columns.lines[rows], mapping.time or 'sample_period_s')
+    in_time[rows] = in_order
     kept = np.flatnonzero(in_time)
     if not kept.size or not passes[kept].any():
         raise BagError(f'{path}: none of {row_count} rows can be used ({filtered} filtered)')
@@ -121,6 +141,11 @@ def csv_to_bag(
     passed_ns = np.rint((time_s[kept] - time_s[kept[0]]) * 1e9)
     stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
+    interval_s = float(np.median(np.diff(time_s[kept]))) if kept.size > 1 else math.nan
+    doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
+    for motor in motors:
+        for signal, values in motor.signals():
+            doubts += finite_doubt(f'{signal} of {motor.name}', values[kept], columns.lines[kept])
     messages = _write(folder, options, mapping, motors, kept, stamps_ns, passes)
     return CsvSummary(
         rows=row_count,
@@ -129,6 +154,8 @@ def csv_to_bag(
         non_finite_rows=int(np.count_nonzero(~finite[kept])),
         messages=messages,
         duration_s=float(stamps_ns[-1] - stamps_ns[0]) * 1e-9,
+        interval_s=interval_s,
+        warnings=(*columns.warnings, *(f'{path}: {doubt}' for doubt in doubts)),
     )
 
 
@@ -155,12 +182,9 @@ class _Expressions:
         scale = self._mapping.motors[name].torque_constant if self._mapping.motors[name].current else None
         if voltage is None or torque is None:
             raise BagError(f'motor {name} has no voltage or no torque')
-        return _Motor(
-            name,
-            voltage(table),
-            torque(table) * (1.0 if scale is None else scale),
-            speed(table) if speed is not None else None,
-        )
+        with np.errstate(all='ignore'):  # what is not finite is warned of where it stands
+            torque_nm = torque(table) * (1.0 if scale is None else scale)
+        return _Motor(name, voltage(table), torque_nm, speed(table) if speed is not None else None)
 
     def _make(self, text: str, *, is_condition: bool = False) -> Expression | None:
         if not text:

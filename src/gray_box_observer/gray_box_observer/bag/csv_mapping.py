@@ -8,12 +8,15 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gray_box_observer.errors import BagError
+from gray_box_observer.bounded_yaml import read_yaml
+from gray_box_observer.errors import BagError, InputError, brief
+from gray_box_observer.plain_number import parse_float, parse_int
 
 FIRST_STAMP_NS = 1_000_000_000
 """A stamp of zero means 'no stamp' to many ROS programs, so the first row is put at one second."""
+
+LATEST_STAMP_NS = 2**31 * 10**9
+"""The first stamp that no message can tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,8 @@ class CsvMapping:
             raise BagError("expected either 'time=COLUMN' or 'sample_period_s=SECONDS'")
         if period is not None and not (math.isfinite(period) and period > 0):
             raise BagError(f'sample_period_s is {period}, expected a positive number of seconds')
+        if not 0 <= self.first_stamp_ns < LATEST_STAMP_NS:
+            raise BagError(f'first_stamp_ns is {self.first_stamp_ns}, expected 0 to {LATEST_STAMP_NS - 1}')
         _one_of('where_drops', self.where_drops, ('row', 'torque'))
         _one_of('voltage_applies', self.voltage_applies, ('following', 'preceding'))
 
@@ -106,9 +111,9 @@ class CsvMapping:
         for option in options:
             key, equals, value = option.partition('=')
             if not equals or not key.strip() or not value.strip():
-                raise BagError(f"{option!r} is no mapping; expected KEY=VALUE such as 'voltage=u_V'")
+                raise BagError(f"{brief(option)} is no mapping; expected KEY=VALUE such as 'voltage=u_V'")
             if key.strip() in flat:
-                raise BagError(f'{key.strip()} is mapped twice')
+                raise BagError(f'{brief(key.strip())[1:-1]} is mapped twice')
             flat[key.strip()] = value.strip()
         return cls._from_flat(flat)
 
@@ -120,11 +125,9 @@ class CsvMapping:
             BagError: The file cannot be read, or a key is not known.
         """
         try:
-            loaded = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-        except OSError as error:
-            raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            raise BagError(f'{path} is no YAML: {" ".join(str(error).split())[:200]}') from None
+            loaded = read_yaml(Path(path))
+        except InputError as error:
+            raise BagError(str(error)) from None
         if not isinstance(loaded, dict):
             raise BagError(f"{path} holds no keys; expected such as 'voltage: u_V'")
         flat = {str(key): value for key, value in loaded.items() if key != 'motors'}
@@ -147,21 +150,21 @@ class CsvMapping:
             if last in motor_keys:
                 group = groups.setdefault(name if dot else unnamed, {})
                 if last in group:
-                    raise BagError(f'{last} of motor {unnamed} is mapped twice')
+                    raise BagError(f'{last} of motor {brief(unnamed)[1:-1]} is mapped twice')
                 group[last] = _value(key, last, value)
             elif key in own_keys:
                 own[key] = _value(key, key, value)
             elif key != 'motor':
                 known = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
-                raise BagError(f'{key!r} is no key of a mapping; there are: {known}')
+                raise BagError(f'{brief(key)} is no key of a mapping; there are: {known}')
         motors = {}
         if 'motor' in flat and unnamed not in groups:
-            raise BagError(f'motor={unnamed} names no motor: every column carries the name of another one')
+            raise BagError(f'motor={brief(unnamed)[1:-1]} names no motor: every column carries the name of another one')
         for name, group in groups.items():
             try:
                 motors[name] = MotorColumns(**{'voltage': '', **group})
             except BagError as error:
-                raise BagError(f'motor {name}: {error}') from None
+                raise BagError(f'motor {brief(name)[1:-1]}: {error}') from None
         return cls(motors=motors, **own)
 
     def parameters(self) -> dict[str, Any]:
@@ -175,10 +178,11 @@ class CsvMapping:
 
 def _value(key: str, kind: str, value: Any) -> Any:
     if kind in ('torque_constant', 'sample_period_s', 'first_stamp_ns'):
+        read = parse_int if kind == 'first_stamp_ns' else parse_float
         try:
-            return int(value) if kind == 'first_stamp_ns' else float(value)
-        except (TypeError, ValueError):
-            raise BagError(f'{key} is {value!r}, expected a number') from None
+            return read(str(value))
+        except ValueError:
+            raise BagError(f'{brief(key)[1:-1]} is {brief(value)}, expected a number') from None
     text = str(value)
     is_signal = kind in ('voltage', 'torque', 'current', 'speed', 'time')
     return f'${text}' if is_signal and text.isdecimal() else text  # a bare number is a column's number
@@ -186,4 +190,4 @@ def _value(key: str, kind: str, value: Any) -> Any:
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
     if value not in allowed:
-        raise BagError(f'{name} is {value!r}, expected one of {", ".join(allowed)}')
+        raise BagError(f'{name} is {brief(value)}, expected one of {", ".join(allowed)}')

@@ -6,6 +6,7 @@ The text is parsed to a tree of allowed operations; it is never evaluated as Pyt
 from __future__ import annotations
 
 import ast
+import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.errors import BagError
+from gray_box_observer.errors import BagError, brief
 
 Table = Mapping[int, NDArray[np.float64]]
 """Columns by their 1-based number.  shape of each: (row,)"""
@@ -22,6 +23,12 @@ _Value = NDArray[np.float64] | float
 _Node = Callable[[Table], _Value]
 
 _LONGEST = 1000
+_MOST_NAMED = 50
+_DEEPEST = 100
+"""Operations within each other; Python itself gives up at some hundreds."""
+
+_DIGITS_FIRST = re.compile(r'(?<![\w.$])\.?[0-9][\w.]*')
+_DECIMAL = re.compile(r'(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][0-9]*)?')
 _NUMBERED = re.compile(r'\$(\d{1,6})')
 _ARITHMETIC: dict[type[ast.AST], Callable[..., _Value]] = {
     ast.Add: operator.add,
@@ -72,9 +79,9 @@ class Expression:
         self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
         whole = text.strip()
         if whole in names:
-            self._node = self._column(names.index(whole) + 1)
+            self._node = self._column(self._number_of(whole))
         else:
-            self._node = self._compile(self._parse(whole))
+            self._node = self._compile(self._parse(whole), _DEEPEST)
 
     def __call__(self, table: Table) -> NDArray[np.float64]:
         """The value in every row; a division by zero gives an infinity or NaN there.  shape: (row,)."""
@@ -85,12 +92,20 @@ class Expression:
     def _parse(self, text: str) -> ast.expr:
         if len(text) > _LONGEST:
             raise BagError(f'expression of {len(text)} signs; expected at most {_LONGEST}')
+        for number in _DIGITS_FIRST.findall(text):
+            if _DECIMAL.fullmatch(number) is None:  # 1_2, 0x10, 1j
+                raise BagError(
+                    f'{brief(number)} is no number (in {brief(self.text)}); expected such as 12, -0.5 or 2e-3'
+                )
         try:
             return ast.parse(_NUMBERED.sub(r'__column__(\1)', text), mode='eval').body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise BagError(f'{self.text!r} is no arithmetic expression') from None
+            raise BagError(f'{brief(self.text)} is no arithmetic expression') from None
 
-    def _compile(self, node: ast.expr) -> _Node:
+    def _compile(self, node: ast.expr, depth: int) -> _Node:
+        if not depth:
+            raise BagError(f'expression with more than {_DEEPEST} operations within each other: {brief(self.text)}')
+        inner = depth - 1
         match node:
             case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
                 constant = self._number(number)
@@ -100,17 +115,18 @@ class Expression:
             case ast.Call(func=ast.Name(id='__column__'), args=[ast.Constant(value=int(column))], keywords=[]):
                 return self._column(column)
             case ast.UnaryOp(op=op, operand=operand):
-                apply, inner = self._operator(op), self._compile(operand)
-                return lambda table: apply(inner(table))
+                apply, value = self._operator(op), self._compile(operand, inner)
+                return lambda table: apply(value(table))
             case ast.BinOp(left=left, op=op, right=right):
-                return self._binary(op, self._compile(left), self._compile(right))
+                return self._binary(op, self._compile(left, inner), self._compile(right, inner))
             case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return self._binary(op, self._compile(left), self._compile(right))
-            case ast.BoolOp(op=op, values=[first, *rest]):
-                result = self._compile(first)
-                for operand in rest:
-                    result = self._binary(op, result, self._compile(operand))
-                return result
+                return self._binary(op, self._compile(left, inner), self._compile(right, inner))
+            case ast.BoolOp(op=op, values=operands):
+                result = self._compile(operands[0], inner)
+                for operand in operands[1:_DEEPEST]:
+                    result = self._binary(op, result, self._compile(operand, inner))
+                if len(operands) <= _DEEPEST:
+                    return result
         raise self._not_allowed()
 
     def _binary(self, op: ast.AST, left: _Node, right: _Node) -> _Node:
@@ -125,22 +141,33 @@ class Expression:
 
     def _not_allowed(self) -> BagError:
         allowed = '+ - * / ( )' + (' and comparisons' if len(self._operators) > len(_ARITHMETIC) else '')
-        return BagError(f'{self.text!r} is not allowed; expected columns, numbers and {allowed}')
+        return BagError(f'{brief(self.text)} is not allowed; expected columns, numbers and {allowed}')
 
     def _number(self, value: float) -> float:
         try:
-            return float(value)
+            number = float(value)
         except OverflowError:
-            raise BagError(f'{self.text!r} holds a number that is too large') from None
+            number = math.inf
+        if not math.isfinite(number):
+            raise BagError(f'{brief(self.text)} holds a number that is too large')
+        return number
 
     def _column(self, number: int) -> _Node:
         if not 1 <= number <= self._column_count:
-            raise BagError(f'there is no column {number} (in {self.text!r}); there are {self._column_count}')
+            raise BagError(f'there is no column {number} (in {brief(self.text)}); there are {self._column_count}')
         self.columns.add(number)
         return lambda table: table[number]
 
     def _number_of(self, name: str) -> int:
-        if name in self._names:
-            return self._names.index(name) + 1
-        there = ', '.join(self._names) if self._names else f'$1 to ${self._column_count}, without names'
-        raise BagError(f'there is no column {name!r} (in {self.text!r}); there are: {there}')
+        places = [number for number, title in enumerate(self._names, start=1) if title == name]
+        if len(places) > 1:
+            which = ' or '.join(f'${number}' for number in places)
+            raise BagError(f'the header has {len(places)} columns {brief(name)} (in {brief(self.text)}): write {which}')
+        if places:
+            return places[0]
+        there = (
+            ', '.join(brief(title)[1:-1] for title in self._names[:_MOST_NAMED])
+            if self._names
+            else f'$1 to ${self._column_count}, without names'
+        )
+        raise BagError(f'there is no column {brief(name)} (in {brief(self.text)}); there are: {there}')

@@ -8,7 +8,7 @@ from operator import attrgetter
 from typing import Any
 
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
-from gray_box_observer.errors import ConfigurationError, SampleError
+from gray_box_observer.errors import ConfigurationError, SampleError, brief
 
 __all__ = ['FieldPath', 'JointStateDecoder', 'JointStateView', 'decode_joint_state']
 
@@ -35,7 +35,7 @@ class FieldPath:
             found = _STEP.match(part)
             if found is None:
                 raise ConfigurationError(
-                    f"{text!r} is no field path; expected names joined by dots, such as 'effort', "
+                    f"{brief(text)} is no field path; expected names joined by dots, such as 'effort', "
                     "'wrench.torque.z' or 'effort[2]'"
                 )
             steps.append(found[1])

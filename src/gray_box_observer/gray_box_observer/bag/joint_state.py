@@ -10,6 +10,7 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from gray_box_observer.bounded_cache import MAX_LETTERS, MAX_NAMES, BoundedCache, size_of_names
 from gray_box_observer.errors import SampleError
 
 TYPE_NAME = 'sensor_msgs/msg/JointState'
@@ -18,12 +19,10 @@ _ENCAPSULATIONS = {b'\x00\x00': '>', b'\x00\x01': '<'}
 _HEADER_BYTES = 4
 _PREFIX_START = 12
 """Encapsulation and stamp come first; the frame and the names follow."""
-_MOST_LAYOUTS = 64
+_MAX_LAYOUTS = 64
 """A publisher keeps its frame and names, so few layouts are enough; more are forgotten at once."""
-_MOST_NAMES = 20_000
-"""A layout of more names is not remembered: somebody who sends ever other lists of a million would fill the memory."""
-_MOST_PREFIX_BYTES = 1_000_000
-"""Nor is one whose frame and names are longer than this, however few they are."""
+_MAX_LAYOUT_BYTES = 8_000_000
+"""What they may take together: somebody who sends ever other frames and names would fill the memory."""
 
 
 class JointStateView(NamedTuple):
@@ -95,7 +94,7 @@ class JointStateDecoder:
     """Decodes many messages of few publishers: remembers where the numbers stand for each frame and name list."""
 
     def __init__(self) -> None:
-        self._layouts: dict[tuple[int, bytes], _Layout] = {}
+        self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(_MAX_LAYOUTS, _MAX_LAYOUT_BYTES)
 
     def __call__(self, data: bytes) -> JointStateView:
         """Decode one message; the same as `decode_joint_state`."""
@@ -108,10 +107,8 @@ class JointStateDecoder:
                 return view
         layout = _layout(data)
         view = _first_view(layout, data)
-        if len(view.names) <= _MOST_NAMES and layout.prefix_end <= _MOST_PREFIX_BYTES:
-            if len(self._layouts) >= _MOST_LAYOUTS:
-                self._layouts.clear()
-            self._layouts[key] = layout
+        if len(layout.names) <= MAX_NAMES and layout.prefix_end <= MAX_LETTERS:
+            self._layouts.remember(key, layout, layout.prefix_end + size_of_names(layout.names))
         return view
 
 

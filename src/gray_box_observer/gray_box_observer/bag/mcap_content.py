@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Container, Mapping
+from dataclasses import dataclass, field
 from typing import BinaryIO, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
+from gray_box_observer.bag.limits import MESSAGE_OVERHEAD_BYTES, ReadLimits
 from gray_box_observer.bag.mcap_layout import Piece
 from gray_box_observer.bag.mcap_records import (
     CHANNEL,
@@ -24,10 +27,11 @@ from gray_box_observer.bag.mcap_records import (
 )
 
 _DECLARATIONS = (SCHEMA, CHANNEL)
+_NEVER_NS = (1 << 64) - 1
 _STEP_BYTES = 1 << 20
-_LARGEST_CHUNK_BYTES = 1 << 30
 _CHUNK_SIZES = struct.Struct('<QII')
 """Uncompressed size, checksum, length of the compression's name; they follow the two times."""
+_CHUNK_HEAD_BYTES = HEAD.size + 16 + _CHUNK_SIZES.size
 
 
 class RawMessage(NamedTuple):
@@ -54,22 +58,33 @@ class Unreadable(Exception):  # noqa: N818 - a value between two modules, never 
     """A piece cannot be read; the message says why."""
 
 
-def read_records(stream: BinaryIO, piece: Piece) -> bytes:
+class TooLarge(Unreadable):
+    """A piece would take more memory than it may; the message says how much, and what would read it all the same."""
+
+
+def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:
     """The records of a piece, decompressed and checked against the chunk's checksum.
 
+    Args:
+        stream: The opened file.
+        piece: What of it.
+        limits: How long the piece and its records may be.
+
     Raises:
+        TooLarge: The piece is larger than the limits.
         Unreadable: The piece is damaged or uses an unknown compression.
         OSError: The file cannot be read.
     """
     stream.seek(piece.offset)
-    raw = stream.read(piece.length)
     if not piece.is_chunk:
-        return raw
-    at = HEAD.size + 16
-    size, checksum, name_length = _CHUNK_SIZES.unpack_from(raw, at)
-    at += _CHUNK_SIZES.size
-    compression = raw[at : at + name_length].decode('ascii', 'replace')
-    packed = raw[at + name_length + 8 :]
+        _check_size(piece.length, piece.length, limits)
+        return stream.read(piece.length)
+    head = stream.read(_CHUNK_HEAD_BYTES)
+    size, checksum, name_length = _CHUNK_SIZES.unpack_from(head, _CHUNK_HEAD_BYTES - _CHUNK_SIZES.size)
+    compression = stream.read(name_length).decode('ascii', 'replace')
+    packed_length = piece.length - _CHUNK_HEAD_BYTES - name_length - 8
+    _check_size(max(size, packed_length), packed_length, limits)
+    packed = stream.read(8 + packed_length)[8:]
     if piece.is_cut:
         return packed[:-END_BYTES]  # a write over an older end may have been cut just before that was all replaced
     records = _decompress(packed, compression, size)
@@ -80,16 +95,37 @@ def read_records(stream: BinaryIO, piece: Piece) -> bytes:
     return records
 
 
+def _check_size(size: int, packed_length: int, limits: ReadLimits) -> None:
+    """Refuse what would unpack to more than it may.
+
+    Raises:
+        TooLarge: It would.
+    """
+    if size > limits.chunk_bytes and size <= limits.expansion * packed_length:
+        raise TooLarge(
+            f'{_mb(size)} in one piece, where {_mb(limits.chunk_bytes)} are the limit; {limits.remedy(size)}'
+        )
+    if size > _STEP_BYTES and size > limits.expansion * packed_length:
+        times = f'{limits.expansion:.0f} times as much'
+        raise TooLarge(
+            f'it claims {_mb(size)} in {_mb(packed_length)}, and no recording holds {times}; {limits.remedy(size)}'
+        )
+
+
+def _mb(byte_count: int) -> str:
+    return f'{byte_count / 1e6:.3g} MB' if byte_count < 10**9 else f'{byte_count // 10**6} MB'
+
+
 def _decompress(packed: bytes, compression: str, size: int) -> bytes:
-    """Decompress step by step: the memory follows what the data really holds, not what its head claims."""
+    """Decompress to no more than what the head claims, which is checked before."""
     if not compression:
         return packed
-    if size > _LARGEST_CHUNK_BYTES:
-        raise Unreadable(f'claims {size} bytes')
     try:
         if compression == 'zstd':
-            with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed) as source:
-                return b''.join(_until_empty(source, size))
+            held = zstandard.frame_content_size(packed)  # -1: its own head does not tell
+            if held not in (-1, size):
+                raise Unreadable(f'{held} bytes instead of {size}')
+            return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         if compression == 'lz4':
             unpacker = lz4.frame.LZ4FrameDecompressor()
             parts = [unpacker.decompress(packed, max_length=_STEP_BYTES)]
@@ -103,11 +139,57 @@ def _decompress(packed: bytes, compression: str, size: int) -> bytes:
     raise Unreadable(f'unknown compression {compression!r}')
 
 
-def _until_empty(source: zstandard.ZstdDecompressionReader, size: int) -> Iterator[bytes]:
-    total = 0
-    while total <= size and (part := source.read(min(_STEP_BYTES, size + 1))):
-        total += len(part)
-        yield part
+@dataclass(slots=True)
+class Survey:
+    """What the messages of some records are, without holding any.
+
+    Attributes:
+        counts: Of the messages of the declared channels, by number.
+        weight: Bytes of memory that these messages would take.
+        start_ns: Earliest log time of them; 0 if there are none.
+        end_ns: Latest log time of them.
+        rest: Bytes at the end that are no whole record.
+        orphan_count: Messages whose channel nobody declared.
+    """
+
+    counts: Counter[int] = field(default_factory=Counter)
+    weight: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    rest: int = 0
+    orphan_count: int = 0
+
+
+def survey_messages(records: bytes, declared: Container[int]) -> Survey:
+    """Count the messages among the records, as `parse_messages` would return them.
+
+    Args:
+        records: What `read_records` returned.
+        declared: Numbers of the channels whose messages count.
+    """
+    survey, unpack = Survey(), MESSAGE_HEAD.unpack_from
+    counts: dict[int, int] = {}
+    at, end, start_ns = 0, len(records), _NEVER_NS
+    last_head = end - MESSAGE_HEAD.size
+    while at <= last_head:
+        opcode, length, number, _, log_ns, _ = unpack(records, at)
+        following = at + 9 + length
+        if following > end or (opcode == MESSAGE and length < 22):
+            break
+        if opcode == MESSAGE and number in declared:
+            counts[number] = counts.get(number, 0) + 1
+            survey.weight += length + MESSAGE_OVERHEAD_BYTES
+            start_ns = min(start_ns, log_ns)
+            survey.end_ns = max(survey.end_ns, log_ns)
+        elif opcode == MESSAGE:
+            survey.orphan_count += 1
+        elif opcode not in _DECLARATIONS and opcode < FIRST_PRIVATE:
+            break
+        at = following
+    survey.rest = end - at if at <= last_head else _tail(records, at)
+    survey.counts = Counter(counts)
+    survey.start_ns = start_ns if counts else 0
+    return survey
 
 
 def parse_messages(

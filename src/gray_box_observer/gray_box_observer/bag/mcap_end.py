@@ -7,6 +7,7 @@ import zlib
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from gray_box_observer.bag.limits import LARGEST_DECLARATION_BYTES
 from gray_box_observer.bag.mcap_records import (
     CHANNEL,
     CHUNK_INDEX,
@@ -28,6 +29,10 @@ _FOOTER = struct.Struct('<QQI')
 _CHUNK_TIMES = struct.Struct('<QQQ')
 _STEP_BYTES = 1 << 20
 _LARGEST_RECORD_BYTES = 64 << 20
+_LARGEST_SUMMARY_BYTES = 1 << 30
+"""A file may have holes, so that one of a few kilobytes claims any length; reading it to the end would take hours."""
+_LARGEST_STATISTICS_BYTES = 1 << 20
+"""There are 65,536 channels at most, of ten bytes each."""
 
 
 @dataclass(slots=True)
@@ -72,7 +77,8 @@ def read_end(stream: BinaryIO, size: int) -> End | None:
     if not start:
         return End(footer_at)
     end = End(start, has_summary=True)
-    if not len(MAGIC) < start <= footer_at or (checksum and _checksum(stream, start, footer_at) != checksum):
+    is_inside = len(MAGIC) < start <= footer_at <= start + _LARGEST_SUMMARY_BYTES
+    if not is_inside or (checksum and _checksum(stream, start, footer_at) != checksum):
         return End(footer_at, has_summary=True)
     return end if _read_summary(stream, start, footer_at, end) else End(footer_at, has_summary=True)
 
@@ -104,9 +110,11 @@ def _read_summary(stream: BinaryIO, start: int, footer_at: int, end: End) -> boo
             start_ns, end_ns, offset = _CHUNK_TIMES.unpack(content)
             end.chunks[offset] = (start_ns, end_ns)
         elif opcode in (SCHEMA, CHANNEL):
-            if not definitions.add(opcode, stream.read(length)):
+            if length > LARGEST_DECLARATION_BYTES or not definitions.add(opcode, stream.read(length)):
                 return False
         elif opcode == STATISTICS:
+            if length > _LARGEST_STATISTICS_BYTES:
+                return False
             end.statistics = parse_statistics(stream.read(length))
     end.channels, end.is_sound = definitions.channels, True
     return True

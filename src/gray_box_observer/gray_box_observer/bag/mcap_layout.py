@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from gray_box_observer.bag.limits import LARGEST_DECLARATION_BYTES
 from gray_box_observer.bag.mcap_end import End, read_end
 from gray_box_observer.bag.mcap_records import (
     CHANNEL,
@@ -185,8 +186,9 @@ class _Walk:
         elif opcode == FOOTER or (opcode == DATA_END and self._indexed and end != self._stop):
             return self._give_up(at, f'an end mark in the middle of the file at byte {at}')
         elif opcode in (SCHEMA, CHANNEL):
-            if not self._definitions.add(opcode, self._content(at, length)):
-                self._damage(at, end - at, f'a malformed declaration at byte {at}')
+            too_long = length > LARGEST_DECLARATION_BYTES
+            if too_long or not self._definitions.add(opcode, self._content(at, length)):
+                self._damage(at, end - at, f'a malformed declaration, or one too long, at byte {at}')
         elif opcode == METADATA and length <= _LONGEST_MARK:
             self._layout.is_unfinished |= metadata_name(self._content(at, length)) == UNFINISHED
         return end
@@ -207,7 +209,7 @@ class _Walk:
         self._loose_count += 1
         log_ns = MESSAGE_HEAD.unpack(head)[4]
         run = self._run
-        if run is not None and run.length < _RUN_BYTES:
+        if run is not None and max(run.length, end - at) < _RUN_BYTES:
             start_ns, end_ns = min(run.start_ns, log_ns), max(run.end_ns, log_ns)
             self._run = Piece(run.offset, end - run.offset, start_ns, end_ns, is_chunk=False)
         else:

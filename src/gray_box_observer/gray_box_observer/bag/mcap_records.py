@@ -5,6 +5,12 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
+from gray_box_observer.bag.limits import (
+    DECLARATION_OVERHEAD_BYTES,
+    LARGEST_DECLARATION_BYTES,
+    MOST_DECLARED_BYTES,
+)
+
 MAGIC = b'\x89MCAP0\r\n'
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, METADATA, DATA_END = 2, 3, 4, 5, 6, 8, 11, 12, 15
 LAST_KNOWN, FIRST_PRIVATE = 15, 128
@@ -16,6 +22,7 @@ UNFINISHED = 'gray_box_observer unfinished'
 HEAD = struct.Struct('<BQ')
 END_BYTES = HEAD.size + 20 + len(MAGIC)
 """Footer and magic, which every complete file ends with."""
+_CHANNEL_KEYS = ('offered_qos_profiles', 'topic_type_hash')
 MESSAGE_HEAD = struct.Struct('<BQHIQQ')
 """Opcode, length, channel, sequence, log time, publish time."""
 
@@ -44,31 +51,43 @@ class Statistics:
 
 
 class Definitions:
-    """Collects schema and channel records, in whatever order and however often they come."""
+    """Collects schema and channel records, in whatever order and however often they come, but only so many bytes."""
 
     def __init__(self) -> None:
+        self._byte_count = 0
         self._schemas: dict[int, tuple[str, str]] = {}
         self.channels: dict[int, Channel] = {}
 
     def add(self, opcode: int, content: bytes) -> bool:
-        """Take in one record's content; False if it is malformed. Other opcodes are ignored."""
+        """Take in one record's content; False if it is malformed or too much. Other opcodes are ignored."""
+        if len(content) > LARGEST_DECLARATION_BYTES:
+            return False
         try:
             if opcode == SCHEMA:
-                self._add_schema(content)
-            elif opcode == CHANNEL:
-                self._add_channel(content)
+                return self._add_schema(content)
+            if opcode == CHANNEL:
+                return self._add_channel(content)
         except (struct.error, IndexError):
             return False
         return True
 
-    def _add_schema(self, content: bytes) -> None:
+    def _has_room(self, byte_count: int) -> bool:
+        self._byte_count += byte_count + DECLARATION_OVERHEAD_BYTES
+        return self._byte_count <= MOST_DECLARED_BYTES
+
+    def _add_schema(self, content: bytes) -> bool:
         (number,) = struct.unpack_from('<H', content)
         name, at = _text(content, 2)
         _, at = _text(content, at)
         text, _ = _text(content, at)
+        if self._schemas.get(number) == (name, text):  # most writers repeat it in every chunk
+            return True
+        if not self._has_room(len(content)):
+            return False
         self._schemas[number] = (name, text)
+        return True
 
-    def _add_channel(self, content: bytes) -> None:
+    def _add_channel(self, content: bytes) -> bool:
         number, schema = struct.unpack_from('<HH', content)
         topic, at = _text(content, 4)
         encoding, at = _text(content, at)
@@ -76,13 +95,19 @@ class Definitions:
         at, end = at + 4, at + 4 + length
         if end > len(content):
             raise IndexError
-        extra = {}
+        extra = dict.fromkeys(_CHANNEL_KEYS, '')
         while at < end:
             key, at = _text(content, at)
-            extra[key], at = _text(content, at)
+            value, at = _text(content, at)
+            if key in extra:
+                extra[key] = value
+        if number in self.channels:
+            return True
+        if not self._has_room(len(content)):
+            return False
         name, text = self._schemas.get(schema, ('', ''))
-        qos, type_hash = extra.get('offered_qos_profiles', ''), extra.get('topic_type_hash', '')
-        self.channels.setdefault(number, Channel(topic, name, text, encoding, qos, type_hash))
+        self.channels[number] = Channel(topic, name, text, encoding, *extra.values())
+        return True
 
 
 def metadata_name(content: bytes) -> str:

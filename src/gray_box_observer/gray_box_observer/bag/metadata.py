@@ -11,14 +11,15 @@ from typing import Any
 
 import yaml
 
-from gray_box_observer.errors import BagError
+from gray_box_observer.bounded_yaml import parse_yaml, read_yaml
+from gray_box_observer.errors import BagError, InputError, brief
 
 METADATA_NAME = 'metadata.yaml'
 METADATA_VERSION = 9
 """What rosbag2 of ROS 2 Jazzy writes."""
 
 _PLAIN_NAME = re.compile(r'[A-Za-z_][\w.-]*\.mcap', re.ASCII)
-_LARGEST_METADATA_BYTES = 16 << 20
+_LARGEST_QOS_BYTES = 1 << 18
 _NEVER_NS = (1 << 63) - 1
 """The starting time that rosbag2 gives to a bag without messages."""
 
@@ -108,19 +109,23 @@ def _load(path: Path) -> Mapping[str, Any]:
     folder = path.parent
     if not path.is_file():
         raise _MetadataError(f'{folder} has no {METADATA_NAME}')
-    if path.stat().st_size > _LARGEST_METADATA_BYTES:
-        raise _MetadataError(f'{path} is too large to be the metadata of a bag')
+    if leads_out(path):
+        raise _MetadataError(f'{path} is a link that leads out of the bag; it is not read')
     try:
-        loaded = yaml.safe_load(path.read_text(encoding='utf-8'))
-    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        reason = ' '.join(str(error).split())[:200]
-        raise _MetadataError(f'{path} cannot be understood: {reason}') from None
+        loaded = read_yaml(path)
+    except InputError as error:
+        raise _MetadataError(str(error)) from None
     information = loaded.get('rosbag2_bagfile_information') if isinstance(loaded, dict) else None
     if not isinstance(information, dict):
         raise _MetadataError(f"{path} has no 'rosbag2_bagfile_information'")
     if not _names(information):
         raise _MetadataError(f'{path} lists no files (relative_file_paths)')
     return information
+
+
+def leads_out(path: Path) -> bool:
+    """Whether a file of a bag is a link to one outside of its folder: a bag that came from elsewhere could name any."""
+    return path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve())
 
 
 def _names(information: Mapping[str, Any]) -> list[str]:
@@ -131,7 +136,7 @@ def _names(information: Mapping[str, Any]) -> list[str]:
 
 def _found_files(folder: Path, complaint: str) -> Listing:
     """The MCAP files that lie in a folder, by the numbers in their names."""
-    paths = sorted((p for p in folder.glob('*.mcap') if p.is_file()), key=_by_number)
+    paths = sorted((p for p in folder.glob('*.mcap') if p.is_file() and not leads_out(p)), key=_by_number)
     if not paths:
         raise BagError(f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an .mcap file')
     return Listing(
@@ -156,13 +161,16 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     told = _told_of_files(information)
     # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the bag.
     paths = [folder / PurePosixPath(name).name for name in dict.fromkeys(_names(information))]
-    missing = [path.name for path in paths if not path.is_file()]
-    complaint = f'{folder}: the file {missing[0]!r}, listed in {METADATA_NAME}, is missing' if missing else ''
+    missing = [path.name for path in paths if not path.is_file() or leads_out(path)]
+    complaint = ''
+    if missing:
+        reason = 'leads out of it by a link and is not read' if leads_out(folder / missing[0]) else 'is missing'
+        complaint = f'{folder}: the file {brief(missing[0])}, listed in {METADATA_NAME}, {reason}'
     if len(missing) > 1:
         complaint += f', and {len(missing) - 1} more'
     if len(missing) == len(paths):
         raise BagError(complaint)
-    files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.is_file())
+    files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.name not in missing)
     custom = information.get('custom_data')
     texts = custom.items() if isinstance(custom, dict) else ()
     custom_data = {key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)}
@@ -267,8 +275,8 @@ def qos_text(qos_profiles: Sequence[Mapping[str, Any]]) -> str:
 def parse_qos_text(text: str) -> list[dict[str, Any]]:
     """The reverse of `qos_text`; a text that cannot be understood gives no profiles."""
     try:
-        loaded = yaml.safe_load(text) if text else []
-    except (yaml.YAMLError, ValueError, RecursionError):
+        loaded = parse_yaml(text, _LARGEST_QOS_BYTES) if text else []
+    except InputError:
         return []
     return [item for item in loaded if isinstance(item, dict)] if isinstance(loaded, list) else []
 

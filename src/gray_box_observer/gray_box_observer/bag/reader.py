@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from operator import itemgetter
 from pathlib import Path
@@ -21,12 +21,19 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gray_box_observer.bag.bag_files import BagFiles
 from gray_box_observer.bag.contents import Loss, TopicInfo
+from gray_box_observer.bag.limits import (
+    LARGEST_DEFINITION_BYTES,
+    LARGEST_GENERAL_MESSAGE_BYTES,
+    MESSAGE_OVERHEAD_BYTES,
+    ReadLimits,
+)
 from gray_box_observer.bag.losses import Losses
 from gray_box_observer.bag.mcap_content import RawMessage
 from gray_box_observer.bag.mcap_records import Channel
 from gray_box_observer.errors import BagError
 
 _LOG_TIME = itemgetter(4)
+_NEVER_NS = 1 << 64
 
 
 class BagReader:
@@ -34,15 +41,16 @@ class BagReader:
 
     Args:
         path: A rosbag2 folder (``metadata.yaml`` and its MCAP files) or a single MCAP file.
+        limits: How much of it may be held in memory at one time; None for the defaults.
 
     Raises:
         BagError: There is no bag, or nothing of it can be read.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, limits: ReadLimits | None = None) -> None:
         self.path = Path(path)
         self._losses = Losses()
-        self._files = BagFiles(self.path, self._losses)
+        self._files = BagFiles(self.path, self._losses, limits or ReadLimits())
         try:
             self._account()
         except BaseException:
@@ -103,20 +111,21 @@ class BagReader:
             if piece.end_ns >= earliest or not piece.is_chunk
         ]
         pieces.sort(key=lambda item: item[0].start_ns)
-        waiting: dict[int, list[RawMessage]] = {}
+        waiting = _Waiting()
+        capacity = self._files.limits.message_bytes
         for index, (piece, order, file) in enumerate(pieces):
-            found = self._files.read(file, piece, topics)
+            found = self._files.read(file, piece, topics, capacity - waiting.weight)
             # Linear for a list that is already in order, and stable.
             found.sort(key=_LOG_TIME)
             if found and found[0].log_time_ns < earliest:
                 found = found[bisect_left(found, earliest, key=_LOG_TIME) :]
             following = index + 1
             limit = pieces[following][0].start_ns if following < len(pieces) else None
-            if found and not waiting and (limit is None or found[-1].log_time_ns < limit):
+            if found and not waiting.parts and (limit is None or found[-1].log_time_ns < limit):
                 yield from found
                 continue
-            waiting[order] = found
-            yield from _take_before(waiting, limit)
+            waiting.add(order, found)
+            yield from waiting.before(limit)
 
     def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
         """Every message with its decoded content, whatever its type; the order is that of `messages`.
@@ -136,6 +145,8 @@ class BagReader:
             if decoder is None:
                 decoder = decoders[key] = self._decoder(message, len(decoders) + 1)
             try:
+                if len(message.data) > LARGEST_GENERAL_MESSAGE_BYTES:
+                    raise BagError(f'of {len(message.data)} bytes, expected at most {LARGEST_GENERAL_MESSAGE_BYTES}')
                 content = decoder(message.data)
             except Exception as error:  # whatever a foreign decoder makes of foreign bytes
                 reason = ' '.join(str(error).split()) or type(error).__name__
@@ -146,6 +157,11 @@ class BagReader:
     def _decoder(self, message: RawMessage, number: int) -> Callable[[bytes], Any]:
         if not message.schema_text:
             raise BagError(f'{self.path}: no definition of {message.type_name or message.topic} in the bag')
+        if len(message.schema_text) > LARGEST_DEFINITION_BYTES:
+            raise BagError(
+                f'{self.path}: the definition of {message.type_name[:100]} has {len(message.schema_text)} letters, '
+                f'expected at most {LARGEST_DEFINITION_BYTES}'
+            )
         schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
         encoding = self._topics[message.topic].encoding
         try:
@@ -178,19 +194,48 @@ class BagReader:
         }
 
 
-def _take_before(waiting: dict[int, list[RawMessage]], limit: int | None) -> Iterator[RawMessage]:
-    """Take what is earlier than ``limit`` out of the waiting pieces, which are keyed by their place in the bag.
+def _weight(messages: Sequence[RawMessage]) -> int:
+    """Bytes of memory that messages take."""
+    return sum(len(message.data) for message in messages) + MESSAGE_OVERHEAD_BYTES * len(messages)
 
-    Whatever is taken is complete: no piece that is still to be read holds anything earlier than ``limit``.
+
+class _Waiting:
+    """Messages of overlapping pieces that have been read, and whose turn has not come.
+
+    Attributes:
+        parts: In order of time, by the place of their piece in the bag.
+        weight: Bytes of memory that they take.
     """
-    taken: list[RawMessage] = []
-    for order in sorted(waiting):
-        part = waiting[order]
-        count = len(part) if limit is None else bisect_left(part, limit, key=_LOG_TIME)
-        taken += part[:count]
-        if count < len(part):
-            waiting[order] = part[count:]
-        else:
-            del waiting[order]
-    taken.sort(key=_LOG_TIME)
-    yield from taken
+
+    def __init__(self) -> None:
+        self.parts: dict[int, list[RawMessage]] = {}
+        self.weight = 0
+        self._first_ns = _NEVER_NS
+
+    def add(self, order: int, messages: list[RawMessage]) -> None:
+        """Let the messages of a piece wait."""
+        if messages:
+            self.parts[order] = messages
+            self.weight += _weight(messages)
+            self._first_ns = min(self._first_ns, messages[0].log_time_ns)
+
+    def before(self, limit: int | None) -> Iterator[RawMessage]:
+        """Take out what is earlier than ``limit``; all that is left where it is None.
+
+        Whatever is taken is complete: no piece that is still to be read holds anything earlier than ``limit``.
+        """
+        if limit is not None and self._first_ns >= limit:
+            return
+        taken: list[RawMessage] = []
+        for order in sorted(self.parts):
+            part = self.parts[order]
+            count = len(part) if limit is None else bisect_left(part, limit, key=_LOG_TIME)
+            taken += part[:count]
+            if count == len(part):
+                del self.parts[order]
+            elif count:
+                self.parts[order] = part[count:]
+        self.weight -= _weight(taken)
+        self._first_ns = min((part[0].log_time_ns for part in self.parts.values()), default=_NEVER_NS)
+        taken.sort(key=_LOG_TIME)
+        yield from taken

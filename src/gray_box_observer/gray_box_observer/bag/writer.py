@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from gray_box_observer.atomic_write import atomic_write
 from gray_box_observer.bag.mcap_file import McapFile
 from gray_box_observer.bag.metadata import METADATA_NAME, FileRecord, TopicRecord, metadata_text, qos_text
 from gray_box_observer.bag.options import BagOptions
@@ -255,13 +255,10 @@ class BagWriter:
         ]
         text = metadata_text(topics, files, ros_distro=self.options.ros_distro, custom_data=self.options.custom_data)
         path = self.folder / METADATA_NAME
-        draft = path.with_suffix('.yaml.new')
         try:
-            draft.write_text(text, encoding='utf-8')
-            draft.replace(path)
+            with atomic_write(path) as file:
+                file.write(text.encode())
         except OSError as error:
-            with suppress(OSError):
-                draft.unlink()
             self._error = BagError(f'{path}: cannot be written: {error.strerror or error}')
             raise self._error from None
         self._metadata_is_stale = False

@@ -16,8 +16,11 @@ import numpy as np
 
 from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.printable import printable
 from gray_box_observer.samples.raw_history import TORQUES, RawHistory, RawSignals
 from gray_box_observer.samples.sample import nanoseconds, seconds
+from gray_box_observer.saved_state import LARGEST, entry, number, number_or_none, whole
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 
@@ -29,6 +32,9 @@ LONGEST_WAIT = 1024
 LONGEST_DELAY_S = 0.5
 LONGEST_LEAD_S = 0.1
 """Voltage is looked for so far after and before its stamp, and no further than a quarter and an eighth of the data."""
+
+FURTHEST_S = 10.0
+"""No delay is larger, be it declared or found, in either direction."""
 
 EVIDENCE = 15.0
 """Log-likelihood that a delay must bring; by chance one time in 2e7 (chi-square of 30 with one degree of freedom)."""
@@ -286,15 +292,23 @@ class DelayWatch:
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
-        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it is declared."""
-        if not self.estimate.asked and float(plain['applied_s']) != self.estimate.applied_s:
+        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it is declared.
+
+        Raises:
+            CheckpointError: it is no state that could have been found.
+        """
+        applied_s = number(plain, 'applied_s', -FURTHEST_S, FURTHEST_S)
+        value_s = number_or_none(plain, 'value_s', -FURTHEST_S, FURTHEST_S)
+        std_s, applied_std_s = (number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s'))
+        learnt, word = whole(plain, 'learnt'), entry(plain, 'verdict')
+        if not isinstance(word, str) or word not in DelayVerdict.__members__:
+            raise CheckpointError(f'verdict is {printable(repr(word), 40)}, expected one of a delay')
+        if not self.estimate.asked and applied_s != self.estimate.applied_s:
             return
-        value_s, std_s = (math.nan if plain[key] is None else float(plain[key]) for key in ('value_s', 'std_s'))
-        verdict = DelayVerdict[plain['verdict']]
-        applied_std_s = plain['applied_std_s']
-        self._applied_std_s = math.inf if applied_std_s is None else float(applied_std_s)
-        self._gone = int(plain['learnt'])
-        self.estimate = DelayEstimate(float(plain['applied_s']), self.estimate.asked, value_s, std_s, verdict)
+        self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
+        self._gone = learnt
+        value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
+        self.estimate = DelayEstimate(applied_s, self.estimate.asked, value_s, std_s, DelayVerdict[word])
 
 
 def _median(values: Array) -> float:

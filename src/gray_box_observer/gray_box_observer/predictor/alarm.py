@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
+from gray_box_observer.saved_state import LARGEST, ArrayRule, check_arrays, counts, flags
 from gray_box_observer.white_box.base import Array
 
 REFERENCE = 0.5
@@ -184,7 +185,12 @@ class ResidualAlarm:
         return {'sums': sums, **told, 'taken': np.array(self._taken)}
 
     def restore(self, arrays: dict[str, Any], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave, for one motor."""
+        """Take back what :meth:`state` gave, for one motor.
+
+        Raises:
+            CheckpointError: it is no state that could have been learnt.
+        """
+        check_arrays(arrays, _SAVED)
         told = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
         for name in _ARRAYS:
             all_told = self._axis.give(getattr(self, f'_{name}')).copy()
@@ -197,6 +203,22 @@ _ARRAYS = (
     'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold', 'raised',
     'count',
 )  # fmt: skip
+
+_SAVED = {
+    'sums': ArrayRule((2, 1), 0.0, LARGEST),
+    'variance': ArrayRule((1,), 0.0, LARGEST),
+    'product': ArrayRule((1,), -LARGEST, LARGEST),
+    'previous': ArrayRule((1,), -LARGEST, LARGEST),
+    'interval_s': ArrayRule((1,), 0.0, LARGEST),
+    'learnt': counts(1),
+    'scale': ArrayRule((1,), 0.0, 1e151),  # of no variance at all
+    'limit': ArrayRule((1,), 0.0, LARGEST, endless=True),
+    'threshold': ArrayRule((1,), 3.0, LARGEST, endless=True),
+    'raised': flags(1),
+    'count': counts(1),
+    'taken': counts(),
+}
+"""What :meth:`ResidualAlarm.restore` takes back."""
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:

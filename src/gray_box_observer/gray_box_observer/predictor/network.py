@@ -6,14 +6,15 @@ Streaming inference needs no torch: one step is two small matrix products. Train
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.saved_state import LARGEST_WEIGHT, SINGLE, ArrayRule, check_array, check_arrays
 from gray_box_observer.white_box.base import Array
 
 Mask = NDArray[np.bool_]
@@ -85,9 +86,87 @@ class Weights:
         gates = np.concatenate((self.input, self.recurrent), axis=1) * factor
         return gates, self.bias[:, None] * factor, self.output, self.output_bias
 
+    @property
+    def finite(self) -> bool:
+        """Whether every weight is a finite number."""
+        return all(bool(np.isfinite(array).all()) for array in self.arrays().values())
+
     def arrays(self) -> dict[str, Array]:
         """Return every array by its name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+MOST_HIDDEN = 4096
+"""Hidden units of a saved network, at most."""
+
+LONGEST_STEP = 8.0
+"""Mean of the gradient that Adam remembers, in units of the root of its mean square, at most: 7.3 by its two paces."""
+
+_UNDERFLOW = 1e-12
+"""Of a mean whose square single precision cannot hold."""
+
+
+def check_weights(arrays: Mapping[str, Any], inputs: int | None = None, prefix: str = '') -> tuple[int, int]:
+    """Refuse arrays that are no network.
+
+    Args:
+        arrays: its arrays among others.
+        inputs: how many it must have; None: any number.
+        prefix: that their names begin with.
+
+    Returns:
+        Hidden units and inputs.
+
+    Raises:
+        CheckpointError: one is missing, does not fit the others, or is out of range.
+    """
+    every = ArrayRule((None, inputs), -LARGEST_WEIGHT, LARGEST_WEIGHT)
+    check_array(f'{prefix}input', arrays.get(f'{prefix}input'), every)
+    rows, width = arrays[f'{prefix}input'].shape
+    hidden = min(max(1, rows // 4), MOST_HIDDEN)
+    check_arrays(arrays, {name: replace(every, shape=shape) for name, shape in _shapes(hidden, width).items()}, prefix)
+    return hidden, width
+
+
+def check_moments(arrays: Mapping[str, Any], hidden: int, inputs: int, prefix: str = '') -> None:
+    """Refuse arrays that are not what Adam remembers of every weight of a network that it has taught.
+
+    Args:
+        arrays: its arrays among others, by ``adam_<place>_<name>``.
+        hidden: units of the network.
+        inputs: of the network.
+        prefix: that their names begin with.
+
+    Raises:
+        CheckpointError: one is missing, does not fit the network, or is out of range.
+    """
+    of_torch = {**_shapes(hidden, inputs), 'output': (1, hidden)}
+    for place, shape in enumerate(of_torch.values()):
+        rules = {
+            'step': ArrayRule((), 0.0, 1e9, SINGLE),
+            'exp_avg': ArrayRule(shape, -LARGEST_WEIGHT, LARGEST_WEIGHT, SINGLE),
+            'exp_avg_sq': ArrayRule(shape, 0.0, LARGEST_WEIGHT, SINGLE),
+        }
+        own = f'{prefix}adam_{place}_'
+        check_arrays(arrays, rules, own)
+        size = np.sqrt(arrays[f'{own}exp_avg_sq'].astype(float))
+        if (np.abs(arrays[f'{own}exp_avg']) > LONGEST_STEP * size + _UNDERFLOW).any():
+            raise CheckpointError(f'{own}exp_avg is larger than any mean of gradients of that size')
+    places = {
+        name.removeprefix(f'{prefix}adam_').partition('_')[0] for name in arrays if name.startswith(f'{prefix}adam_')
+    }
+    if len(places) != len(of_torch):
+        raise CheckpointError(f'{prefix}adam_ is of {len(places)} weights, expected {len(of_torch)}')
+
+
+def _shapes(hidden: int, inputs: int) -> dict[str, tuple[int, ...]]:
+    return {
+        'input': (4 * hidden, inputs),
+        'recurrent': (4 * hidden, hidden),
+        'bias': (4 * hidden,),
+        'output': (hidden,),
+        'output_bias': (1,),
+    }
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.network import Weights
+from gray_box_observer.saved_state import ArrayRule, check_arrays
 from gray_box_observer.white_box.base import Array
 
 
@@ -84,6 +86,30 @@ class Normalisation:
         """Return the ranges of these data."""
         speed = None if speed_rad_s is None else Range.of(speed_rad_s)
         return cls(Range.of(voltage_v), Range.of(torque_nm), speed)
+
+
+NARROWEST = 1e-12
+"""Span of a saved range, as a fraction of its bounds, that can be reckoned with."""
+
+
+def saved_ranges(arrays: Mapping[str, Any], prefix: str, *, speed: bool) -> dict[str, list[float]]:
+    """Take ranges, as :meth:`Normalisation.to_dict` gives them, out of saved arrays.
+
+    Args:
+        arrays: two bounds each, among others.
+        prefix: that their names begin with.
+        speed: whether there must be one of the speed.
+
+    Raises:
+        CheckpointError: one is missing, or no range.
+    """
+    names = ('voltage', 'torque', 'speed') if speed else ('voltage', 'torque')
+    check_arrays(arrays, {name: ArrayRule((2,)) for name in names}, prefix)
+    ranges = {name: arrays[f'{prefix}{name}'].tolist() for name in names}
+    for name, (low, high) in ranges.items():
+        if not high - low > NARROWEST * max(abs(low), abs(high), NARROWEST):
+            raise CheckpointError(f'{prefix}{name} goes from {low:g} to {high:g}')
+    return ranges
 
 
 def moved(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:

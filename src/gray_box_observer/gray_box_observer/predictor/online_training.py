@@ -9,15 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.predictor.forecaster import Forecaster
-from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
 from gray_box_observer.predictor.residual import ResidualForecaster
 from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
 from gray_box_observer.predictor.rules import TrainingRules
-from gray_box_observer.predictor.segments import SIGNALS
+from gray_box_observer.predictor.saved_training import check_job, check_learning
+from gray_box_observer.predictor.segments import SEGMENT, SIGNALS
 from gray_box_observer.predictor.traces import LONGEST
 from gray_box_observer.predictor.training import Training
-from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.saved_state import MOST, check_array, counts, positive
 from gray_box_observer.white_box.base import Array
 
 
@@ -149,17 +152,22 @@ class OnlineTraining:
         }
 
     def restore(self, arrays: Mapping[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave of one motor, after what runs; training goes on from there."""
+        """Take back what :meth:`state` gave of one motor, after what runs; training goes on from there.
+
+        Raises:
+            CheckpointError: it is no state that could have been.
+        """
+        self._check(arrays)
         if 'replay' in arrays:  # a network alone may be taken over too
             self.replay.refill(arrays['replay'], slice(motor, motor + 1))
         self._settled.pop(motor, None)
         if 'settled_theta' in arrays:
-            self._settled[motor] = arrays['settled_theta'].copy(), _range(arrays, 'settled_seen')
+            self._settled[motor] = arrays['settled_theta'].copy(), saved_range(arrays, 'settled_seen')
         if self._motors > 1:
-            self._seen = self._seen.joined(_range(arrays, 'seen'))
+            self._seen = self._seen.joined(saved_range(arrays, 'seen'))
             self._start_from = self._forecaster.start()
             return
-        self._seen = _range(arrays, 'seen')
+        self._seen = saved_range(arrays, 'seen')
         if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
             self.replay.total = int(arrays['total'])
             self._schedule.restore({name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')})
@@ -172,7 +180,27 @@ class OnlineTraining:
         if job:
             kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
             residual = bool(job['residual'])
-            self._submit({**kept, 'residual': residual, 'seen': _range(job, 'seen').to_dict()})
+            self._submit({**kept, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()})
+
+    def _check(self, arrays: Mapping[str, Array]) -> None:
+        """Refuse a saved state that could not have been.
+
+        Raises:
+            CheckpointError: an array is missing, of another shape or out of range.
+        """
+        if 'replay' in arrays:
+            check_signals('replay', arrays['replay'])
+        if 'settled_theta' in arrays:
+            check_array('settled_theta', arrays['settled_theta'], positive(1, None))
+        check_learning(arrays, self._rules.variant)
+        check_job(arrays)
+        if 'schedule_theta' in arrays:
+            check_array('total', arrays.get('total'), counts())
+            total = int(arrays['total'])
+            for name in ('schedule_asked', 'schedule_from'):
+                check_array(name, arrays.get(name), counts(low=-MOST, high=total))
+            if 'schedule_first' in arrays:
+                check_array('schedule_first', arrays['schedule_first'], counts(None, low=-MOST, high=total - SEGMENT))
 
     def _train(self, theta: Array, covariance: Array) -> None:
         """Adopt the finished job's network and hand the next one over; a job that is late is waited for next time."""
@@ -227,6 +255,9 @@ class OnlineTraining:
         self.jobs_done += 1
         job, self._job = self._job, {}
         motor = int(job['motor'])
+        if 'input' in result and not Weights.of(result).finite:  # the trainer begins anew from the network that runs
+            self._learning, self._start_from = {}, self._forecaster.start()
+            return
         self._learning = {name: array for name, array in result.items() if name.startswith('learning_')}
         self._settled.pop(motor, None)
         if result.get('settled'):
@@ -242,10 +273,3 @@ class OnlineTraining:
 def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
     """Name the entries of an operating range as arrays."""
     return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}
-
-
-def _range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
-    """Take back what :func:`_named` gave."""
-    start = f'{prefix}_'
-    bounds = {name[len(start) :]: pair.tolist() for name, pair in arrays.items() if name.startswith(start)}
-    return OperatingRange.from_dict(bounds)

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.saved_state import LARGEST_SIGNAL, SMALLEST, ArrayRule, check_array
 from gray_box_observer.white_box.base import Array
 
 Bounds = tuple[float, float]
@@ -64,6 +66,31 @@ class OperatingRange:
         """Build the range that :meth:`to_dict` described."""
         made: dict[str, Any] = {name: (float(v[0]), float(v[1])) for name, v in values.items()}
         return cls(**made)
+
+
+def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
+    """Take a range, as :meth:`OperatingRange.to_dict` gives it, out of saved arrays; empty where none was saved.
+
+    Args:
+        arrays: two bounds each, among others.
+        prefix: that their names begin with, before ``_``.
+
+    Raises:
+        CheckpointError: it is none.
+    """
+    lowest = {'voltage_v': -LARGEST_SIGNAL, 'interval_s': SMALLEST, 'speed_rad_s': -LARGEST_SIGNAL}
+    if not any(f'{prefix}_{name}' in arrays for name in lowest):
+        return OperatingRange()
+    bounds = {}
+    for name, low in lowest.items():
+        check_array(
+            f'{prefix}_{name}', arrays.get(f'{prefix}_{name}'), ArrayRule((2,), low, LARGEST_SIGNAL, endless=True)
+        )
+        first, last = arrays[f'{prefix}_{name}'].tolist()
+        if (first, last) != NOTHING and not -np.inf < first <= last < np.inf:
+            raise CheckpointError(f'{prefix}_{name} goes from {first:g} to {last:g}')
+        bounds[name] = first, last
+    return OperatingRange(**bounds)
 
 
 def _grown(bounds: Bounds, values: Array) -> Bounds:

@@ -21,13 +21,14 @@ from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.online_training import OnlineTraining
 from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
 from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
-from gray_box_observer.predictor.residual import Recollection, ResidualForecaster
+from gray_box_observer.predictor.residual import Recollection, ResidualForecaster, check_correction
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.start import first_network
 from gray_box_observer.predictor.training import Training
 from gray_box_observer.predictor.window_forecaster import WindowForecaster
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.saved_state import check_array, positive
 from gray_box_observer.white_box.base import Array, WhiteBox
 
 
@@ -89,6 +90,7 @@ class Predictor:
         device = device if is_physics and motors >= DEVICE_FROM else None
         self._rules = rules
         self._motors = motors
+        self._parameters = theta_reference.size
         self._speed_measured = speed_measured
         self._forecaster: Forecaster
         with nullcontext() if device is None else watched(device):
@@ -233,23 +235,28 @@ class Predictor:
 
         Raises:
             ConfigurationError: the network is of another variant or size.
+            CheckpointError: it is no state that could have been learnt.
         """
+        check_correction(arrays)
+        for name in ('job_theta', 'settled_theta'):
+            if name in arrays:
+                check_array(name, arrays[name], positive(1, self._parameters))
         self._forecaster.restore(arrays)
         if self._motors == 1:
             self.residual.adopt(arrays)
         self.training.restore(arrays, motor)
 
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
-        """Say where an interval leads; None where no motor goes on from a known start."""
+        """Say where an interval leads; None where no motor goes on from a known start under a known voltage."""
         axis, ops = self._axis, self._axis.ops
-        usable = (axis.take(interval_s) > 0.0) & ops.isfinite(axis.take(self._rollout_nm))
-        speed = 0.0
+        voltage, speed = axis.take(voltage_v), 0.0
+        usable = (axis.take(interval_s) > 0.0) & ops.isfinite(axis.take(self._rollout_nm)) & ops.isfinite(voltage)
         if self._speed_measured:
             speed = axis.take(self._previous_speed)
             usable = usable & ops.isfinite(speed)
         if not ops.any(usable):
             return None
-        voltage, speed = (ops.where(usable, signal, 0.0) for signal in (axis.take(voltage_v), speed))
+        voltage, speed = (ops.where(usable, signal, 0.0) for signal in (voltage, speed))
         columns, way = axis.columns(theta), self._way
         if not (
             way is not None

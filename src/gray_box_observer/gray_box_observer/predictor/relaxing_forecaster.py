@@ -9,7 +9,7 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Question
-from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, step
+from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, check_weights, step
 from gray_box_observer.predictor.relaxation import INPUTS, Course, after, relaxation
 from gray_box_observer.white_box.base import Array, WhiteBox
 
@@ -116,6 +116,7 @@ class RelaxingForecaster:
             raise ConfigurationError(
                 'the checkpoint holds a network of the thesis, expected variant physics: see variant'
             )
+        check_weights(arrays)
         self._run(Weights.of(arrays, self._weights.hidden, INPUTS))
         self._memory = self._blank()
 

@@ -17,8 +17,10 @@ import numpy as np
 from gray_box_observer.predictor import traces
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Question
-from gray_box_observer.predictor.linear_part import LinearPart, features
-from gray_box_observer.predictor.network import Mask, Memory, Weights, step
+from gray_box_observer.predictor.linear_part import BENDS, FEATURES, LinearPart, features
+from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
+from gray_box_observer.samples.replay_buffer import LONGEST_INTERVAL_S
+from gray_box_observer.saved_state import ArrayRule, check_arrays, positive
 from gray_box_observer.white_box.base import Array, WhiteBox
 
 INPUTS = 4
@@ -45,6 +47,9 @@ SIZE_MEMORY = 500.0
 """Samples over which the size of what is said is followed, for diagnostics."""
 
 PREFIX = 'residual_'
+
+SHORTEST_S = 1e-12
+"""Time between two samples that a correction was learnt at: stamps are whole nanoseconds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +127,35 @@ class Correction:
         count = max(1, round(covered_s / self.interval_s))
         before_end: Array = np.arange(count, dtype=float)[::-1]
         return horizon_s - covered_s / count * before_end
+
+
+def check_correction(arrays: Mapping[str, Any], prefix: str = '') -> None:
+    """Refuse saved arrays that are no correction; it need not be there.
+
+    Args:
+        arrays: its arrays among others.
+        prefix: that their names begin with, before PREFIX.
+
+    Raises:
+        CheckpointError: it is none.
+    """
+    own = f'{prefix}{PREFIX}'
+    if not any(name.startswith(own) for name in arrays):
+        return
+    check_weights(arrays, INPUTS, own)
+    magnitude = ArrayRule((FEATURES,), 0.0, endless=True)
+    rules = {
+        'linear_weight': ArrayRule((FEATURES,)),
+        'linear_reach': magnitude,
+        'linear_bent': ArrayRule((BENDS.size,)),
+        'linear_bend_v': ArrayRule((BENDS.size,), 0.0),
+        'size': positive(3),
+        'limit_a': ArrayRule((), 0.0),
+        'share': ArrayRule((), 0.0, 1.0),
+        'support': ArrayRule((BINS, BINS), 0.0),
+        'interval_s': ArrayRule((), SHORTEST_S, LONGEST_INTERVAL_S),
+    }
+    check_arrays(arrays, rules, own)
 
 
 def cells(signal: Array) -> Any:

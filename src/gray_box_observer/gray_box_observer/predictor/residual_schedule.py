@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.inputs import Variant
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.segments import SEGMENT, SIGNALS, Segment, SegmentStore
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.saved_state import LARGEST_SIGNAL, MOST, ArrayRule, check_arrays, counts, flags
 from gray_box_observer.white_box.base import Array
 
 PERIOD = 1000
@@ -102,7 +104,21 @@ class ResidualSchedule:
         return {**{name: np.array(value) for name, value in plain.items()}, **arrays}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Take back what :meth:`state` gave."""
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            CheckpointError: it is no state that could have been.
+        """
+        rules = {
+            'asked': counts(low=-MOST),
+            'from': counts(low=-MOST),
+            'anew': flags(),
+            'theta': ArrayRule((None, None), 0.0),
+            'starts': ArrayRule((None, 1), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True),
+        }
+        check_arrays(arrays, rules)
+        if not len(arrays['starts']):
+            raise CheckpointError('starts is empty')
         self._asked, self._from, self.anew = int(arrays['asked']), int(arrays['from']), bool(arrays['anew'])
         self._theta = arrays['theta'].copy()
         count = min(len(self._starts), len(arrays['starts']))  # the capacity may have been changed since

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.residual import BINS, cells
+from gray_box_observer.samples.replay_buffer import check_signals
+from gray_box_observer.saved_state import LARGEST_SIGNAL, MOST, ArrayRule, check_array, counts
 from gray_box_observer.white_box.base import Array
 
 SEGMENT = 512
@@ -89,11 +92,34 @@ class SegmentStore:
         return {'first': np.array(first), 'segments': np.stack(signals), 'segment_starts': np.stack(start_nm)}
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
-        """Take back what :meth:`state` gave."""
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            CheckpointError: these are no segments.
+        """
         self.forget()
+        if any(name in arrays for name in ('first', 'segments', 'segment_starts')):
+            _check(arrays)
         parts = (arrays.get(name, ()) for name in ('first', 'segments', 'segment_starts'))
         for first, signals, start_nm in zip(*parts, strict=True):
             self.add(Segment(int(first), signals.copy(), start_nm.copy()))
+
+
+def _check(arrays: Mapping[str, Array]) -> None:
+    """Refuse saved arrays that are no segments, one after another.
+
+    Raises:
+        CheckpointError: they are none.
+    """
+    check_array('first', arrays.get('first'), counts(None, low=-MOST))
+    count = arrays['first'].size
+    check_array('segments', arrays.get('segments'), ArrayRule((count, 4, 1, SEGMENT), blank=True))
+    starts = ArrayRule((count, 1), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True)
+    check_array('segment_starts', arrays.get('segment_starts'), starts)
+    if (np.diff(arrays['first']) < SEGMENT).any():
+        raise CheckpointError('first: segments overlap')
+    for segment in arrays['segments']:
+        check_signals('segments', segment)
 
 
 def maps(segments: list[Array]) -> Array:

@@ -9,8 +9,8 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.forecaster import Question
 from gray_box_observer.predictor.inputs import InputLayout
-from gray_box_observer.predictor.network import Mask, Memory, Weights, step
-from gray_box_observer.predictor.normalisation import Normalisation
+from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
+from gray_box_observer.predictor.normalisation import Normalisation, saved_ranges
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.white_box.base import Array
 
@@ -70,12 +70,14 @@ class WindowForecaster:
         """Take back the network and its ranges, if there were any."""
         if 'input' not in arrays:
             return
-        ranges = {name[6:]: bounds.tolist() for name, bounds in arrays.items() if name.startswith('range_')}
-        if not ranges:
+        if not any(name.startswith('range_') for name in arrays):
             raise ConfigurationError(
                 'the checkpoint holds the network of variant physics, expected one of the thesis: see variant'
             )
-        self._weights = Weights.of(arrays, self._rules.hidden, self._layout.width)
+        check_weights(arrays)
+        weights = Weights.of(arrays, self._rules.hidden, self._layout.width)
+        ranges = saved_ranges(arrays, 'range_', speed=self._layout.sees_speed)
+        self._weights = weights
         self._normalisation = Normalisation.from_dict(ranges)
         self._begin(self._weights)
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from gray_box_observer.assumptions import assumptions
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.sensitivity import sensitivity
+from gray_box_observer.fit_test.whole_run import autocorrelation, white_box_torque
 from gray_box_observer.motor_view import MotorView
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
-from gray_box_observer.report.history import MotorHistory, ParameterHistory, Truth
+from gray_box_observer.report.history import FitHistory, FloatArray, MotorHistory, ParameterHistory, Truth
 from gray_box_observer.white_box import TERMS
 
 MOST_TIMES = 10
-"""Alarms that are named one by one."""
+"""Alarms and changes that are named one by one."""
 
 
 @dataclass
@@ -26,7 +28,7 @@ class _Course:
 
     start_ns: int
     shift_ns: int = 0
-    samples: list[tuple[float, float, float, float, float, float]] = field(default_factory=list)
+    samples: list[tuple[float, float, float, float, float, float, float]] = field(default_factory=list)
     estimates: list[tuple[float, Estimate]] = field(default_factory=list)
     alarms_s: list[float] = field(default_factory=list)
     alarmed: bool = False
@@ -60,6 +62,7 @@ class Collector:
                 float(prediction.torque_nm[0]) if prediction is not None else np.nan,
                 float(prediction.white_box_torque_nm[0]) if prediction is not None else np.nan,
                 float(sample.speed_rad_s[0]),
+                float(sample.interval_s[0]),
             )
         )
         if result.estimate is not None:
@@ -68,13 +71,36 @@ class Collector:
             course.alarms_s.append(time_s)
         course.alarmed = result.alarm
 
-    def histories(self, observer: Observer, rejected: Mapping[str, Mapping[str, int]]) -> tuple[MotorHistory, ...]:
-        """Return the history of every motor; ``rejected`` counts by motor and reason."""
-        return tuple(self._history(name, observer, rejected.get(name, {})) for name in self._courses)
+    def histories(
+        self,
+        observer: Observer,
+        rejected: Mapping[str, Mapping[str, int]],
+        changes_s: Mapping[str, Sequence[float]] | None = None,
+    ) -> tuple[MotorHistory, ...]:
+        """Return the history of every motor that has not stopped.
 
-    def _history(self, name: str, observer: Observer, rejected: Mapping[str, int]) -> MotorHistory:
+        Args:
+            observer: at the end of the run.
+            rejected: counts by motor and reason.
+            changes_s: when each motor was found changed, in s of the time that its samples cover.
+        """
+        changes = changes_s or {}
+        return tuple(
+            self._history(name, observer, rejected.get(name, {}), changes.get(name, ()))
+            for name in self._courses
+            if name in observer.motors
+        )
+
+    def _history(
+        self, name: str, observer: Observer, rejected: Mapping[str, int], changes_s: Sequence[float]
+    ) -> MotorHistory:
         course = self._courses[name]
         columns = np.array(course.samples).T
+        motor = observer.motors[name]
+        run_nm = white_box_torque(
+            motor.white_box, motor.theta[0], columns[6], columns[1], columns[2], np.nan_to_num(columns[5])
+        )
+        found_s = _on_axis(changes_s, columns[6], columns[0])
         skill = observer.skill(name)
         scores = {} if skill is None else skill.to_dict()
         return MotorHistory(
@@ -88,8 +114,12 @@ class Collector:
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
             rejected=dict(rejected),
             scores={key: float(v) for key, v in scores.items() if v is not None and key != 'samples'},
-            notes=(*_alarm_notes(course.alarms_s), *notes(name, observer)),
-            sensitivity=_sensitivity(observer.motors[name]),
+            notes=(*_alarm_notes(course.alarms_s), *_change_notes(found_s), *notes(name, observer)),
+            sensitivity=_sensitivity(motor),
+            current_a=np.asarray(motor.white_box.state(columns[2])),
+            free_run_torque_nm=run_nm,
+            changes_s=found_s,
+            fit=_fit(motor, columns[2], run_nm),
         )
 
     def _parameters(self, name: str, course: _Course) -> tuple[ParameterHistory, ...]:
@@ -112,6 +142,32 @@ class Collector:
         )
 
 
+def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
+    """Return whether the white box explains the data, with the correlation of the newest residual."""
+    correlated = autocorrelation(torque_nm - run_nm)
+    found, band = (None, 0.0) if correlated is None else correlated
+    return FitHistory(motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), found, band)
+
+
+def _on_axis(covered_s: Sequence[float], interval_s: FloatArray, time_s: FloatArray) -> tuple[float, ...]:
+    """Return where on the axis of the report something is, of which it is known after how much covered time it was."""
+    covered = np.cumsum(interval_s)
+    at = np.minimum(np.searchsorted(covered, covered_s), len(time_s) - 1)
+    return tuple(float(time_s[place]) for place in at)
+
+
+def _change_notes(times_s: Sequence[float]) -> list[str]:
+    """Say when the motor was found changed."""
+    if not times_s:
+        return []
+    return [f'The motor was found changed at {_times(times_s)}: what changed was learnt anew, the rest was kept.']
+
+
+def _times(times_s: Sequence[float]) -> str:
+    when = ', '.join(f'{time_s:.2f} s' for time_s in times_s[:MOST_TIMES])
+    return when + (f' and {len(times_s) - MOST_TIMES} times more' if len(times_s) > MOST_TIMES else '')
+
+
 def _sensitivity(motor: MotorView) -> dict[str, dict[str, float]] | None:
     """How an error of the known constants goes into the estimate, from what the rule remembers."""
     return sensitivity(motor.white_box, motor.remembered(), motor.theta)
@@ -121,9 +177,7 @@ def _alarm_notes(times_s: list[float]) -> list[str]:
     """Say when the alarm on the residual was raised."""
     if not times_s:
         return []
-    when = ', '.join(f'{time_s:.2f} s' for time_s in times_s[:MOST_TIMES])
-    more = f' and {len(times_s) - MOST_TIMES} times more' if len(times_s) > MOST_TIMES else ''
-    return [f'Alarm at {when}{more}: {REMEDY}']
+    return [f'Alarm at {_times(times_s)}: {REMEDY}']
 
 
 def notes(name: str, observer: Observer) -> list[str]:
@@ -142,6 +196,8 @@ def notes(name: str, observer: Observer) -> list[str]:
     for term in others:
         what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
         said.append(f'{what} is taken as known: its error goes into the estimates.')
+    taken = assumptions(observer.configuration.motors[name], motor.white_box)
+    said += [f'{text[0].upper()}{text[1:]}.' for text in taken.values()]
     delay = motor.delay
     complaint = delay.complaint(name)
     if complaint is not None:

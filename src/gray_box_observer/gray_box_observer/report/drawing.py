@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +22,8 @@ from gray_box_observer.report.history import FloatArray
 Trace = dict[str, Any]
 
 SIGNAL_DIGITS = 7
+
+MOST_MARKS = 200
 TIME_DIGITS = 10
 
 
@@ -79,6 +81,12 @@ def time_axis(span_s: tuple[float, float], **settings: Any) -> dict[str, Any]:
     """Return the time axis that the figures of a motor share; the page zooms them together."""
     start, end = span_s
     return axis('time (s)', hoverformat='.3f', range=[start, end if end > start else start + 1.0], **settings)
+
+
+def change_marks(times_s: Sequence[float]) -> list[dict[str, Any]]:
+    """Return vertical lines at the times at which the motor was found changed."""
+    style = {'type': 'line', 'xref': 'x', 'yref': 'paper', 'y0': 0, 'y1': 1, 'line': {'color': '@rate', 'dash': 'dot'}}
+    return [{**style, 'x0': time_s, 'x1': time_s} for time_s in times_s[:MOST_MARKS]]
 
 
 def base_layout(height: int, **settings: Any) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -63,6 +64,25 @@ class ParameterHistory:
         return None if self.truth is None else float(self.truth)
 
 
+@dataclass(frozen=True)
+class FitHistory:
+    """Whether the white box explains the data of one motor.
+
+    Attributes:
+        verdict: `ok`, `warning`, `misfit` or `untested`.
+        sentence: the same for people, with the remedy.
+        percent: variation of the newest torque that its free run explains (NRMSE), in %; None where not known.
+        autocorrelation: of the free run's residual, at lags 1, 2, ... samples; None where not known.
+        band: magnitude that 99 % of the autocorrelations of white noise stay below.
+    """
+
+    verdict: str = 'untested'
+    sentence: str = 'It is not tested yet whether the white box explains the data.'
+    percent: float | None = None
+    autocorrelation: FloatArray | None = None
+    band: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class MotorHistory:
     """The course of one motor: its signals, its parameters, and what was left out.
@@ -82,6 +102,11 @@ class MotorHistory:
         notes: warnings and remarks in plain words.
         sensitivity: for each constant taken as known, the change of each parameter in % when that
             constant is 1 % larger; None where it was not worked out.
+        current_a: measured current, None where it is not drawn.
+        free_run_torque_nm: torque of the white box run freely at the final values; None where there is none.
+        changes_s: when the motor was found changed.
+        fit: whether the white box explains the data.
+        validation: figures on a bag that taught nothing, as the JSON holds them; None where there was none.
 
     Raises:
         ReportError: lengths differ, or times are not finite or run backwards.
@@ -100,6 +125,11 @@ class MotorHistory:
     scores: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     sensitivity: Mapping[str, Mapping[str, float]] | None = None
+    current_a: FloatArray | None = None
+    free_run_torque_nm: FloatArray | None = None
+    changes_s: tuple[float, ...] = ()
+    fit: FitHistory = FitHistory()
+    validation: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         what = f'history of motor {self.name!r}'
@@ -112,8 +142,10 @@ class MotorHistory:
             predicted_torque_nm=self.predicted_torque_nm,
             white_box_torque_nm=self.white_box_torque_nm,
         )
-        if self.speed_rad_s is not None:
-            _check_length(what, len(self.time_s), speed_rad_s=self.speed_rad_s)
+        for name in ('speed_rad_s', 'current_a', 'free_run_torque_nm'):
+            signal = getattr(self, name)
+            if signal is not None:
+                _check_length(what, len(self.time_s), **{name: signal})
 
     def span_s(self) -> tuple[float, float]:
         """Return the first and the last time of samples, estimates and rejected samples, in s."""
@@ -136,6 +168,7 @@ class RunHistory:
         summary: facts of the run; a key's unit suffix (`duration_s`) is shown as the unit.
         command: the command that makes this report again.
         digest: hexadecimal SHA-256 over every estimate in order.
+        parameters: what it was made with, by dotted names.
     """
 
     title: str
@@ -145,6 +178,7 @@ class RunHistory:
     summary: Mapping[str, str | float | int] = field(default_factory=dict)
     command: str = ''
     digest: str = ''
+    parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
 def _check_times(what: str, time_s: FloatArray) -> None:

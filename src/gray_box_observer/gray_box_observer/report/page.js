@@ -16,7 +16,7 @@
   // '@name' under a key that ends in 'color' is a colour of the style sheet.
   function painted(node, palette, key = '') {
     if (Array.isArray(node)) {
-      return key === '' || /color$/.test(key) ? node.map((entry) => painted(entry, palette, key || 'trace')) : node;
+      return key === '' || key === 'shapes' || /color$/.test(key) ? node.map((entry) => painted(entry, palette, key || 'trace')) : node;
     }
     if (node !== null && typeof node === 'object') {
       return Object.fromEntries(Object.entries(node).map(([name, entry]) => [name, painted(entry, palette, name)]));
@@ -121,6 +121,9 @@
 
   // The figures of a motor share their time axis: zooming one zooms them all.
   function link(plot) {
+    if (plot.classList.contains('apart')) {
+      return;
+    }
     const motor = plot.closest('.motor');
     plot.on('plotly_relayout', (change) => {
       if (!Object.keys(change).some((key) => key.startsWith('xaxis.'))) {
@@ -132,7 +135,7 @@
       }
       linking = true;
       const range = plot.layout.xaxis.range;
-      const others = [...motor.querySelectorAll('.drawing')].filter((other) => other !== plot && other.layout);
+      const others = [...motor.querySelectorAll('.drawing:not(.apart)')].filter((other) => other !== plot && other.layout);
       Promise.all(others.map((other) => Plotly.relayout(other, { 'xaxis.range': [...range] }))).finally(() => {
         linking = false;
       });

@@ -7,7 +7,6 @@ its head forbids the browser to load anything from elsewhere.
 from __future__ import annotations
 
 import json
-import os
 import platform
 import re
 from collections.abc import Mapping
@@ -20,12 +19,14 @@ from typing import Any
 
 import numpy as np
 
+from gray_box_observer.atomic_write import atomic_write
 from gray_box_observer.report import sections
 from gray_box_observer.report.drawing import Figure
 from gray_box_observer.report.errors import ReportError
 from gray_box_observer.report.history import MotorHistory, RunHistory
 from gray_box_observer.report.parameter_figure import parameter_figure
 from gray_box_observer.report.rejection_figure import rejection_figure
+from gray_box_observer.report.residual_figure import residual_figure
 from gray_box_observer.report.signal_figure import signal_figure
 from gray_box_observer.report.trend import ArchiveHistory
 
@@ -56,19 +57,15 @@ def write_report(history: RunHistory, path: Path) -> None:
 
 
 def write_page(text: str, path: Path) -> None:
-    """Write a page as a whole or not at all: it is written beside `path` and then takes its place.
+    """Write a page as a whole or not at all.
 
     Raises:
         ReportError: the file cannot be written.
     """
-    partial = path.with_name(f'.{path.name}.{os.getpid()}.partial')
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            partial.write_text(text, encoding='utf-8')
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+        with atomic_write(path) as file:
+            file.write(text.encode(errors='backslashreplace'))
     except OSError as error:
         reason = error.strerror or str(error)
         raise ReportError(f'cannot write the report {path}: {reason}; choose another file') from error
@@ -137,13 +134,19 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     parts = [f'<section class="motor" id="motor-{index}"><h2>{escape(motor.name)}</h2>']
     parts.append('<h3>Parameters</h3>' + sections.verdict_key(motor) + '<div class="grid">')
     for number, parameter in enumerate(motor.parameters):
-        drawing = parameter_figure(parameter, span_s)
+        drawing = parameter_figure(parameter, span_s, motor.changes_s)
         parts.append(figure(f'parameter-{number}', drawing, sections.words(parameter.name)))
     parts.append('</div><h3>Signals and prediction</h3>')
     if len(motor.time_s):
         parts.append(figure('signals', signal_figure(motor), 'voltage, torque and prediction error'))
     else:
         parts.append('<p class="empty">No sample was used.</p>')
+    residual = residual_figure(motor.fit)
+    if residual is not None:
+        figures[f'motor-{index}-residual'] = residual
+        drawn = framed(f'motor-{index}-residual', residual, 'residual of the free run', motor.name, timed=False)
+        parts.append('<h3>Does the white box explain the data?</h3>' + drawn)
+    parts.append(sections.validation_table(motor.validation))
     parts.append('<h3>Predictor</h3><div class="scroll">' + sections.scores_table(motor.scores) + '</div>')
     parts.append('<h3>Rejected samples</h3>')
     rejected = rejection_figure(motor)
@@ -157,13 +160,17 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     return ''.join(parts) + '</section>'
 
 
-def framed(key: str, drawing: Figure, title: str, motor: str) -> str:
-    """Return the frame that the page's script draws a figure of a motor in; `title` is HTML, `motor` is not."""
+def framed(key: str, drawing: Figure, title: str, motor: str, *, timed: bool = True) -> str:
+    """Return the frame that the page's script draws a figure of a motor in; `title` is HTML, `motor` is not.
+
+    A figure that is not `timed` does not share the motor's time axis.
+    """
     note = f'<p class="caption">{escape(drawing.caption)}</p>' if drawing.caption else ''
     label = f'{title} of {escape(motor)}'
+    style = 'drawing' if timed else 'drawing apart'
     return (
         f'<figure><figcaption><h4>{title}</h4><div class="views" data-for="{key}"></div></figcaption>'
-        f'<div class="drawing" id="{key}" role="img" aria-label="{label}"></div>{note}</figure>'
+        f'<div class="{style}" id="{key}" role="img" aria-label="{label}"></div>{note}</figure>'
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from gray_box_observer.report.drawing import (
     Trace,
     axis,
     base_layout,
+    change_marks,
     line,
     numbers,
     padded,
@@ -55,12 +57,15 @@ def rate_of_change(time_s: FloatArray, value: FloatArray, steps: int = _RATE_STE
     return time_s[chosen][1:], np.diff(finite) / np.diff(time_s[chosen])
 
 
-def parameter_figure(parameter: ParameterHistory, span_s: tuple[float, float]) -> Figure:
+def parameter_figure(
+    parameter: ParameterHistory, span_s: tuple[float, float], changes_s: Sequence[float] = ()
+) -> Figure:
     """Draw the estimate with its one-sigma band and the truth, the verdicts as a strip, the rate of change.
 
     Args:
         parameter: what to draw.
         span_s: first and last time of the motor's run, so that its figures share their time axis.
+        changes_s: when the motor was found changed.
     """
     scale = parameter_scale(parameter)
     data, drawn = _value_traces(parameter, scale)
@@ -89,6 +94,7 @@ def parameter_figure(parameter: ParameterHistory, span_s: tuple[float, float]) -
     rate_limit = rate_limit if math.isfinite(rate_limit) and rate_limit > 0.0 else 1.0
     rate_range = padded(-rate_limit, rate_limit, 0.2)
     layout = _layout(scale, span_s, value_range, rate_range)
+    layout['shapes'] = change_marks(changes_s)
     views = [_views(data, parameter, scale, value_range, rate_range)]
     return Figure(data, layout, views, ' '.join(filter(None, [thinning_note(drawn), strip_note])))
 

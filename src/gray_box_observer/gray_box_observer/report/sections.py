@@ -11,12 +11,25 @@ from gray_box_observer.report.history import MotorHistory, ParameterHistory, Run
 from gray_box_observer.report.parameter_figure import parameter_scale
 from gray_box_observer.report.trend import ArchiveHistory
 from gray_box_observer.report.units import MINUS, SIGMA, percent, significant, value_and_std
-from gray_box_observer.report.verdicts import look_of
+from gray_box_observer.report.verdicts import look_of, look_of_fit
 
 _SUFFIXES = (('_rad_s', 'rad/s'), ('_nm', 'N·m'), ('_hz', 'Hz'), ('_ns', 'ns'), ('_s', 's'), ('_v', 'V'))
 
 ROUNDING = 1e-8
 """Relative changes below it are shown as none."""
+
+STRONG = 1.5
+"""Change of a parameter, in %, with 1 % more of a known constant, from which the estimate leans strongly on it."""
+
+_VALIDATED = (
+    ('predictor', 'the predictor', 'network and residual, frozen'),
+    ('white_box', 'the white box alone', 'the identified parameters, integrated'),
+    (
+        'persistence',
+        'a static map',
+        'stands for persistence, which is no free run: a + b voltage (+ c speed), fitted to the training bags',
+    ),
+)
 
 _SCORES = {
     'nmae': (
@@ -61,31 +74,59 @@ def contents(motors: Sequence[str]) -> str:
 
 def headline(history: RunHistory) -> str:
     """Return one row of verdict cards for every motor."""
-    return card_rows(history.motors, card, 'This run holds no motor.')
+    fits = {id(parameter): motor.fit.verdict for motor in history.motors for parameter in motor.parameters}
+
+    def card_of(parameter: ParameterHistory) -> str:
+        return card(parameter, fits[id(parameter)])
+
+    return card_rows(history.motors, card_of, 'This run holds no motor.', fit_banner)
 
 
-def card_rows(motors: Sequence[Any], card_of: Callable[[Any], str], empty: str) -> str:
-    """Return one row of cards for every motor, one for each of its ``parameters``; where there is none, say so."""
+def fit_banner(motor: MotorHistory) -> str:
+    """Say in one sentence and a colour whether the white box explains the data."""
+    look = look_of_fit(motor.fit.verdict)
+    percent_text = ''
+    if motor.fit.percent is not None:
+        percent_text = (
+            f'<span class="percent">Fit of the free run to the newest samples: {_number(round(motor.fit.percent, 2))} '
+            '% (NRMSE; 100 is perfect, 0 no better than the mean)</span>'
+        )
+    sign = f'<span class="sign" aria-hidden="true">{look.sign}</span>'
+    return f'<p class="fit {look.style}" role="status">{sign} {escape(motor.fit.sentence)}{percent_text}</p>'
+
+
+def card_rows(
+    motors: Sequence[Any], card_of: Callable[[Any], str], empty: str, banner_of: Callable[[Any], str] | None = None
+) -> str:
+    """Return one row of cards for every motor, one for each of its ``parameters``; where there is none, say so.
+
+    Args:
+        motors: with ``name`` and ``parameters``.
+        card_of: makes the card of a parameter.
+        empty: what is said where there is no motor.
+        banner_of: makes what stands above the cards of a motor.
+    """
     if not motors:
         return f'<p class="empty">{escape(empty)}</p>'
     rows = []
     for index, motor in enumerate(motors):
         title = f'<h2><a href="#motor-{index}">{escape(motor.name)}</a></h2>' if len(motors) > 1 else ''
         cards = ''.join(card_of(parameter) for parameter in motor.parameters)
-        rows.append(f'<section class="headline">{title}<div class="cards">{cards}</div></section>')
+        banner = '' if banner_of is None else banner_of(motor)
+        rows.append(f'<section class="headline">{title}{banner}<div class="cards">{cards}</div></section>')
     return ''.join(rows)
 
 
-def badge(verdict: str) -> str:
-    """Return a verdict as a coloured sign and word, its meaning on hovering."""
-    look = look_of(verdict)
+def badge(verdict: str, fit: str = 'untested') -> str:
+    """Return a verdict as a coloured sign and word, its meaning under a verdict of the fit test on hovering."""
+    look = look_of(verdict, fit)
     return (
         f'<span class="badge {look.style}" title="{escape(look.meaning)}">'
         f'<span aria-hidden="true">{look.sign}</span> {escape(verdict)}</span>'
     )
 
 
-def card(parameter: ParameterHistory) -> str:
+def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
     """Return the last estimate of a parameter: value, deviation, verdict, and error where truth is known."""
     name = words(parameter.name)
     if not len(parameter.time_s):
@@ -106,7 +147,7 @@ def card(parameter: ParameterHistory) -> str:
         rows.append(('error', _error(value, std, truth)))
     details = ''.join(f'<div><dt>{label}</dt><dd>{entry}</dd></div>' for label, entry in rows)
     return (
-        f'<article class="card {look_of(verdict).style}"><header><h3>{name}</h3>{badge(verdict)}</header>'
+        f'<article class="card {look_of(verdict).style}"><header><h3>{name}</h3>{badge(verdict, fit)}</header>'
         f'<p class="value"><span class="number">{text}</span>{spread}{unit}</p><dl>{details}</dl></article>'
     )
 
@@ -114,7 +155,8 @@ def card(parameter: ParameterHistory) -> str:
 def verdict_key(motor: MotorHistory) -> str:
     """Explain the colours of the verdict strips, for the verdicts that occur."""
     seen = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
-    entries = ''.join(f'<li>{badge(word)} {escape(look_of(word).meaning)}</li>' for word in seen)
+    fit = motor.fit.verdict
+    entries = ''.join(f'<li>{badge(word, fit)} {escape(look_of(word, fit).meaning)}</li>' for word in seen)
     return f'<ul class="key" aria-label="Verdicts">{entries}</ul>' if entries else ''
 
 
@@ -139,17 +181,61 @@ def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> 
     head = ''.join(f'<th scope="col">{words(name)}</th>' for name in parameters)
     rows = ''.join(
         f'<tr><th scope="row">{words(constant)}</th>'
-        + ''.join(
-            f'<td class="number">{percent(_unless_rounding(changes.get(name, math.nan) / 100.0), signed=True)}</td>'
-            for name in parameters
-        )
+        + ''.join(_sensitivity_cell(changes.get(name, math.nan)) for name in parameters)
         + '</tr>'
         for constant, changes in sensitivity.items()
     )
     return (
         '<h3>If a known constant is 1 % larger than given</h3><div class="scroll"><table><thead><tr>'
-        f'<th scope="col">constant</th>{head}</tr></thead><tbody>{rows}</tbody></table></div>'
+        f'<th scope="col">constant</th>{head}</tr></thead><tbody>{rows}</tbody></table></div>' + _strongest(sensitivity)
     )
+
+
+def _sensitivity_cell(change: float) -> str:
+    """Return one cell of the table, marked where the estimate leans strongly on the constant."""
+    strong = ' strong' if abs(change) > STRONG else ''
+    return f'<td class="number{strong}">{percent(_unless_rounding(change / 100.0), signed=True)}</td>'
+
+
+def _strongest(sensitivity: Mapping[str, Mapping[str, float]]) -> str:
+    """Name the constants on which estimates lean strongly; nothing where there is none."""
+    found = [
+        f'{words(name)} moves by {percent(change / 100.0, signed=True)} with 1 % more of {words(constant)}'
+        for constant, changes in sensitivity.items()
+        for name, change in changes.items()
+        if abs(change) > STRONG
+    ]
+    if not found:
+        return ''
+    return f'<p class="fit misfit">Measure before you lean on it: {"; ".join(found)}.</p>'
+
+
+def validation_table(validation: Mapping[str, Any] | None) -> str:
+    """Return the figures on a bag that taught nothing; nothing where there was none."""
+    if validation is None:
+        return ''
+    rows = []
+    for key, label, meaning in _VALIDATED:
+        score = validation if key == 'predictor' else validation[key]
+        if key == 'predictor' and not validation['predictor']:
+            continue
+        cells = ''.join(
+            f'<td class="number">{_number_or_unknown(score[name])}</td>' for name in ('rmse', 'nmae', 'fit_percent')
+        )
+        rows.append(f'<tr><th scope="row">{label}</th>{cells}<td>{meaning}</td></tr>')
+    titles = ('free run of', 'RMSE (N m)', 'normalised mean absolute error', 'fit (%)', 'what it is')
+    head = ''.join(f'<th scope="col">{title}</th>' for title in titles)
+    fit = validation['fit']
+    tested = f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
+    where = f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. {tested}'
+    return (
+        f'<h3>Validation</h3><p class="caption">{where}</p><div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f'<tbody>{"".join(rows)}</tbody></table></div>'
+    )
+
+
+def _number_or_unknown(value: float | None) -> str:
+    return 'not known' if value is None else _number(float(f'{value:.4g}'))
 
 
 def _unless_rounding(change: float) -> float:
@@ -170,6 +256,10 @@ def footer(history: RunHistory | ArchiveHistory, versions: Mapping[str, str]) ->
         parts.append(f'<dt>command</dt><dd><code>{escape(history.command)}</code></dd>')
     if history.digest:
         parts.append(f'<dt>digest of the estimates</dt><dd><code>{escape(history.digest)}</code></dd>')
+    parameters = getattr(history, 'parameters', {})
+    if parameters:
+        entries = ''.join(f'<li><code>{escape(f"{name}: {value}")}</code></li>' for name, value in parameters.items())
+        parts.append(f'<dt>parameters</dt><dd><ul class="parameters">{entries}</ul></dd>')
     made = ', '.join(f'{escape(name)} {escape(version)}' for name, version in versions.items())
     parts.append(f'<dt>versions</dt><dd>{made}</dd>')
     return f'<footer><dl>{"".join(parts)}</dl></footer>'

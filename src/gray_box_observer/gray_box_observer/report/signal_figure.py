@@ -1,4 +1,4 @@
-"""The signals of a motor on one time axis: voltage, torque, prediction error, speed."""
+"""The signals of a motor on one time axis: voltage, torque, prediction error, current, speed."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from gray_box_observer.report.drawing import (
     Trace,
     axis,
     base_layout,
+    change_marks,
     largest,
     line,
     numbers,
@@ -48,16 +49,19 @@ class _Rows:
 
 
 def signal_figure(motor: MotorHistory) -> Figure:
-    """Draw voltage on top, torque (measured, predicted, white box) and prediction error below, then speed.
+    """Draw voltage on top, torque (measured, predicted, white box) and prediction error below, then current and speed.
 
     A row or a line for which there is no number at all is left out, and the caption says so.
     """
     rows = _Rows(motor.time_s)
     torque_scale = scale_for(_typical(motor.torque_nm), 'N m')
-    forecasts = {
+    forecasts: dict[str, tuple[FloatArray, str, dict[str, Any]]] = {
         'predicted': (motor.predicted_torque_nm, '@predicted', {'width': 1.6}),
         'white box': (motor.white_box_torque_nm, '@white-box', {'width': 1.6, 'dash': 'dot'}),
     }
+    free_run = motor.free_run_torque_nm
+    if free_run is not None:
+        forecasts['free run'] = free_run, '@free-run', {'width': 1.6, 'dash': 'dash'}
     present = {name: forecast for name, forecast in forecasts.items() if np.isfinite(forecast[0]).any()}
 
     rows.add(0, motor.voltage_v, Scale(1.0, 'V'), 'voltage', '@voltage', line={'shape': 'hv'})
@@ -72,6 +76,10 @@ def signal_figure(motor: MotorHistory) -> Figure:
     for name, values in errors.items():
         color = present[name][1]
         rows.add(2, values, error_scale, f'{name} {MINUS} measured', color, line={'width': 1}, showlegend=False)
+    if motor.current_a is not None:
+        scale = scale_for(_typical(motor.current_a), 'A')
+        titles.append(f'current ({scale.label})')
+        rows.add(len(titles) - 1, motor.current_a, scale, 'current', '@current')
     if motor.speed_rad_s is not None:
         titles.append('speed (rad/s)')
         rows.add(len(titles) - 1, motor.speed_rad_s, Scale(1.0, 'rad/s'), 'speed', '@speed')
@@ -83,6 +91,10 @@ def signal_figure(motor: MotorHistory) -> Figure:
     remarks = [f'No {name} torque in this run.' for name in forecasts if name not in present]
     if errors:
         remarks.append('Error is the torque forecast before the sample was learnt, minus the measured one.')
+    if 'free run' in present:
+        remarks.append('Free run: the white box at the final values, from voltages alone (and speed where measured).')
+    if motor.changes_s:
+        remarks.append('Vertical lines: the motor was found changed.')
     caption = ' '.join([*remarks, thinning_note(rows.drawn)]).strip()
     views = [_time_views(motor.span_s())]
     if present:
@@ -128,7 +140,7 @@ def _time_views(span_s: tuple[float, float]) -> list[dict[str, Any]]:
 
 
 def _layout(motor: MotorHistory, titles: list[str]) -> dict[str, Any]:
-    shares = np.array([0.75, 1.35, 0.9, 0.75][: len(titles)])
+    shares = np.array([1.35 if title.startswith('torque') else 0.8 for title in titles])
     heights = shares / shares.sum() * (1.0 - _GAP * (len(titles) - 1))
     tops = 1.0 - np.concatenate(([0.0], np.cumsum(heights + _GAP)[:-1]))
     layout = base_layout(_ROW_HEIGHT * len(titles) + 60, hoversubplots='axis')
@@ -138,4 +150,5 @@ def _layout(motor: MotorHistory, titles: list[str]) -> dict[str, Any]:
         domain = [max(float(tops[row] - heights[row]), 0.0), float(tops[row])]
         zero = {'zeroline': True, 'zerolinecolor': '@rule'} if title.startswith('error') else {}
         layout[f'yaxis{row + 1 if row else ""}'] = axis(title, domain=domain, **zero)
+    layout['shapes'] = change_marks(motor.changes_s)
     return layout

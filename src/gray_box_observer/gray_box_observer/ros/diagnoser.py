@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from diagnostic_msgs.msg import DiagnosticArray
+from functools import partial
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
+from gray_box_observer.printable import printable
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.diagnostics import Situation, idle_status, status_of
 from gray_box_observer.ros.inputs import Inputs
@@ -73,7 +76,7 @@ class Diagnoser:
                 now.nanoseconds,
                 simulated=clock.ros_time_is_active,
             )
-            array.status = [status_of(motor, situation) for motor in self._next()]
+            array.status = [_contained_status(motor, situation) for motor in self._next()]
         self._publisher.publish(array)
 
     def _next(self) -> list[str]:
@@ -90,6 +93,13 @@ class Diagnoser:
             if strangers and silent and not self._has_warned_of_strangers:
                 self._has_warned_of_strangers = True
                 self._node.get_logger().warning(
-                    f'{intake.signals[name].topic} speaks of {", ".join(strangers[:5])} and not of '
+                    f'{intake.signals[name].topic} speaks of {printable(", ".join(strangers[:5]))} and not of '
                     f'{", ".join(silent)}: give the parameter motors the names in the messages'
                 )
+
+
+def _contained_status(motor: str, situation: Situation) -> DiagnosticStatus:
+    """Describe one motor; one that cannot be described has stopped, and is described as that."""
+    observer = situation.observer
+    status = observer.contain(observer.group_of(motor), partial(status_of, motor, situation))
+    return status_of(motor, situation) if status is None else status

@@ -6,17 +6,19 @@ something spoils them. ERROR: it will not mend by itself. STALE: nothing comes.
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.assumptions import assumptions
+from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.data_sheet import contradiction
+from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor.alarm import REMEDY
+from gray_box_observer.printable import printable
+from gray_box_observer.ros.diagnostic_values import values_of
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.traffic import Traffic, TrafficMeter
 from gray_box_observer.samples import Rejection
@@ -35,13 +37,18 @@ ADVICE = {
 }
 
 
+DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
+"""Suspects that say more than a bound that is met."""
+
 REJECTIONS = {
     Rejection.NON_FINITE: 'NaN or infinity: is the sensor connected?',
     Rejection.DUPLICATE: 'the same stamp twice: do two publishers share the topic?',
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
-    Rejection.NO_VOLTAGE: 'torque before any voltage: have both stamps of the same clock?',
+    Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of the same clock?',
     Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
+    Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
+    Rejection.STOPPED: 'the observer of this motor has stopped: see the log, then call ~/reset',
     Rejection.MALFORMED: 'names and values differ in number, the field is missing, or the bytes are no such message',
 }
 """What to look at, by the reason that most messages were refused for."""
@@ -110,12 +117,22 @@ def _status(motor: str, judgement: Judgement, values: dict[str, str]) -> Diagnos
 def _judge(motor: str, now: Situation) -> Judgement:
     """Find the first thing that an operator has to know."""
     return (
-        _nothing_yet(motor, now)
+        _stopped(motor, now)
+        or _nothing_yet(motor, now)
         or _failed_training(motor, now)
         or _nothing_new(motor, now)
         or _something_spoilt(motor, now)
         or _verdicts(motor, now)
     )
+
+
+def _stopped(motor: str, now: Situation) -> Judgement | None:
+    """Why a motor is observed no more."""
+    incident = now.observer.incidents.get(motor)
+    if incident is None:
+        return None
+    remedy = f'call {now.node}/reset to start anew, and report it: the log says more'
+    return DiagnosticStatus.ERROR, f'stopped by a defect: {incident.reason}; {remedy}'
 
 
 def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
@@ -132,7 +149,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
         return _refused(motor, now) or (DiagnosticStatus.STALE, 'no message so far could be read: see rejected')
     topics = ' and '.join(now.intake.signals[n].topic for n in silent)
     strangers = sorted({name for n in silent for name in now.intake.signals[n].unknown})
-    remedy = f'; names there: {", ".join(strangers[:5])}; see the parameter motors' if strangers else ''
+    remedy = f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors' if strangers else ''
     return DiagnosticStatus.STALE, f'nothing received for this motor: is {topics} published with its name?{remedy}'
 
 
@@ -187,6 +204,10 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
+    fit = observer.fit(motor)
+    doubted = any(suspect.effect in DOUBTS for suspect in fit.suspects)
+    if fit.verdict is FitVerdict.MISFIT and (doubted or _advice(motor, now) is None):
+        return DiagnosticStatus.WARN, fit.sentence  # it ends with the likeliest remedy
     if now.traffic.busy > OVERLOAD:
         return (
             DiagnosticStatus.WARN,
@@ -203,97 +224,47 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
 def _verdicts(motor: str, now: Situation) -> Judgement:
     """What the estimates themselves say."""
     estimate = now.observer.motors[motor].estimate
-    for verdict, advice in ADVICE.items():
-        at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
-        if at:
-            names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at]
-            return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
+    advice = _advice(motor, now)
+    if advice is not None:
+        return advice
+    fit = now.observer.fit(motor)
+    if fit.verdict is FitVerdict.WARNING:
+        return DiagnosticStatus.WARN, fit.sentence
     doubt = contradiction(now.observer.configuration.motors[motor], estimate)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
     changed = now.traffic.motors[motor].changes
     if estimate.identified(0):
         followed = ': the motor has changed and was followed' if changed else ''
-        return DiagnosticStatus.OK, f'every parameter identified{followed}'
+        return DiagnosticStatus.OK, f'every parameter identified{followed}{_small_print(motor, now)}'
     if now.observer.frozen:
         return DiagnosticStatus.OK, 'frozen'
     return DiagnosticStatus.OK, 'converging: the motor has changed and is being followed' if changed else 'converging'
 
 
-def values_of(motor: str, now: Situation) -> dict[str, str]:
-    """Everything that is known of a motor, as text."""
-    values = {**_counts(motor, now), **_balance(motor, now)}
-    seen = now.observer.motors.get(motor)
-    if seen is None:
-        return values
-    values.update(_estimates(seen.estimate))
-    delay = seen.delay
-    values['delay [s]'] = _text(delay.value_s)
-    values['delay std [s]'] = _text(delay.std_s)
-    values['delay applied [s]'] = f'{delay.applied_s:.6g}'
-    values['delay verdict'] = delay.verdict.value
-    values.update({name: str(count) for name, count in seen.counters.items()})
-    alarm, training = seen.alarm, seen.training
-    if alarm is not None:
-        armed = 'raised' if alarm.raised else 'armed' if alarm.armed else 'learning the residual'
-        values['residual alarm'] = armed
-        values['residual std [N m]'] = _text(alarm.std_nm)
-        values['alarms raised'] = str(alarm.count)
-    skill = now.observer.skill(motor)
-    if skill is not None and training is not None:
-        values.update({name: _text(value) for name, value in skill.to_dict().items()})
-        values['training jobs done'] = str(training.jobs_done)
-        values['learnt residual, rms [N m]'] = f'{training.residual_nm:.3g}'
-        values['training jobs late'] = str(training.jobs_late)
-    return values
+def _advice(motor: str, now: Situation) -> Judgement | None:
+    """What verdicts ask for: a bound that is met tells more than a residual, for it names the parameter."""
+    estimate = now.observer.motors[motor].estimate
+    for verdict, advice in ADVICE.items():
+        at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
+        if at:
+            names = [f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at]
+            return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
+    return None
 
 
-def _counts(motor: str, now: Situation) -> dict[str, str]:
-    pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
-    rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
-    for counts in now.intake.rejected.values():
-        rejected.update({reason.value: n for reason, n in counts.items()})
-    newest_ns = now.meter.newest_ns.get(motor)
-    return {
-        'samples used': str(pairing.used),
-        'samples waiting for voltage': str(pairing.waiting),
-        'voltage messages': str(pairing.received_voltage),
-        'torque messages': str(pairing.received_torque),
-        'signal restarts': str(pairing.restarts),
-        'samples with voltage held': str(pairing.held),
-        'samples missing': str(0 if rhythm is None else rhythm.missing),
-        'pauses': str(0 if rhythm is None else max(0, rhythm.pauses)),
-        'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
-        'age of newest sample [s]': _text(None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9),
-        'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
-        'changes since last identified': str(now.traffic.motors[motor].changes),
-        'CPU of this process [%]': f'{100 * now.traffic.cpu:.1f}',
-        'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
-        'age of checkpoint [s]': _text(now.checkpoint_age_s),
-    }
-
-
-def _balance(motor: str, now: Situation) -> dict[str, str]:
-    """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
-    pairing, intake = now.observer.counts(motor), now.intake
-    values = {'voltages taken': str(pairing.taken_voltage)}
-    for name in ('voltage', 'torque'):
-        values[f'{name} topic: messages'] = str(intake.received[name])
-        values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
-        values[f'{name} topic: of no motor here'] = str(intake.others[name])
-        refused = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
-        values[f'{name} messages refused'] = ', '.join(f'{reason}: {n}' for reason, n in refused) or 'none'
-    return values
-
-
-def _estimates(estimate: Estimate) -> dict[str, str]:
-    values = {}
-    for j, parameter in enumerate(estimate.parameters):
-        value, std = estimate.value[0, j], estimate.std[0, j]
-        values[f'{parameter.name} [{parameter.unit}]'] = f'{value:.6g} +- {std:.2g}'
-        values[f'{parameter.name} verdict'] = f'{estimate.verdicts[0][j].value} {estimate.bound_met(0, j)}'.rstrip()
-    return values
-
-
-def _text(value: float | int | None) -> str:
-    return 'unknown' if value is None or math.isnan(value) else f'{value:.4g}'
+def _small_print(motor: str, now: Situation) -> str:
+    """What an identified motor leans on: parameters that are nearly zero, and what nobody has stated."""
+    said = ''
+    estimate = now.observer.motors[motor].estimate
+    names = [
+        parameter.name
+        for parameter, verdict in zip(estimate.parameters, estimate.verdicts[0], strict=True)
+        if verdict is Verdict.NEGLIGIBLE
+    ]
+    if names:
+        said += f'; {", ".join(names)} negligible: too small to matter, and known to be'
+    assumed = assumptions(now.observer.configuration.motors[motor], now.observer.motors[motor].white_box)
+    if assumed:
+        said += f'; assumed: {", ".join(assumed)}, see assumptions'
+    return said

@@ -15,12 +15,16 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
+from gray_box_observer.bounded_cache import BoundedCache, size_of_names
 from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
 from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.base import Array
 
-MOST_FORMS = 64
+MAX_FORMS = 64
 """Lists of names of which a form is kept."""
+
+MAX_FORM_BYTES = 8_000_000
+"""What these forms may take together."""
 
 _STAMP = struct.Struct('=iI')
 _SECONDS = range(-(2**31), 2**31)
@@ -62,7 +66,7 @@ class TorqueMessages:
     """Torques in N m at their stamp as serialised JointState messages; a form for every list of names."""
 
     def __init__(self) -> None:
-        self._forms: dict[tuple[str, ...], Form] = {}
+        self._forms: BoundedCache[tuple[str, ...], Form] = BoundedCache(MAX_FORMS, MAX_FORM_BYTES)
 
     def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
         """Return the message of those motors of which there is a torque; None of none, or of a time beyond all stamps.
@@ -81,9 +85,8 @@ class TorqueMessages:
             return None
         form = self._forms.get(names)
         if form is None:
-            if len(self._forms) >= MOST_FORMS:
-                self._forms.clear()
-            form = self._forms[names] = Form(lambda effort: JointState(name=names, effort=effort), len(names))
+            form = Form(lambda effort: JointState(name=names, effort=effort), len(names))
+            self._forms.remember(names, form, len(form.data) + size_of_names(names))
         _STAMP.pack_into(form.data, _STAMP_AT, seconds, nanoseconds)
         return form.told(torque_nm)
 

@@ -8,10 +8,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, qos_check_compatible, qos_policy_name_from_kind
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible, qos_policy_name_from_kind
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 
@@ -22,12 +26,24 @@ from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.message_types import message_class
 from gray_box_observer.ros.qos import subscribe
+from gray_box_observer.ros.receive_memory import ReceiveMemory
+from gray_box_observer.ros.receive_queue import ReceiveQueue
+from gray_box_observer.samples import Rejection
 
 Take = Callable[[str, Any, int], None]
 """Takes the signal's name, the message, and the stamp in ns of one without header."""
 
+Refuse = Callable[[str, Rejection], None]
+"""Takes the signal's name of a message that is not read, and why."""
+
+Decode = Callable[[bytes], Any]
+"""Makes a message of its bytes."""
+
 VIEWED = ('position', 'velocity', 'effort')
 """Fields of a JointState that are read from its bytes: that takes a third of the time of building the message."""
+
+WATCH_PERIOD_S = 0.2
+"""Between two looks at what the middleware holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,20 +66,23 @@ class Inputs:
         node: the node that listens.
         configuration: names topics and types.
         take: gets every message.
-        refuse: told the signal's name of every message whose bytes make no sense.
+        refuse: told of every message whose bytes make no sense, or are too many.
 
     Raises:
         ConfigurationError: a message type that this environment does not have.
     """
 
-    def __init__(self, node: Node, configuration: Configuration, take: Take, refuse: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, configuration: Configuration, take: Take, refuse: Refuse) -> None:
         self._node = node
         self._take = take
         self._refuse = refuse
         self._topics = {name: configuration[f'{name}.topic'] for name in SIGNALS if configuration[f'{name}.topic']}
         self._types = {name: _message_type(name, configuration[f'{name}.type']) for name in SIGNALS}
         self._fields = {name: re.split(r'\W', configuration[f'{name}.field'])[0] for name in SIGNALS}
-        self._subscriptions: dict[str, Subscription] = {}
+        self._max_message_bytes = round(configuration['max_message_mb'] * 1e6)
+        self._queues: dict[str, ReceiveQueue] = {}
+        self._memory = ReceiveMemory()
+        self._watch: Timer | None = None
         self._refused: dict[str, str] = {}
 
     def open(self) -> None:
@@ -77,13 +96,33 @@ class Inputs:
                 self._node.get_logger().info(
                     f'{self._type_name(name)} has no header: {name} is stamped by {self._clock_in_words}'
                 )
-            self._subscriptions[name] = self._subscribe(name, topic)
+            subscribing = partial(self._subscribe, name, topic)
+            self._queues[name] = ReceiveQueue(self._node, subscribing, self._max_message_bytes, self._watch_queues)
+        self._memory.mark()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self._node.create_timer(WATCH_PERIOD_S, self._watch_queues, clock=steady)
 
     def close(self) -> None:
         """Stop listening."""
-        for subscription in self._subscriptions.values():
-            self._node.destroy_subscription(subscription)
-        self._subscriptions.clear()
+        if self._watch is not None:
+            self._node.destroy_timer(self._watch)
+            self._watch = None
+        for queue in self._queues.values():
+            queue.close()
+        self._queues.clear()
+
+    def _watch_queues(self) -> None:
+        """Have the queues emptied where the middleware has grown by more than they may hold."""
+        budget_bytes = max((queue.budget_bytes for queue in self._queues.values()), default=0)
+        if self._memory.grown_bytes() > budget_bytes:
+            self._memory.mark()
+            for queue in self._queues.values():
+                queue.empty()
+
+    @property
+    def _subscriptions(self) -> dict[str, Subscription]:
+        """The present subscription of every signal."""
+        return {name: queue.subscription for name, queue in self._queues.items()}
 
     @property
     def needs_source_time(self) -> bool:
@@ -102,35 +141,52 @@ class Inputs:
         same = [trouble.message for trouble in found if found and trouble.broken == found[0].broken]
         return Trouble('; '.join(same), found[0].broken) if found else None
 
-    def _subscribe(self, name: str, topic: str) -> Subscription:
-        callback: Callable[..., None]
-        raw = self._types[name] is JointState and self._fields[name] in VIEWED
-        if raw:
-            callback = partial(self._take_bytes, name, JointStateDecoder())
-        else:
-            callback = partial(self._take_stamped if self._has_header(name) else self._take_bare, name)
-        listen = partial(subscribe, self._node, self._types[name], topic, callback, topics.SIGNAL_QOS, raw=raw)
+    def _subscribe(self, name: str, topic: str, qos: QoSProfile | None) -> Subscription:
+        """Subscribe with a quality of service; None: the configured one."""
+        receive = self._receive if self._has_header(name) else self._receive_bare
+        callback = partial(receive, name, self._decoder(name))
+        asked = qos or topics.SIGNAL_QOS
+        listen = partial(
+            subscribe, self._node, self._types[name], topic, callback, asked, raw=True, overridden=qos is None
+        )
         # Not message_lost: with Fast DDS 2.14, taking that event while the next one arrives locks up for good.
         try:
             return listen(SubscriptionEventCallbacks(incompatible_qos=partial(self._incompatible, name)))
         except UnsupportedEventTypeError:  # not every middleware tells
             return listen()
 
-    def _take_bytes(self, name: str, decode: JointStateDecoder, data: bytes) -> None:
-        try:
-            message = decode(data)
-        except SampleError:
-            self._refuse(name)
+    def _decoder(self, name: str) -> Decode:
+        kind = self._types[name]
+        if kind is JointState and self._fields[name] in VIEWED:
+            return JointStateDecoder()
+        return partial(_deserialized, kind)
+
+    def _receive(self, name: str, decode: Decode, data: bytes) -> None:
+        message = self._decoded(name, decode, data)
+        if message is not None:
+            self._take(name, message, 0)
+
+    def _receive_bare(self, name: str, decode: Decode, data: bytes, info: dict[str, Any]) -> None:
+        message = self._decoded(name, decode, data)
+        if message is None:
             return
-        self._take(name, message, 0)
-
-    def _take_stamped(self, name: str, message: Any) -> None:
-        self._take(name, message, 0)
-
-    def _take_bare(self, name: str, message: Any, info: dict[str, Any]) -> None:
         clock = self._node.get_clock()
         # the middleware stamps by the wall clock, which tells nothing of simulated time
         self._take(name, message, clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp'])
+
+    def _decoded(self, name: str, decode: Decode, data: bytes) -> Any:
+        """Return the message of some bytes; None where they are too many or make no sense, which is told."""
+        queue = self._queues.get(name)
+        if queue is None:  # it waited while listening ended
+            return None
+        if len(data) > queue.unchecked_bytes and not queue.admit(len(data)):
+            self._refuse(name, Rejection.OVERSIZED)
+            return None
+        try:
+            return decode(data)
+        except SampleError:
+            self._refuse(name, Rejection.MALFORMED)
+            return None
 
     @property
     def _clock_in_words(self) -> str:
@@ -177,6 +233,18 @@ class Inputs:
             return ''
         differing = [p for p in ('reliability', 'durability') if getattr(asked, p) != getattr(offered, p)]
         return self._refused.get(name) or (differing[0] if differing else 'quality of service')
+
+
+def _deserialized(kind: Any, data: bytes) -> Any:
+    """Return the message that some bytes are.
+
+    Raises:
+        SampleError: they are no such message.
+    """
+    try:
+        return deserialize_message(data, kind)
+    except rclpy_implementation.RMWError as error:
+        raise SampleError(f'not a message of this type: {error}') from error
 
 
 def _message_type(name: str, type_name: str) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -22,6 +23,7 @@ from gray_box_observer.configuration import NODE_NAME, Configuration
 from gray_box_observer.context_nodes import ordinary_block
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.group import Group, GroupResult
+from gray_box_observer.incident import in_words
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
@@ -34,6 +36,7 @@ from gray_box_observer.ros.parameters import LiveParameters, declare
 from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
 from gray_box_observer.ros.traffic import TrafficMeter
+from gray_box_observer.samples import Rejection
 
 DIAGNOSTICS_PERIOD_S = 1.0
 
@@ -63,6 +66,7 @@ class ObserverNode(LifecycleNode):
         self._outputs: Outputs | None = None
         self._meter = TrafficMeter()
         self._unsettled: list[GroupResult] = []
+        self._reported: set[str] = set()
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._checkpoint_timer: Timer | None = None
@@ -104,7 +108,7 @@ class ObserverNode(LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> Transition:
         """Forget everything but the checkpoint."""
         return self._change(
-            'clean up', 'unconfigured', self._drop_observer, lambda: super(ObserverNode, self).on_cleanup(state)
+            'clean up', 'unconfigured', self._forget, lambda: super(ObserverNode, self).on_cleanup(state)
         )
 
     def on_shutdown(self, state: LifecycleState) -> Transition:
@@ -113,7 +117,7 @@ class ObserverNode(LifecycleNode):
 
     def on_error(self, state: LifecycleState) -> Transition:
         """Go back to where configuring is possible again, whatever has failed."""
-        for action in (self._inputs.close, self._drop_observer):
+        for action in (self._inputs.close, self._drop_observer, self._retract):
             try:
                 action()
             except Exception:
@@ -188,7 +192,16 @@ class ObserverNode(LifecycleNode):
 
     def _end(self) -> None:
         self._rest()
+        self._forget()
+
+    def _forget(self) -> None:
         self._drop_observer()
+        self._retract()
+
+    def _retract(self) -> None:
+        """Leave latched what is true of a node that knows nothing."""
+        if self._outputs is not None:
+            self._outputs.retract()
 
     def _take(self, name: str, message: Any, arrival_ns: int) -> None:
         if self._observer is None or self._intake is None or self._outputs is None or self._stop.requested:
@@ -206,17 +219,18 @@ class ObserverNode(LifecycleNode):
             self._unsettled += taken.groups
             if all(result.estimate is None for result in taken.groups):
                 self._settle()  # else the next prediction comes first: an update has taken its time
+            if len(self._observer.incidents) != len(self._reported):
+                self._report_incidents()
         except ConfigurationError as error:  # a field that is not there, a device that fails
             self._stop(error)
             return
         self._meter.worked(since_s)
         self._do_chore(quiet=bool(taken.groups) and not self._unsettled)
 
-    def _refuse(self, name: str) -> None:
+    def _refuse(self, name: str, reason: Rejection) -> None:
         if self._intake is None or self._stop.requested:
             return
-        self._intake.received[name] += 1
-        self._intake.malformed(name)
+        self._intake.refuse(name, reason)
         self._do_chore(quiet=False)
 
     def _do_chore(self, *, quiet: bool) -> None:
@@ -229,8 +243,20 @@ class ObserverNode(LifecycleNode):
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
         done, self._unsettled = self._unsettled, []
-        if self._outputs is not None:
-            self._outputs.alarms(done)
+        outputs, observer = self._outputs, self._observer
+        if outputs is None or observer is None:
+            return
+        pending = deque(done)
+        while True:
+            try:
+                outputs.alarms(_consumed(pending))
+                return
+            except ConfigurationError:
+                raise
+            except Exception as error:
+                if not pending:
+                    raise
+                observer.stop(pending.popleft().group, error)
 
     def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
         """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked for."""
@@ -246,6 +272,22 @@ class ObserverNode(LifecycleNode):
         """Publish diagnostics, and alarms that no further message has led to."""
         self._settle()
         self._diagnoser.tell(self._state, self._observer, self._intake)
+        self._report_incidents()
+
+    def _report_incidents(self) -> None:
+        """Tell of motors that have stopped since it was told last, and leave nothing latched of them."""
+        if self._observer is None or self._outputs is None:
+            return
+        incidents = self._observer.incidents
+        for incident in {id(incidents[name]): incidents[name] for name in incidents.keys() - self._reported}.values():
+            for motor in incident.motors:
+                self._outputs.retract_motor(motor)
+            self.get_logger().error(
+                f'{in_words(incident.motors)} stopped by a defect: {incident.reason}; the others go on, ~/reset starts '
+                f'anew\n{incident.trace}'
+            )
+            self._keeper.report(incident, self.get_logger().warning)
+        self._reported = set(incidents)
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._observer is None:
@@ -254,7 +296,7 @@ class ObserverNode(LifecycleNode):
         self._drop_observer()
         aside = self._keeper.forget()
         self._begin()
-        self._announce()
+        self._announce(is_new=True)
         kept = '' if aside is None else f'; the checkpoint is kept as {aside}'
         response.success = True
         response.message = f'everything learnt is forgotten; starting from the initial values{kept}'
@@ -278,7 +320,7 @@ class ObserverNode(LifecycleNode):
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
             return response
-        self._announce()
+        self._announce(is_new=action == self._keeper.load)
         response.success, response.message = True, f'{words} {path}'
         return response
 
@@ -329,22 +371,41 @@ class ObserverNode(LifecycleNode):
     def _begin(self) -> None:
         """Make an observer that knows nothing yet."""
         self._observer = Observer(self._configuration, ProcessTraining)
+        self._reported = set()
         self._intake = Intake(self._observer, self._configuration)
         self._meter.forget()
 
-    def _announce(self) -> None:
-        """Publish what is known now: latched topics must not go on telling what was forgotten."""
-        if self._observer is None or self._outputs is None or self._state != 'active':
+    def _announce(self, *, is_new: bool = False) -> None:
+        """Publish what is known now: latched topics must not go on telling what was forgotten.
+
+        Args:
+            is_new: whether what is known does not follow from what was published before.
+        """
+        if self._observer is None or self._outputs is None:
+            return
+        if self._state != 'active':  # it is told when the node is activated
+            if is_new:
+                self._outputs.retract()
             return
         self._tell_estimates()
+        self._outputs.forget_published()
         for motor in self._configuration.motors if self._configuration['motor_topics'] else ():
-            self._outputs.alarm(motor, self._observer.alarm(motor))
-            self._outputs.estimate(motor, *self._observer.known(motor))
+            group = self._observer.group_of(motor)
+            self._observer.contain(group, partial(self._announce_motor, self._observer, self._outputs, motor))
+        self._report_incidents()
+
+    @staticmethod
+    def _announce_motor(observer: Observer, outputs: Outputs, motor: str) -> None:
+        outputs.alarm(motor, observer.alarm(motor))
+        estimate, identified = observer.known(motor)
+        outputs.estimate(motor, estimate, identified)
+        outputs.parameters_identified(motor, estimate.parameters, observer.parameters_identified(motor))
+        outputs.fit(motor, observer.fit(motor))
 
     def _tell_estimates(self) -> None:
         """Publish what is known of every motor, in one message."""
         if self._observer is not None and self._outputs is not None and self._state == 'active':
-            self._outputs.all_estimates(list(self._configuration.motors), self._observer.every_group)
+            self._outputs.all_estimates(list(self._configuration.motors), self._observer.group_estimates())
 
     def _drop_observer(self) -> None:
         self._unsettled = []
@@ -357,6 +418,13 @@ class ObserverNode(LifecycleNode):
         default = default_folder(self.get_fully_qualified_name())
         folder = CheckpointFolder(configuration['checkpoint.folder'], path, default)
         return CheckpointKeeper(folder, path, automatic=configuration['checkpoint.resume'])
+
+
+def _consumed(pending: deque[GroupResult]) -> Iterator[GroupResult]:
+    """Yield results; each leaves the queue when it is done with, so that one that fails is still the first."""
+    while pending:
+        yield pending[0]
+        pending.popleft()
 
 
 def _in_words(names: list[str]) -> str:

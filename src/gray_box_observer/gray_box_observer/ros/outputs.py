@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -13,36 +14,50 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.forms import Form, TorqueMessages, covariance_form, value_form, yes_and_no
+from gray_box_observer.ros.latched import LatchedTopic
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.base import Array, Parameter
 
 Publish = Callable[[Any], None]
 
+NOTHING = (0.0, -1.0)
+"""Value and standard deviation on ``~/estimates`` where nothing is known: no real one is negative."""
+
 
 class Outputs:
-    """Publishers of every motor; created once, they stay with the node."""
+    """Publishers of every motor; those of latched numbers go where nothing is known."""
 
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
         self._node = node
         self._predicted = self._create(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
-        self._estimates = self._create(node, topics.ESTIMATES)
+        self._estimates = LatchedTopic(node, topics.ESTIMATES)
         told = configuration.motors if configuration['motor_topics'] else {}
-        self._identified = {m: self._create(node, topics.IDENTIFIED, motor=m) for m in told}
-        self._alarm = {m: self._create(node, topics.ALARM, motor=m) for m in told}
-        self._covariance = {m: self._create(node, topics.COVARIANCE, motor=m) for m in told}
+        self._identified = {m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in told}
+        self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in told}
+        self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in told}
+        self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in told}
         self._covariances: dict[str, Form] = {}
         self._value, self._is = value_form(), yes_and_no()
         self._parameters = {
-            (m, p): self._create(node, topics.PARAMETER, motor=m, parameter=p)
+            m: {p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p) for p in motor.values['context_nodes']}
             for m, motor in told.items()
-            for p in motor.values['context_nodes']
         }
+        self._parameter_identified = {
+            m: {
+                p: LatchedTopic(node, topics.PARAMETER_IDENTIFIED, motor=m, parameter=p)
+                for p in motor.values['context_nodes']
+            }
+            for m, motor in told.items()
+        }
+        self._published_fit: dict[str, float] = {}
+        self._published_identified: dict[str, tuple[bool, ...]] = {}
         self._torques = TorqueMessages()
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
@@ -50,8 +65,8 @@ class Outputs:
         self._told: dict[str, bool] = {}
 
     @staticmethod
-    def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False, **names: str) -> Publish:
-        publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name.format(**names), topic.qos)
+    def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False) -> Publish:
+        publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name, topic.qos)
         if active:
             publisher.on_activate(None)
         publish: Publish = publisher.publish
@@ -67,7 +82,7 @@ class Outputs:
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
-                self._changed(names, result.changed.tolist(), result.estimate)
+                self._changed(result.group, result.changed.tolist(), result.estimate)
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm; with it all is done that these samples have left to be done."""
@@ -103,9 +118,13 @@ class Outputs:
             self._foretold[names] = stamp_ns
             self._forecast(data)
 
-    def _changed(self, names: tuple[str, ...], changed: list[int], estimate: Estimate) -> None:
+    def _changed(self, group: Group, changed: list[int], estimate: Estimate) -> None:
         for row, motor in enumerate(changed):
-            self.estimate(names[motor], estimate if len(changed) == 1 else estimate.of(row))
+            name = group.names[motor]
+            self.estimate(name, estimate if len(changed) == 1 else estimate.of(row))
+            if group.observer is not None:
+                self.fit(name, group.observer.fit_of(motor))
+                self.parameters_identified(name, estimate.parameters, group.observer.parameters_identified_of(motor))
 
     def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
         before = self._alarmed.get(names)
@@ -116,24 +135,26 @@ class Outputs:
                 self.alarm(name, stands)
         self._alarmed[names] = raised.copy()
 
-    def all_estimates(self, motors: Sequence[str], groups: Iterable[Group]) -> None:
+    def all_estimates(self, motors: Sequence[str], seen: Sequence[tuple[tuple[str, ...], Estimate]]) -> None:
         """Publish value and standard deviation of every parameter of every motor, in one message.
 
         Args:
             motors: names of the configured motors, which are the rows.
-            groups: those that have been seen; NaN stands for the others.
+            seen: names and estimates of those that have been seen; NOTHING stands for the others, and for what is not
+                finite.
         """
         rows, columns = {name: row for row, name in enumerate(motors)}, {}
-        seen = [(g.names, g.observer.context_nodes.estimate()) for g in groups if g.observer is not None]
         for _, estimate in seen:
             for parameter in estimate.parameters:
                 columns.setdefault(parameter.name, len(columns))
         if not columns:
+            self._estimates.retract()
             return
         table = np.full((len(rows), len(columns), 2), np.nan)
         for names, estimate in seen:
             at = np.array([rows[name] for name in names])[:, None], [columns[p.name] for p in estimate.parameters]
             table[at] = np.stack([estimate.value, estimate.std], axis=-1)
+        table[~np.isfinite(table).all(axis=-1)] = NOTHING
         message = Float64MultiArray(data=array('d', table.tobytes()))
         labels, stride = (','.join(rows), ','.join(columns), 'value,std'), table.size
         for label, size in zip(labels, table.shape, strict=True):
@@ -146,12 +167,42 @@ class Outputs:
         if motor not in self._covariance:
             return
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
-            self._parameters[motor, parameter.name](self._value.told(value))
+            if math.isfinite(value):
+                self._parameters[motor][parameter.name](self._value.told(value))
         form = self._covariances.get(motor)
         if form is None:
             form = self._covariances[motor] = covariance_form(estimate.parameters)
-        self._covariance[motor](form.told(estimate.covariance[0]))
+        if np.isfinite(estimate.covariance[0]).all():
+            self._covariance[motor](form.told(estimate.covariance[0]))
         self._identified[motor](self._is[estimate.identified(0) if identified is None else identified])
+
+    def fit(self, motor: str, fit: FitAssessment) -> None:
+        """Publish the ratio of a residual analysis where it has changed; where there is none, the topic goes."""
+        if motor not in self._fit:
+            return
+        if not math.isfinite(fit.ratio):
+            self._published_fit.pop(motor, None)
+            self._fit[motor].retract()
+        elif fit.ratio != self._published_fit.get(motor):
+            self._published_fit[motor] = fit.ratio
+            self._fit[motor](self._value.told(np.array([fit.ratio])))
+
+    def parameters_identified(
+        self, motor: str, parameters: tuple[Parameter, ...], identified: tuple[bool, ...]
+    ) -> None:
+        """Publish which parameters are identified, where that has changed."""
+        before = self._published_identified.get(motor)
+        if identified == before or motor not in self._covariance:
+            return
+        self._published_identified[motor] = identified
+        for j, (parameter, is_identified) in enumerate(zip(parameters, identified, strict=True)):
+            if before is None or before[j] != is_identified:
+                self._parameter_identified[motor][parameter.name](self._is[is_identified])
+
+    def forget_published(self) -> None:
+        """Publish again, at the next chance, what goes out only when it changes: nobody may have heard it."""
+        self._published_identified.clear()
+        self._published_fit.clear()
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the alarm on the prediction's residual stands, whatever was published before."""
@@ -159,3 +210,24 @@ class Outputs:
         if motor in self._alarm:
             self._told[motor] = raised
             self._alarm[motor](self._is[raised])
+
+    def retract(self) -> None:
+        """Leave latched what is true of a node that knows nothing, in whatever state of its life cycle."""
+        self._estimates.retract()
+        for motor in self._identified:
+            self.retract_motor(motor)
+
+    def retract_motor(self, motor: str) -> None:
+        """The same of one motor: not identified, no alarm, no number."""
+        if motor not in self._identified:
+            return
+        self._alarmed.clear()
+        self._told[motor] = False
+        self._identified[motor].correct(self._is[False])
+        self._alarm[motor].correct(self._is[False])
+        for latched in self._parameter_identified[motor].values():
+            latched.correct(self._is[False])
+        self._published_identified.pop(motor, None)
+        self._published_fit.pop(motor, None)
+        for latched in (*self._parameters[motor].values(), self._covariance[motor], self._fit[motor]):
+            latched.retract()

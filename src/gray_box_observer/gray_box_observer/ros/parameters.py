@@ -9,8 +9,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, brief
 from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
+from gray_box_observer.printable import printable
 
 
 def declare(node: Node) -> Configuration:
@@ -28,7 +29,7 @@ def declare(node: Node) -> Configuration:
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared as it was understood
     node.declare_parameters('', declared, ignore_override=True)
     if configuration.unknown:
-        names = ', '.join(configuration.unknown)
+        names = printable(brief(list(configuration.unknown))[1:-1])
         node.get_logger().warning(f'not a parameter of the observer, ignored: {names}; a slip of the pen?')
     return configuration
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from gray_box_observer.bag.limits import DEFAULT_CHUNK_MB
 from gray_box_observer.parameters import ParameterSpec
 from gray_box_observer.ros.listed_parameters import help_text
 
@@ -37,6 +38,14 @@ PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
         1000,
     ),
     ParameterSpec('wait_timeout_s', 10.0, 'Give up waiting for readers after this time.', 0.0, 1e9),
+    ParameterSpec(
+        'max_chunk_mb',
+        0,
+        f'Read chunks of the bag up to so many MB, unpacked; 0: up to {DEFAULT_CHUNK_MB}. '
+        'The memory that a bag may take grows with it, to about four times as much.',
+        0,
+        1_000_000,
+    ),
 )
 """Parameters of the player, all read-only. 1000 messages a second is five times one motor at 100 Hz, which an observer
 can follow."""

@@ -18,10 +18,13 @@ from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from gray_box_observer.bag.contents import name_list
+from gray_box_observer.bag.limits import ReadLimits
 from gray_box_observer.bag.metadata import parse_qos_text
 from gray_box_observer.bag.pacer import Pacer
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError, ConfigurationError, GrayBoxError
+from gray_box_observer.printable import printable
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import publisher_profile
 from gray_box_observer.ros.listed_parameters import declare
@@ -40,6 +43,8 @@ writer's history is full, and otherwise every three seconds.
 _ACK_PATIENCE_S = 5.0
 _SETTLE_S = 0.25
 """A reader matched here may not have matched us yet: one topic's first messages would come after another's."""
+_LATEST_CLOCK_NS = 2**31 * 10**9
+"""The first time that no message can tell; log times of a bag have twice as many bits."""
 _CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -82,7 +87,15 @@ class BagPlayer(Node):
         self._plan = _Plan(**{field.name: given[field.name] for field in fields(_Plan)})
         if not (bag or path):
             raise ConfigurationError('no bag to replay; give its path, or -p bag:=PATH')
-        self._reader = BagReader(bag or path)
+        limits = ReadLimits.from_mb(given['max_chunk_mb'] or None, '-p max_chunk_mb:={}')
+        self._reader = BagReader(bag or path, limits)
+        end_ns = self._reader.start_ns + self._reader.duration_ns
+        if self._plan.clock and end_ns >= _LATEST_CLOCK_NS:
+            self._reader.close()
+            raise ConfigurationError(
+                f'{self._reader.path} ends at {end_ns} ns, which /clock cannot tell (before {_LATEST_CLOCK_NS} ns): '
+                'replay it without clock'
+            )
         self._pacer = Pacer(
             self._plan.rate,
             is_paused=is_paused,
@@ -111,7 +124,7 @@ class BagPlayer(Node):
         if sys.stderr.isatty():
             print(file=sys.stderr)
         if self._reader.lost is not None:
-            self.get_logger().warning(f'{self._reader.path}: {self._reader.lost}')
+            self.get_logger().warning(printable(f'{self._reader.path}: {self._reader.lost}'))
         self.get_logger().info(f'{self._count} messages replayed')
         self._reader.close()
 
@@ -127,19 +140,20 @@ class BagPlayer(Node):
         names = [self.resolve_topic_name(name, only_expand=True) for name in wanted]
         missing = [name for name in names if name not in there]
         if missing:
-            raise BagError(f'{self._reader.path} has no {", ".join(missing)}; there are: {", ".join(sorted(there))}')
+            raise BagError(f'{self._reader.path} has no {", ".join(missing)}; there are: {name_list(there)}')
         publishers: dict[str, Publisher] = {}
         for name in names or sorted(there):
             message_type = message_class(there[name].type_name)
             if there[name].encoding != 'cdr' or message_type is None:
-                self.get_logger().warning(f'{name} is not replayed: {there[name].type_name} is not installed here')
+                reason = f'{there[name].type_name} is not installed here'
+                self.get_logger().warning(printable(f'{name} is not replayed: {reason}'))
                 continue
             recorded = parse_qos_text(there[name].qos_profiles)
             depth = _BURST if self._plan.unhindered else _DEPTH
             try:
                 publishers[name] = self.create_publisher(message_type, name, publisher_profile(recorded, depth))
             except (NameValidationException, NoTypeSupportImportedException) as error:  # a damaged bag
-                self.get_logger().warning(f'{name!r} is not replayed: {" ".join(str(error).split())}')
+                self.get_logger().warning(printable(f'{name!r} is not replayed: {" ".join(str(error).split())}'))
         if not publishers:
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers

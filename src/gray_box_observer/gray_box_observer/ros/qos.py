@@ -45,6 +45,7 @@ def subscribe(
     events: SubscriptionEventCallbacks | None = None,
     *,
     raw: bool = False,
+    overridden: bool = True,
 ) -> Subscription:
     """Create a subscription.
 
@@ -56,6 +57,7 @@ def subscribe(
         qos: unless overridden.
         events: what else is told of.
         raw: give the callback serialised messages.
+        overridden: whether parameters may override the quality of service; False: it is had as it is.
 
     Raises:
         ConfigurationError: an override that cannot be used.
@@ -67,7 +69,7 @@ def subscribe(
             callback,
             own,
             event_callbacks=events,
-            qos_overriding_options=QoSOverridingOptions(POLICIES),
+            qos_overriding_options=QoSOverridingOptions(POLICIES) if overridden else None,
             raw=raw,
         ),
         topic,

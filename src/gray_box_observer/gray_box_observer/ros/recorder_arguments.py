@@ -11,6 +11,7 @@ from typing import Any
 from gray_box_observer.bag.mcap_file import COMPRESSIONS
 from gray_box_observer.bag.options import FLUSH_PERIOD_S, PRESETS
 from gray_box_observer.parameters import ParameterSpec
+from gray_box_observer.plain_number import parse_float, parse_int
 from gray_box_observer.ros.listed_parameters import help_text
 
 _DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
@@ -60,14 +61,14 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         *('-b', '--max-bag-size'),
         dest='max_file_bytes',
-        type=int,
+        type=parse_int,
         metavar='BYTES',
         help='begin a new file when one is this large; 0: never',
     )
     parser.add_argument(
         *('-d', '--max-bag-duration'),
         dest='max_file_duration_s',
-        type=float,
+        type=parse_float,
         metavar='SECONDS',
         help='begin a new file when one spans this time; 0: never',
     )

@@ -20,6 +20,7 @@ from gray_box_observer.bag.options import PRESETS, BagOptions
 from gray_box_observer.bag.schemas import schema_text, share_lookup
 from gray_box_observer.bag.writer import BagWriter
 from gray_box_observer.errors import BagError, ConfigurationError
+from gray_box_observer.printable import printable
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import needs_weaker, subscription_profile, to_mapping
 from gray_box_observer.ros.listed_parameters import declare
@@ -160,7 +161,7 @@ class BagRecorder(Node):
             text = schema_text(type_name, self._lookup)
         except BagError as error:
             text = ''
-            self.get_logger().warning(f'{name} is recorded without its definition: {error}')
+            self.get_logger().warning(printable(f'{name} is recorded without its definition: {error}'))
         type_hash = str(endpoints[0].topic_type_hash)
         profiles = [to_mapping(endpoint.qos_profile) for endpoint in endpoints]
         self._writer.add_topic(name, type_name, text, profiles, type_hash if type_hash != 'INVALID' else '')
@@ -183,7 +184,7 @@ class BagRecorder(Node):
 
     def _refuse(self, name: str, reason: str) -> None:
         self._refused.add(name)
-        self.get_logger().warning(f'{name} is not recorded: {reason}')
+        self.get_logger().warning(printable(f'{name} is not recorded: {reason}'))
 
     def _write(self, name: str, data: bytes, info: dict[str, int]) -> None:
         # The middleware's time of receipt is free of our own queue, but it knows no simulated time.

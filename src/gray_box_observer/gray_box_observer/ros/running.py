@@ -18,6 +18,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -29,7 +31,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
+from gray_box_observer.bounded_yaml import read_yaml
 from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.printable import printable
 from gray_box_observer.ros import discovery
 
 EXIT_DONE = 0
@@ -90,9 +94,10 @@ def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None)
         args: The whole command line, the program's name first; None means ``sys.argv``.
     """
     try:
+        _check_parameter_files(sys.argv if args is None else args)
         own = remove_ros_args(list(args) if args is not None else None)
-    except rclpy_implementation.RCLError as error:
-        parser.error(_one_line(error))
+    except (GrayBoxError, rclpy_implementation.RCLError) as error:
+        parser.exit(EXIT_USER_ERROR, f'{parser.prog}: error: {_one_line(error)}\n')
     return parser.parse_args(own[1:])
 
 
@@ -150,6 +155,17 @@ def run_node(
     return EXIT_DONE
 
 
+def _check_parameter_files(args: Sequence[str]) -> None:
+    """Read the parameter files of the command line before rcl does, which waits for pipes and lets keys stand twice.
+
+    Raises:
+        InputError: One of them cannot be read, or is no plain YAML.
+    """
+    for option, value in pairwise(args):
+        if option == '--params-file':
+            read_yaml(Path(value))
+
+
 def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> None:
     """Serve the node's callbacks until the end is asked for, then let it finish its work."""
     executor = executor_factory()
@@ -195,7 +211,7 @@ def _one_line(error: BaseException) -> str:
     text = ' '.join(str(error).split()) or type(error).__name__
     if isinstance(error, rclpy_implementation.UnknownROSArgsError):
         text = f'unknown ROS arguments: {text}'
-    return re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', text)
+    return printable(re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', text))
 
 
 @contextmanager

@@ -40,7 +40,22 @@ TORQUE = Topic(
 PARAMETER = Topic(
     '~/{motor}/{parameter}', Float64, LATCHED_QOS, 'Estimate in SI units; one topic for each of the context nodes.'
 )
-IDENTIFIED = Topic('~/{motor}/identified', Bool, LATCHED_QOS, 'True while every verdict is `identified`.')
+IDENTIFIED = Topic(
+    '~/{motor}/identified', Bool, LATCHED_QOS, 'True while every verdict is `identified` or `negligible`.'
+)
+PARAMETER_IDENTIFIED = Topic(
+    '~/{motor}/{parameter}/identified',
+    Bool,
+    LATCHED_QOS,
+    'The same of one parameter; published when it changes.',
+)
+FIT = Topic(
+    '~/{motor}/fit',
+    Float64,
+    LATCHED_QOS,
+    'Residual of the free run over the noise floor, once tested and when it changes: about 1 where the white box '
+    'holds; 0 where what was tested is forgotten.',
+)
 ALARM = Topic(
     '~/{motor}/alarm',
     Bool,
@@ -57,7 +72,8 @@ ESTIMATES = Topic(
     '~/estimates',
     Float64MultiArray,
     LATCHED_QOS,
-    'Value and standard deviation of every parameter of every motor, labelled; every `estimates_period_s`.',
+    'Value and standard deviation of every parameter of every motor, labelled; every `estimates_period_s`. A standard '
+    'deviation of -1 stands where nothing is known.',
 )
 PREDICTED_TORQUE = Topic(
     '~/predicted_torque',

@@ -108,7 +108,8 @@ class TrafficMeter:
 
     def _motor(self, motor: str, observer: Observer, unread: Counter[Rejection]) -> MotorTraffic:
         pairing, seen = observer.counts(motor), observer.motors.get(motor)
-        changes = 0 if seen is None else seen.counters.get('motor changes', 0)
+        counters = None if seen is None else observer.contain(observer.group_of(motor), lambda: seen.counters)
+        changes = 0 if counters is None else counters.get('motor changes', 0)
         since = changes - self._settled[motor]
         if seen is not None and seen.identified and not observer.alarm(motor):  # told this once, at least
             self._settled[motor] = changes

@@ -1,5 +1,8 @@
 """Voltage of a signal history: every sample holds from its stamp to the stamp of the next one.
 
+A voltage that pauses longer than is its habit is overdue from there on, until the next one: nobody knows what it did.
+What was its habit then is remembered with the voltage that ended the pause, because the pause itself ends the habit.
+
 Values are plain floats for one motor and arrays of shape (motor,) for a group; stamps are those from which they act.
 """
 
@@ -7,12 +10,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any
+from typing import Any, NamedTuple
 
 from gray_box_observer.samples.rhythm import Rhythm
 from gray_box_observer.samples.sample import seconds
 
 MAX_WAITING_VOLTAGES = 10_000
+
+
+class _Pause(NamedTuple):
+    """A pause of the voltage that was longer than is its habit.
+
+    Attributes:
+        limit_s: the longest that had been its habit, in s.
+        regular: whether it always came regularly until then, so that it was overdue whatever torque did.
+    """
+
+    limit_s: float
+    regular: bool
 
 
 class HeldVoltage:
@@ -32,7 +47,8 @@ class HeldVoltage:
 
     def restart(self) -> None:
         """Begin a new signal history; what is habit stays so."""
-        self._coming: deque[tuple[int, Any]] = deque()
+        self._coming: deque[tuple[int, Any, _Pause | None]] = deque()  # stamp, voltage, pause before it
+        self._pauses = 0  # among those that are coming
         self._held_v: Any = self._blank
         self._held_ns: int | None = None  # since when that is in force
         self.newest_ns: int | None = None
@@ -61,17 +77,27 @@ class HeldVoltage:
 
     def take(self, stamp_ns: int, voltage_v: Any) -> None:
         """Let a voltage be in force from a stamp on that is newer than all before."""
+        pause = None
         if self.newest_ns is not None:
-            self._rhythm.take(seconds(stamp_ns - self.newest_ns))
+            rhythm, interval_s = self._rhythm, seconds(stamp_ns - self.newest_ns)
+            if interval_s > rhythm.silence_s:
+                pause = _Pause(rhythm.silence_s, rhythm.regular)
+                self._pauses += 1
+            rhythm.take(interval_s)
         self.newest_ns = stamp_ns
-        self._coming.append((stamp_ns, voltage_v))
+        self._coming.append((stamp_ns, voltage_v, pause))
         if len(self._coming) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
-            self._held_ns, self._held_v = self._coming.popleft()
+            self._hold_next()
+
+    def _hold_next(self) -> None:
+        """Let the next voltage be in force."""
+        self._held_ns, self._held_v, pause = self._coming.popleft()
+        self._pauses -= pause is not None
 
     def mean(self, start_ns: int, end_ns: int) -> Any:
         """Mean of the voltage over an interval that begins with the last torque, where it was known."""
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
-        for since_ns, voltage_v in self._coming:
+        for since_ns, voltage_v, _ in self._coming:
             if since_ns >= end_ns:
                 break
             if since_ns > cursor_ns:
@@ -86,20 +112,25 @@ class HeldVoltage:
         """Return when voltage is known again where it was not between two torques; None: it always was.
 
         Later than the second of them where no voltage has come by then. A voltage that is old while torque comes was
-        not changed, unless it always came regularly and is overdue.
+        not changed, unless it always came regularly and is overdue. What it is does not depend on which of voltage and
+        torque was delivered first.
         """
-        if not (self._rhythm.regular or torque.silent(seconds(end_ns - start_ns))):
+        newest_ns = self.newest_ns
+        if not self._pauses and (newest_ns is None or newest_ns >= end_ns):
             return None
-        silent, since_ns, until_ns = self._rhythm.silent, self._held_ns, None
-        if since_ns is None or not silent(seconds(max(end_ns, self.newest_ns or end_ns) - since_ns)):
-            return None  # where the whole is not silent no part of it is
-        for voltage_ns, _ in self._coming:
-            if silent(seconds(voltage_ns - since_ns)):
-                until_ns = voltage_ns
+        torque_silent = torque.silent(seconds(end_ns - start_ns))
+        since_ns, until_ns = self._held_ns, None
+        for voltage_ns, _, pause in self._coming:
+            if pause is not None and since_ns is not None and voltage_ns > start_ns:
+                overdue = seconds(min(voltage_ns, end_ns) - since_ns) > pause.limit_s
+                until_ns = voltage_ns if overdue and (pause.regular or torque_silent) else until_ns
             since_ns = voltage_ns
             if since_ns >= end_ns:
                 return until_ns
-        return end_ns + 1 if silent(seconds(end_ns - since_ns)) else until_ns
+        rhythm = self._rhythm
+        if since_ns is None or not (rhythm.regular or torque_silent):
+            return until_ns
+        return end_ns + 1 if rhythm.silent(seconds(end_ns - since_ns)) else until_ns
 
     def step_to(self, stamp_ns: int, *, lost: bool) -> tuple[Any, Any]:
         """Go on to the stamp of a torque.
@@ -112,7 +143,7 @@ class HeldVoltage:
             The voltage in force before the stamp, and one that begins there; blank where there is none.
         """
         while self._coming and self._coming[0][0] < stamp_ns:
-            self._held_ns, self._held_v = self._coming.popleft()
+            self._hold_next()
         if lost:
             self._held_v = self._blank
         begins = bool(self._coming) and self._coming[0][0] == stamp_ns

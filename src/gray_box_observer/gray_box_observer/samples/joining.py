@@ -3,6 +3,11 @@
 Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much an operation), and a
 group in arrays. A motor of the group whose value cannot be used is absent from that sample; its next interval begins
 where its last sample was, as if it had been alone.
+
+Here is the one door of samples: what comes through holds finite numbers of every motor that is present (speed may be
+NaN: not measured), whatever was missing before. Values are judged as they come in, and ``join`` asks once more whether
+the voltage is known over the whole interval: where it is not, the history begins anew; where it is not known at the
+torque either, the torque is refused as ``no_voltage``.
 """
 
 from __future__ import annotations
@@ -63,12 +68,12 @@ class Joining(Protocol):
         self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
         speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
-        """Make a sample.
+        """Make a sample, of finite numbers; None where nothing is known of any motor, which is counted.
 
         Args:
             stamp_ns: of the torque.
             passed_ns: since the torque before it; None where the signal history starts anew.
-            mean_v: mean voltage since then.
+            mean_v: mean voltage since then; NaN where it was not known all the way.
             held_v: voltage in force before the stamp, and one that begins there.
             torque_nm: the torque.
             speed_rad_s: the speed.
@@ -147,7 +152,7 @@ class OneMotor:
         speed_rad_s: float, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
-        if passed_ns is not None:
+        if passed_ns is not None and not math.isnan(mean_v):
             return Sample.of_one_motor(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s)
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
@@ -258,7 +263,7 @@ class ManyMotors:
 
     def ahead(self, passed_ns: int, mean_v: Array, gap_ns: int) -> tuple[Array, Array]:
         """See :class:`Joining`."""
-        if self._regular:
+        if self._regular and not np.isnan(mean_v).any():
             return np.full(mean_v.size, seconds(passed_ns)), mean_v
         span_ns = self._owed_ns + passed_ns
         leads = (span_ns <= gap_ns) & ~np.isnan(mean_v)
@@ -274,10 +279,9 @@ class ManyMotors:
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank
+        if self._regular and passed_ns is not None and np.isfinite(torque_nm + mean_v).all():
+            return Sample(stamp_ns, np.full(mean_v.size, seconds(passed_ns)), mean_v, torque_nm, speed)
         here = ~np.isnan(torque_nm)
-        everyone = bool(np.all(here))
-        if self._regular and everyone and passed_ns is not None:
-            return Sample(stamp_ns, np.full(here.size, seconds(passed_ns)), mean_v, torque_nm, speed)
         span_ns = self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
         begins = np.ones_like(here) if passed_ns is None else (span_ns > gap_ns) | np.isnan(mean_v)
         first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
@@ -293,8 +297,11 @@ class ManyMotors:
             return None
         self._lost += ~here
         interval_s = np.where(begins | ~here, 0.0, span_ns / NANOSECONDS_PER_SECOND)
-        voltage_v = np.where(here, mean_v, 0.0)
-        return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, None if self._regular else here)
+        if self._regular:
+            return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed)
+        # what was refused with its torque must not be seen by anybody
+        voltage_v, speed = np.where(here, mean_v, 0.0), np.where(here, speed, np.nan)
+        return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here)
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""

@@ -63,6 +63,7 @@ class Pairing:
         rules: how patient it is.
         motors: how many come together.
         own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
+        uses_speed: whether the motor is observed with the speed that its first sample brings, if it brings one.
         delay_s: voltage acts that much later than its stamp says; negative where its stamp comes late.
 
     Attributes:
@@ -70,16 +71,18 @@ class Pairing:
         held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
         refused: what could not be used of a single motor, by signal and reason; of one of a group see :meth:`of`.
         taken_voltage: voltages that have come into force, or will.
-        needs_speed: whether a torque sample without speed is refused; settled when the motor is first seen.
+        needs_speed: whether a torque sample without speed is refused; None until the first sample has settled it.
         take: what takes a signal, by its name: :meth:`voltage`, :meth:`torque`, :meth:`speed`.
     """
 
     def __init__(
-        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False, delay_s: float = 0.0
-    ) -> None:
+        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False, uses_speed: bool = True,
+        delay_s: float = 0.0,
+    ) -> None:  # fmt: skip
         self.motors = motors
         self._own_speed = own_speed
-        self.needs_speed = own_speed
+        self._uses_speed = uses_speed
+        self.needs_speed: bool | None = True if own_speed else None
         self._delay_ns = 0
         self.reconfigure(rules or PairingRules())
         self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
@@ -178,7 +181,7 @@ class Pairing:
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
             samples += self.take[signal](stamp_ns, *values)
-        self._count_as([counts])
+        self.count_as([counts])
         self.used += waited - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
@@ -189,15 +192,18 @@ class Pairing:
 
         What came is gone through again without the others; what was counted of these motors stays counted.
         """
-        made = Pairing(self._rules, len(motors), own_speed=self._own_speed, delay_s=seconds(self._delay_ns))
+        delay_s = seconds(self._delay_ns)
+        made = Pairing(
+            self._rules, len(motors), own_speed=self._own_speed, uses_speed=self._uses_speed, delay_s=delay_s
+        )
         index = motors[0] if len(motors) == 1 else list(motors)
         for signal, stamp_ns, values in self.history.events(self._delay_ns):
             picked: list[Any] = [np.asarray(value)[index] if np.ndim(value) else value for value in values]
             made.take[signal](stamp_ns, *picked)
-        made._count_as([self.of(motor) for motor in motors])
+        made.count_as([self.of(motor) for motor in motors])
         return made
 
-    def _count_as(self, counts: Sequence[PairingCounts]) -> None:
+    def count_as(self, counts: Sequence[PairingCounts]) -> None:
         """Count on from what had become of every motor's messages."""
         self.received_torque = max(of.received_torque for of in counts)
         self.received_voltage = max(of.received_voltage for of in counts)
@@ -341,6 +347,8 @@ class Pairing:
             if sample is not None:
                 samples.append(sample)
                 self.used += 1
+                if self.needs_speed is None:  # before the next of those that waited together
+                    self.needs_speed = self._uses_speed and bool(np.isfinite(sample.speed_rad_s).any())
         return samples
 
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
@@ -356,7 +364,7 @@ class Pairing:
             known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
                 passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
-        first_v = self._voltages.step_to(stamp_ns, lost=known_ns is not None and known_ns > stamp_ns)
+        first_v = self._voltages.step_to(stamp_ns, lost=known_ns is not None and known_ns >= stamp_ns)
         sample = self._joining.join(stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns)
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns

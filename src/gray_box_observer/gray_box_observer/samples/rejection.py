@@ -15,3 +15,5 @@ class Rejection(str, Enum):
     NO_SPEED = 'no_speed'
     ABSURD = 'absurd'
     MALFORMED = 'malformed'
+    OVERSIZED = 'oversized'
+    STOPPED = 'stopped'

@@ -10,12 +10,35 @@ from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.samples.sample import Sample
+from gray_box_observer.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
 from gray_box_observer.white_box.base import Array
 
 _INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
+_NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
 
 STAGE = 32
 """Samples gathered as they come before it is settled which of them are whose."""
+
+
+LONGEST_INTERVAL_S = 1e7
+"""Between two samples of a signal history: more than any gap that may be set."""
+
+
+def check_signals(name: str, content: Any, motors: int = 1) -> None:
+    """Refuse saved samples that no motor can have had; a speed may be unknown.
+
+    Args:
+        name: for the message.
+        content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
+        motors: how many there must be.
+
+    Raises:
+        CheckpointError: another shape, or a number out of range.
+    """
+    check_array(name, content, ArrayRule((4, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True))
+    check_array(f'{name}: interval_s', content[_INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S))
+    for signal in (_VOLTAGE, _TORQUE):
+        check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
 
 
 class ReplayBuffer:
@@ -150,6 +173,11 @@ class ReplayBuffer:
         place = self.received[which] if until is None else until
         remembered: NDArray[np.int_] = np.minimum(place - self._begin[which], self.capacity)
         return remembered
+
+    def stored(self, motor: int) -> int:
+        """Return how many samples of a motor can be read, told to be forgotten or not."""
+        self.settle()
+        return int(self._end[motor])
 
     def forget(self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> None:
         """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another motor)."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, brief
 from gray_box_observer.white_box.base import Array, Parameter
 from gray_box_observer.white_box.terms import INDUCTANCE, TERMS, Term
 
@@ -39,7 +39,9 @@ class MotorWhiteBox:
     def __post_init__(self) -> None:
         unknown = [name for name in (*self.context_nodes, *self.known) if name not in TERMS]
         if unknown:
-            raise ConfigurationError(f'no term named {unknown[0]!r} in the white box; there are {", ".join(TERMS)}')
+            raise ConfigurationError(
+                f'no term named {brief(unknown[0])} in the white box; there are {", ".join(TERMS)}'
+            )
         if self.context_nodes[:1] != (INDUCTANCE.parameter.name,):
             raise ConfigurationError(
                 f'context_nodes must begin with inductance, got {list(self.context_nodes)}: '

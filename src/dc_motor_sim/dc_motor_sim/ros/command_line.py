@@ -1,0 +1,44 @@
+"""What of the command line is refused before rcl reads it: rcl waits for pipes, and reads without a bound."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Sequence
+from itertools import pairwise
+
+from dc_motor_sim.errors import ConfigurationError
+
+LARGEST_BYTES = 4 << 20
+"""Of a parameter file."""
+
+
+def check(args: Sequence[str]) -> None:
+    """Refuse arguments that are no text, and parameter files that are no regular files of reasonable size.
+
+    Raises:
+        ConfigurationError: One line that names the argument or the file.
+    """
+    for word in args:
+        try:
+            word.encode('utf-8')
+        except UnicodeEncodeError:
+            shown = os.fsencode(word).decode('utf-8', 'backslashreplace')
+            raise ConfigurationError(f'the argument {shown} is no UTF-8: rename the file') from None
+    for option, value in pairwise(args):
+        if option == '--params-file':
+            _check_file(value)
+
+
+def _check_file(path: str) -> None:
+    try:
+        status = os.stat(path)  # noqa: PTH116 - a text may name what no path can be made of
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise ConfigurationError(f'parameter file {path}: cannot be read: {reason}') from None
+    if not stat.S_ISREG(status.st_mode):
+        raise ConfigurationError(f'parameter file {path}: cannot be read: expected a regular file')
+    if status.st_size > LARGEST_BYTES:
+        raise ConfigurationError(
+            f'parameter file {path}: cannot be read: {status.st_size:,} bytes, expected at most {LARGEST_BYTES:,}'
+        )
