@@ -63,6 +63,7 @@ An executable of `gray_box_observer` ends with
 | --- | --- |
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
+| 1 | `identify`: a defect has stopped a motor; a warning says which, what is known of the others stands |
 | {options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
 | {options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
 

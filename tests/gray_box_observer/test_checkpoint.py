@@ -419,6 +419,30 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(tmp_path: Path, record: Calla
         assert array.tobytes() == again[name].tobytes(), name
 
 
+class LosingTraining(InlineTraining):
+    """Loses itself in its fifth job, as an optimiser does whose gradients are beyond single precision."""
+
+    jobs = 0
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the result, spoilt in the fifth job."""
+        result = super().collect()
+        type(self).jobs += result is not None
+        if result is not None and 'input' in result and type(self).jobs == 5:
+            result['input'] = np.full_like(result['input'], np.nan)
+        return result
+
+
+def test_a_network_that_training_has_lost_does_not_run_and_training_goes_on(recording: Recording) -> None:
+    LosingTraining.jobs = 0
+    one = observer(LosingTraining, variant='main')
+    results = feed(one, recording, 0, 1000)
+    assert LosingTraining.jobs > 10
+    said = [float(r.prediction.torque_nm[0]) for r in results[150:] if r.prediction is not None]
+    assert np.isfinite(said).all()
+    assert all(np.isfinite(array).all() for name, array in one.motors['motor'].state()[1].items() if 'bias' in name)
+
+
 def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recording) -> None:
     one = observer(InlineTraining, **HARD)
     feed(one, recording, 0, 300)

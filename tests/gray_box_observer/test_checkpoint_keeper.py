@@ -14,11 +14,13 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer import checkpoint
 from gray_box_observer.checkpoint import PARTIAL, SCRAP_AGE_S, Snapshot, capture, decode, encode, save
 from gray_box_observer.checkpoint_folder import CheckpointFolder
+from gray_box_observer.checkpoint_format import encode_content
 from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.checkpoint_writer import CheckpointWriter
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.observer import Observer
+from gray_box_observer.predictor.start import SHIPPED
 
 PATIENCE_S = 20.0
 
@@ -198,7 +200,7 @@ def test_a_disk_that_refuses_is_told_by_hand_and_automatically_and_tried_again(
 ) -> None:
     one = observer()
     feed(one, recording, 0, 500)
-    kept = keeper(path / 'below' / 'c')
+    kept = keeper(path / 'below' / 'c.safetensors')
     path.write_text('a file, no folder')
     with pytest.raises(GrayBoxError, match=r'cannot write .*c'):
         kept.save(one)
@@ -206,7 +208,7 @@ def test_a_disk_that_refuses_is_told_by_hand_and_automatically_and_tried_again(
     assert failure is not None
     assert failure == kept.failure
     path.unlink()
-    later = keeper(path / 'below' / 'c')
+    later = keeper(path / 'below' / 'c.safetensors')
     later.keep(one)
     assert later.close(one) is None
     assert later.failure is None
@@ -272,12 +274,121 @@ def test_a_writer_that_never_wrote_has_nothing_to_end() -> None:
 
 
 def test_what_killed_writers_left_is_swept_up_and_what_others_write_is_not(path: Path) -> None:
-    old, young = (path.with_name(f'.{path.name}.{name}{PARTIAL}') for name in ('old', 'young'))
-    other = path.with_name(f'.other.x{PARTIAL}')
-    for scrap in (old, young, other):
+    old, young = (path.with_name(f'.{path.name}.{32 * digit}{PARTIAL}') for digit in '01')
+    other, named = path.with_name(f'.other.{32 * "0"}{PARTIAL}'), path.with_name(f'.{path.name}.mine{PARTIAL}')
+    for scrap in (old, young, other, named):
         scrap.write_bytes(b'half a che')
-    for scrap in (old, other):
+    for scrap in (old, other, named):
         age = scrap.stat().st_mtime - SCRAP_AGE_S - 10.0
         os.utime(scrap, (age, age))
     checkpoint.write(snapshot(1), path)
-    assert {entry.name for entry in path.parent.iterdir()} == {path.name, young.name, other.name}
+    assert {entry.name for entry in path.parent.iterdir()} == {path.name, young.name, other.name, named.name}
+
+
+def strange(path: Path) -> dict[str, Callable[[], None]]:
+    """Ways in which something else may stand where the checkpoint should."""
+
+    def sparse() -> None:
+        with path.open('wb') as file:
+            file.truncate(1 << 40)
+
+    return {
+        'text': lambda: path.write_text('ssh-ed25519 AAAA... operator'),
+        'other arrays': lambda: path.write_bytes(SHIPPED.read_bytes()),
+        'pipe': lambda: os.mkfifo(path),
+        'folder': path.mkdir,
+        'link to a checkpoint': lambda: path.symlink_to(path.with_name('other.safetensors')),
+        'link to a device': lambda: path.symlink_to('/dev/zero'),
+        'link to nothing': lambda: path.symlink_to(path.with_name('none')),
+        'sparse': sparse,
+    }
+
+
+STRANGE = tuple(strange(Path()))
+
+
+@pytest.mark.parametrize('kind', STRANGE)
+def test_what_is_no_checkpoint_of_ours_is_told_of_and_never_replaced_renamed_or_removed(
+    recording: Recording, path: Path, kind: str
+) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    other = path.with_name('other.safetensors')
+    save(one, other)
+    kept, before = other.read_bytes(), learnt(one)
+    strange(path)[kind]()
+    stood = path.lstat()
+    kept_by = keeper(path)
+    if kind != 'link to nothing':
+        resumed = kept_by.resume(fresh := observer())
+        assert resumed.found
+        assert resumed.refusal is not None
+        assert resumed.refusal.isprintable()
+        assert fresh.motors == {}
+    with pytest.raises(GrayBoxError, match=r'cannot read|is not a checkpoint'):
+        kept_by.load(one)
+    assert learnt(one) == before
+    with pytest.raises(GrayBoxError, match=r'cannot write .*(no checkpoint of this package; move it away|directory)'):
+        kept_by.save(one)
+    assert kept_by.forget() is None
+    assert kept_by.close(one) is not None
+    assert (path.lstat().st_ino, path.lstat().st_mtime_ns) == (stood.st_ino, stood.st_mtime_ns)
+    assert other.read_bytes() == kept
+    assert {entry.name for entry in path.parent.iterdir()} == {path.name, other.name}
+
+
+def test_ten_are_kept_aside_and_the_oldest_of_ours_go(recording: Recording, path: Path) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    foreign = path.with_name(f'{path.name}.reset-3')
+    foreign.write_text('notes of the operator')
+    kept = keeper(path)
+    for _ in range(23):
+        kept.keep(one)
+        kept._writer.flush(PATIENCE_S)
+        assert kept.forget() is not None
+    aside = {entry.name for entry in path.parent.iterdir()}
+    assert aside == {foreign.name, *(f'{path.name}.reset-{number}' for number in range(17, 27))}
+    assert foreign.read_text() == 'notes of the operator'
+
+
+def test_a_name_that_stands_twice_is_refused(recording: Recording, path: Path) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    snapshot = capture(one)
+    path.write_bytes(encode_content(snapshot.content[:-1] + ', "motors": {}}', snapshot.arrays))
+    with pytest.raises(GrayBoxError, match='does not hold what this release expects: motors stands there twice'):
+        checkpoint.load(observer(), path)
+
+
+Spoil = Callable[[dict[str, Any], dict[str, Any]], Any]
+
+ABSURD: dict[str, tuple[Spoil, str]] = {
+    'next_fit': (lambda plain, _: plain['context_nodes'].update(next_fit=10**30), 'next_fit is 10'),
+    'a covariance': (lambda _, arrays: arrays['belief.covariance'].fill(np.nan), 'holds what is no number'),
+    'noise': (lambda _, arrays: arrays['belief.noise'].fill(0.0), 'belief.noise holds 0'),
+    'new': (lambda plain, _: plain['context_nodes'].update(new=-1), 'new is -1'),
+    'a flag': (lambda plain, _: plain.update(identified=1), 'identified is 1, expected true or false'),
+    'a sample': (lambda _, arrays: arrays['replay'].fill(np.inf), 'replay is not finite'),
+    'a verdict': (lambda plain, _: plain['delay'].update(verdict='SURE'), "verdict is 'SURE'"),
+}
+
+
+@pytest.mark.parametrize('what', ABSURD)
+def test_absurd_content_under_a_right_checksum_is_refused_by_name_and_nothing_is_lost(
+    recording: Recording, path: Path, what: str
+) -> None:
+    one = observer()
+    feed(one, recording, 0, 500)
+    snapshot, before = capture(one), learnt(one)
+    content, arrays = json.loads(snapshot.content), {name: array.copy() for name, array in snapshot.arrays.items()}
+    spoil, message = ABSURD[what]
+    spoil(content['motors']['motor'], {name.removeprefix('motor/nodes/'): array for name, array in arrays.items()})
+    path.write_bytes(encode(content, arrays))
+    with pytest.raises(GrayBoxError, match=message):
+        keeper(path).load(one)
+    assert learnt(one) == before
+    resumed = keeper(path).resume(fresh := observer())
+    assert resumed.refusal is not None
+    assert resumed.refusal.endswith(f'; it is kept as {path}.refused')
+    assert fresh.motors == {}

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from dc_motor_sim.simulation import Recording
+from gray_box_observer.bag.carried import to_custom_data
 from gray_box_observer.identify import main
 
 KT = 0.01
@@ -199,3 +202,99 @@ def test_a_bag_that_contradicts_the_parameter_file_has_a_row_that_says_so(
     assert code == 3
     assert errors[0] == 'motor.torque_constant is 0.01 by the bag, but 0.02 by the parameter file: leave one out'
     assert errors[1] is None
+
+
+def test_a_log_in_milliseconds_read_as_seconds_is_refused_with_the_remedy_and_leaves_nothing(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    bag = tmp_path / 'bag'
+    code, out, said = identify(bag, '--from-csv', log, *columns()[:1], 'time=t_s*1e3', *columns()[2:])
+    assert (code, out) == (2, '')
+    warning, error = said.splitlines()[-2:]
+    assert 'samples are 10 s apart' in warning
+    assert 'if the time is not in s, write such as time=(t_s*1e3)*0.001' in warning
+    assert error.startswith(f'identify: error: {log}: samples are 10 s apart, further than gap_s of 0.5 s')
+    assert not bag.exists()
+
+
+def test_what_looks_odd_in_a_log_is_a_warning_beside_the_result(identify: Run, log: Path, tmp_path: Path) -> None:
+    lines = log.read_text().splitlines()
+    lines[100], lines[101] = lines[101], lines[100]
+    log.write_text('\n'.join(lines))
+    code, _, said = identify(tmp_path / 'bag', '--from-csv', log, *columns())
+    assert code == 0
+    assert f'identify: warning: {log}: line 102, time (t_s) falls: 0.99 s after 1 s; 1 rows' in said
+
+
+@pytest.mark.parametrize('value', ['10' * 200, '1e400', 'NaN', '-Infinity', '"10"', '[1]', '{}', 'null', 'true', '-1'])
+def test_a_bag_that_carries_a_constant_that_is_none_is_one_clear_line(
+    identify: Run, log: Path, tmp_path: Path, value: str
+) -> None:
+    bag = tmp_path / 'bag'
+    assert identify(bag, '--from-csv', log, *columns())[0] == 0
+    metadata = bag / 'metadata.yaml'
+    text = metadata.read_text()
+    assert text.count(f'{2 * KT}}}') == 1
+    metadata.write_text(text.replace(f'{2 * KT}}}', f'{value}}}'))
+    code, out, said = identify(bag)
+    assert (code, out) == (2, '')
+    assert re.fullmatch(r'identify: error: parameter motor\.torque_constant must be .*\n', said)
+
+
+@pytest.mark.parametrize('value', ['3', '[1]', '[[]]', '"motor"', '{}'])
+def test_a_bag_that_carries_motors_that_are_no_names_is_one_clear_line(
+    identify: Run, log: Path, tmp_path: Path, value: str
+) -> None:
+    bag = tmp_path / 'bag'
+    assert identify(bag, '--from-csv', log, *columns())[0] == 0
+    metadata = bag / 'metadata.yaml'
+    metadata.write_text(metadata.read_text().replace('"motors": ["motor"]', f'"motors": {value}'))
+    code, _, said = identify(bag)
+    assert code == 2
+    assert re.fullmatch('identify: error: .*parameters in its metadata cannot be understood; .*\n', said)
+
+
+@pytest.mark.parametrize('name', ['voltage', 'training', 'checkpoint', 'seed'])
+def test_a_motor_of_a_log_cannot_be_called_like_a_parameter(
+    identify: Run, log: Path, tmp_path: Path, name: str
+) -> None:
+    code, out, said = identify(tmp_path / 'bag', '--from-csv', log, *columns(f'motor={name}'))
+    assert (code, out) == (2, '')
+    expected = f'motors: {name} is the name of parameters of the observer itself; give the motor another one'
+    assert said == f'identify: error: {expected}\n'
+    assert not (tmp_path / 'bag').exists()
+
+
+def embed(bag: Path, parameters: dict[str, Any]) -> None:
+    """Let a bag carry other parameters than it was made with."""
+    path = bag / 'metadata.yaml'
+    metadata = yaml.safe_load(path.read_text())
+    metadata['rosbag2_bagfile_information']['custom_data'] = to_custom_data(parameters)
+    path.write_text(yaml.safe_dump(metadata))
+
+
+def test_what_a_bag_carries_is_its_motors_and_their_torque_constants_and_nothing_else(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    bag = tmp_path / 'bag'
+    assert identify(bag, '--from-csv', log, *columns(torque_constant=KT))[0] == 0
+    told = {'motors': ['motor'], 'motor.torque_constant': KT}
+    embed(bag, told)
+    honest = identify(bag, '--json', '-')
+    foreign = {'verdict.identified_relative_std': 1.0, 'voltage.scale': 7.0, 'checkpoint.path': '/etc/c.safetensors'}
+    embed(bag, {**told, **foreign, 'motor.initial.inductance': 1e-3, 'motor.back_emf_constant': 5.0, 'seed': 3})
+    assert identify(bag, '--json', '-') == honest
+    embed(bag, {**told, 'motors': ['motor', 'verdict'], 'verdict.torque_constant': 1.0})
+    code, _, said = identify(bag, '--json', '-')
+    assert code == 2
+    assert said.startswith('identify: error: motors: verdict is the name of parameters')
+
+
+def test_a_name_that_a_terminal_would_obey_is_shown(identify: Run, log: Path, tmp_path: Path) -> None:
+    bag = tmp_path / 'bag'
+    assert identify(bag, '--from-csv', log, *columns(torque_constant=KT))[0] == 0
+    embed(bag, {'motors': ['\x1b[2J\x1b]0;owned\x07']})
+    code, out, said = identify(bag)
+    assert (code, out) == (2, '')
+    assert r'\x1b[2J\x1b]0;owned\x07' in said
+    assert said.removesuffix('\n').isprintable()

@@ -144,6 +144,22 @@ def test_the_stamp_is_that_of_the_header_and_else_that_of_arrival() -> None:
     assert stamp_of(SimpleNamespace(data=1.0), 7) == 7
 
 
+@pytest.mark.parametrize('arrival_ns', [2**62, 2**63, 2**64 - 1, -(2**63)])
+def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malformed(arrival_ns: int) -> None:
+    taker, observer = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
+    assert taker.take('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
+    assert taker.take('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+    assert observer.counts('motor').received_torque == 1
+
+
+@pytest.mark.parametrize('stamp', [SimpleNamespace(sec=2**40, nanosec=0), SimpleNamespace(sec=math.inf, nanosec=0), 3])
+def test_a_header_of_another_form_makes_a_message_malformed(stamp: Any) -> None:
+    taker, _ = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
+    assert taker.take('torque', SimpleNamespace(header=SimpleNamespace(stamp=stamp), data=1.0), 5).names == ()
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+
+
 def test_names_are_found_in_views_and_in_messages_alike() -> None:
     assert names_of(view(0, ('a',), (1.0,))) == ('a',)
     assert names_of(SimpleNamespace(name=['a'])) == ['a']

@@ -77,6 +77,14 @@ def test_lost_samples_are_said(result: ModuleType):
     assert '3 lost' in result.summary({}, 100, 97)
 
 
+def test_whether_the_white_box_holds_is_said_in_a_sentence_and_a_colour(result: ModuleType, tmp_path: Path):
+    fit = {'verdict': 'ok', 'ratio': 1.02, 'whiteness': 1.0, 'suspects': []}
+    (tmp_path / 'r.json').write_text(json.dumps({'motors': {'motor': {'fit': fit, 'samples': 100}}}))
+    plain = result.fit_sentences(tmp_path / 'r.json', coloured=False)
+    assert plain.startswith('motor: The white box explains the data')
+    assert result.fit_sentences(tmp_path / 'r.json', coloured=True) == f'\033[32m{plain}\033[0m'
+
+
 def test_a_process_that_dies_is_reported_with_its_last_lines(processes: ModuleType, tmp_path: Path):
     with processes.Children(tmp_path) as children:
         child = children.start('worker', [sys.executable, '-c', 'raise SystemExit("no such motor")'])
@@ -113,7 +121,9 @@ def test_no_process_and_no_child_of_one_is_left_behind(processes: ModuleType, tm
     [
         (['--duration', '0'], 'expected a number above 0'),
         (['--duration', 'soon'], "got 'soon'"),
+        (['--duration', '1_0'], "got '1_0'"),
         (['--bag', 'missing_bag'], 'missing_bag does not exist'),
+        (['--params', '/dev/null'], '/dev/null is no regular file'),
     ],
 )
 def test_a_wrong_argument_is_refused_in_one_line(arguments: list[str], message: str):

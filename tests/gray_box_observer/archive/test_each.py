@@ -110,7 +110,7 @@ def test_where_every_bag_gives_something_the_exit_code_is_0(identify: Run, archi
 def test_a_defect_in_one_bag_is_told_in_its_row_and_the_rest_goes_on(
     archive: Path, params: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def work(bags: object, *_: object) -> None:
+    def work(bags: object, *_: object, **__: object) -> None:
         raise ZeroDivisionError('division\nby zero')
 
     monkeypatch.setattr('gray_box_observer.offline.run', work)
@@ -145,10 +145,10 @@ def test_an_interruption_keeps_what_was_found(
 @pytest.mark.parametrize(
     ('options', 'problem'),
     [
-        (('--workers', 2), '--workers needs --engine dask'),
+        (('--workers', 2), '--workers needs --engine processes'),
         (('--engine', 'serial', '--scheduler', 'tcp://h:1'), '--scheduler needs --engine dask'),
-        (('--retries', 0), '--retries needs --engine dask'),
-        (('--engine', 'dask', '--scheduler', 'tcp://h:1', '--workers', 2), 'the one at tcp://h:1 has its own'),
+        (('--retries', 0), '--retries needs --engine processes'),
+        (('--engine', 'dask', '--scheduler', 'tcp://h:1', '--workers', 2), 'tcp://h:1 has its own'),
         (('--engine', 'dask', '--scheduler', 'h'), "'h' is no address of a Dask scheduler"),
         (('--each', '--truth', 't.yaml'), '--truth is of one recording'),
         (('--table', '/proc/none/t.parquet'), 'cannot write /proc/none/t.parquet'),
@@ -170,7 +170,8 @@ def test_a_place_without_bags_is_one_clear_line(identify: Run, tmp_path: Path, p
 
 
 @pytest.mark.parametrize(
-    ('package', 'options'), [('distributed', ('--engine', 'dask')), ('pyarrow', ('--table', 't.parquet'))]
+    ('package', 'options'),
+    [('distributed', ('--engine', 'dask', '--scheduler', 'h:1')), ('pyarrow', ('--table', 't.parquet'))],
 )
 def test_a_package_that_is_missing_is_one_clear_line_before_the_work(
     identify: Run, archive: Path, monkeypatch: pytest.MonkeyPatch, package: str, options: tuple[str, ...]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 
 import pytest
 
@@ -125,19 +127,131 @@ def test_a_name_with_odd_signs_is_a_column_when_it_stands_alone(tmp_path):
         ('0 1 2\n1 2 3\n', ['voltage=u', 'torque=$3'], r"no column 'u'.*\$1 to \$3, without names"),
         ('t,u,m\n0,1,2\n1,x,2\n', ['voltage=u', 'torque=m'], r"line 3, column 2 \(u\): 'x' is no number"),
         ('t,u,m\n0,1,2\n1,,2\n', ['voltage=u', 'torque=m'], r"line 3, column 2 \(u\): '' is no number"),
-        ('t,u,m\n0,1,2\n1\n', ['voltage=u', 'torque=m'], r'line 3: 1 columns, but column 2 \(u\) is needed'),
+        ('t,u,m\n0,1,2\n1\n', ['voltage=u', 'torque=m'], 'line 3: 1 cells, but the header has 3'),
         ('', ['voltage=u', 'torque=m'], 'holds no rows'),
         ('t,u,m\n', ['voltage=u', 'torque=m'], 'a header but no rows'),
+        ('t,u,m\n0,1,2\n1,2,3,4\n', ['voltage=u', 'torque=m'], "line 3: 4 cells, but the header has 3: '1,2,3,4'"),
+        ('t,u,m\n0,1,2\n1,2\n', ['voltage=t', 'torque=u'], "line 3: 2 cells, but the header has 3: '1,2'"),
+        ('0 1 2\n1 2\n', ['voltage=$1', 'torque=$2'], 'line 2: 2 cells, but the first row has 3'),
+        ('t,u,m\n0,01,1,5,2,5\n', ['voltage=u', 'torque=m'], '6 cells, .*numbers need a decimal point'),
+        ('t;u;m\n0;1,5;2\n', ['voltage=u', 'torque=m'], r"column 2 \(u\): '1,5' is no number; write a decimal point"),
+        ('t\tu\tm\n0\t1,5\t2\n', ['voltage=u', 'torque=m'], "'1,5' is no number; write a decimal point"),
+        ('t;u;m\n0;1.234,5;2\n', ['voltage=u', 'torque=m'], r"'1\.234,5' is no number"),
+        ('t,u,m\n0,"1,234.5",2\n', ['voltage=u', 'torque=m'], r"'1,234\.5' is no number"),
+        ("t,u,m\n0,1'234,2\n", ['voltage=u', 'torque=m'], 'is no number'),
+        ('t;u;m\n0;1 234;2\n', ['voltage=u', 'torque=m'], "'1 234' is no number"),
+        ('t,u,m\n0;1;2\n', ['voltage=u', 'torque=m'], "1 cells, .*';' seems to be between them, but ','"),
+        ('t,u,u\n0,1,2\n', ['voltage=u', 'torque=t'], r"the header has 2 columns 'u' .*: write \$2 or \$3"),
+        ('t,u,m\n0,1_2,2\n', ['voltage=u', 'torque=m'], r"line 2, column 2 \(u\): '1_2' is no number"),
+        ('t,u,m\n0,\uff11,2\n', ['voltage=u', 'torque=m'], 'is no number'),
+        ('t,u,m\n0,0x10,2\n', ['voltage=u', 'torque=m'], "'0x10' is no number"),
+        ('t,u,m\n0,0b1,2\n', ['voltage=u', 'torque=m'], "'0b1' is no number"),
+        ('t,u,m\n0,1e5f,2\n', ['voltage=u', 'torque=m'], "'1e5f' is no number"),
+        ('t,u,m\ns,V,N m\n0,1,2\n', ['voltage=u', 'torque=m'], r"line 2: \['V', 'N m'\] are no numbers; put '#'"),
+        ('t,u,m\n0,"1\n",2\n', ['voltage=u', 'torque=m'], 'line 2: a quoted cell that does not end on its line'),
+        ('t,u,m\n0,1,2\n,,\n', ['voltage=u', 'torque=m'], r"line 3, column 2 \(u\): '' is no number"),
+        ('x.0,1,2\n1,2,3\n', ['voltage=u', 'torque=$3'], "no column 'u'"),
+        (LOG, ['voltage=u_V*1_2', 'torque=i_A'], "'1_2' is no number"),
+        (LOG, ['voltage=u_V*0x10', 'torque=i_A'], "'0x10' is no number"),
+        (LOG, ['voltage=' + '-' * 990 + 'u_V', 'torque=i_A'], 'more than 100 operations within each other'),
+        (LOG, ['voltage=' + '(' * 450 + 'w' + ')' * 450, 'torque=i_A'], 'is no arithmetic expression'),
+        (LOG, ['voltage=u_V*1e400', 'torque=i_A'], 'a number that is too large'),
+        ('t,u,m\n' + '0' * (1 << 21), ['voltage=u', 'torque=m'], 'line 2: longer than'),
         (LOG, ['voltage=u_V', 'torque=i_A', 'where=w>99'], r'none of 3 rows can be used \(3 filtered\)'),
     ],
 )
 def test_a_log_that_cannot_be_used_is_one_clear_line_and_writes_nothing(tmp_path, text, options, message):
     log = tmp_path / 'log.csv'
-    log.write_text(text)
+    log.write_text(text, encoding='utf-8')
     with pytest.raises(BagError, match=message) as caught:
         csv_to_bag(log, tmp_path / 'bag', CsvMapping.from_options(['sample_period_s=1', *options]))
     assert '\n' not in str(caught.value)
     assert not (tmp_path / 'bag').exists()
+
+
+def warnings(tmp_path, text, *options):
+    return [line.replace(f'{tmp_path}/', '') for line in convert(tmp_path, text, *options)[0].warnings]
+
+
+def test_a_good_log_gives_no_warning(tmp_path):
+    assert warnings(tmp_path, LOG, 'time=t_s', 'voltage=u_V', 'current=i_A', 'torque_constant=0.1', 'speed=w') == []
+
+
+def test_time_that_falls_or_stands_still_is_named(tmp_path):
+    text = '# by a robot\nt,u,m\n0,1,1\n0.01,2,2\n0.005,2,2\n0.01,3,3\n0.02,4,4\n'
+    assert warnings(tmp_path, text, 'time=t', 'voltage=u', 'torque=m') == [
+        'log.csv: line 5, time (t) falls: 0.005 s after 0.01 s; '
+        '2 rows that are not later than those before are left out'
+    ]
+
+
+@pytest.mark.parametrize(
+    ('step', 'remedy'),
+    [
+        ('10', r'time=t\*0\.001'),
+        ('10000', r'time=t\*1e-06'),
+        ('10000000', r'time=t\*1e-09'),
+        ('0.00001', r'time=t\*1000'),
+    ],
+)
+def test_samples_that_no_motor_would_give_are_named_with_their_interval(tmp_path, step, remedy):
+    text = 't,u,m\n' + ''.join(f'{k * float(step):.9g},1,2\n' for k in range(5))
+    (warning,) = warnings(tmp_path, text, 'time=t', 'voltage=u', 'torque=m')
+    assert f'log.csv: samples are {float(step):.3g} s apart' in warning
+    assert re.search(remedy, warning)
+
+
+def test_a_column_named_in_another_unit_is_named_with_the_factor(tmp_path):
+    text = 't_ms,u [mV],i_mA\n0,1,1\n0.01,2,2\n0.02,2,2\n'
+    found = warnings(tmp_path, text, 'time=t_ms', 'voltage=u [mV]', 'current=i_mA', 'torque_constant=1')
+    assert [line.partition(' if')[0] for line in found] == [
+        "log.csv: time is in s, but column 't_ms' says ms; write such as time=t_ms*1e-3",
+        "log.csv: voltage is in V, but column 'u [mV]' says mV; write such as voltage=u [mV]*1e-3",
+        "log.csv: current is in A, but column 'i_mA' says mA; write such as current=i_mA*1e-3",
+    ]
+    scaled = tmp_path / 'scaled'
+    scaled.mkdir()
+    options = ('time=t_ms*1', 'voltage=$2*1e-3', 'current=i_mA*1e-3', 'torque_constant=1')
+    assert warnings(scaled, text, *options) == []
+
+
+def test_values_that_are_not_finite_are_named(tmp_path):
+    text = 't,u,m\n0,1,1\n0.01,nan,2\n0.02,2,-inf\n0.03,1e400,1\n'
+    assert warnings(tmp_path, text, 'time=t', 'voltage=u', 'torque=m') == [
+        'log.csv: line 3: voltage of motor is nan there and not finite in 2 rows; the observer refuses these samples',
+        'log.csv: line 4: torque of motor is -inf there and not finite in 1 rows; the observer refuses these samples',
+    ]
+
+
+def test_a_header_with_a_number_and_a_separator_behind_the_last_cell_are_named(tmp_path):
+    text = '0.0,u,m\n0,1,1,\n0.01,2,2,\n'
+    assert warnings(tmp_path, text, 'time=$1', 'voltage=u', 'torque=m') == [
+        "log.csv, line 1 is taken for the names of the columns, although '0.0' is a number in it",
+        'log.csv, line 2: a separator behind the last cell is passed over, in 2 rows',
+    ]
+
+
+def test_quoted_cells_and_comments_behind_a_row_are_read(tmp_path):
+    text = '"t","u, V","m"\n"0","1","2"\n0.01,3,4 # a note, with a comma\n'
+    _, voltage, torque = convert(tmp_path, text, 'time=t', 'voltage=u, V', 'torque=m')
+    assert [e for *_, e in voltage] == [1.0, 3.0]
+    assert [e for *_, e in torque] == [2.0, 4.0]
+
+
+@pytest.mark.parametrize('kind', ['missing', 'pipe', 'folder', 'device', 'utf-16'])
+def test_a_log_that_is_no_text_file_is_one_clear_line(tmp_path, kind):
+    log = tmp_path / 'log.csv'
+    if kind == 'pipe':
+        os.mkfifo(log)
+    elif kind == 'folder':
+        log.mkdir()
+    elif kind == 'device':
+        log.symlink_to('/dev/zero')
+    elif kind == 'utf-16':
+        log.write_text(LOG, encoding='utf-16')
+    with pytest.raises(BagError, match=r'log.csv.*(cannot be read|is no text)') as caught:
+        csv_to_bag(log, tmp_path / 'bag', CsvMapping.from_options(['time=t', 'voltage=u', 'torque=m']))
+    assert '\n' not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +270,10 @@ def test_a_log_that_cannot_be_used_is_one_clear_line_and_writes_nothing(tmp_path
         (['time=t', 'voltage=u', 'current=i', 'torque_constant=-1'], 'torque_constant is -1.0'),
         (['time=t', 'voltage=u', 'current=i', 'torque_constant=k'], "torque_constant is 'k', expected a number"),
         (['time=t', 'voltage=u', 'torque=m', 'voltage_applies=now'], 'voltage_applies'),
+        (['time=t', 'voltage=u', 'current=i', 'torque_constant=1_0'], "torque_constant is '1_0', expected a number"),
+        (['time=t', 'voltage=u', 'torque=m', 'first_stamp_ns=1' + '0' * 29], 'first_stamp_ns is 10+, expected 0 to'),
+        (['time=t', 'voltage=u', 'torque=m', 'first_stamp_ns=-1'], 'first_stamp_ns is -1'),
+        (['time=t', 'voltage=u', 'torque=m', 'first_stamp_ns=inf'], "first_stamp_ns is 'inf', expected a number"),
         (['sample_period_s=nan', 'voltage=u', 'torque=m'], 'sample_period_s is nan'),
     ],
 )

@@ -206,9 +206,9 @@ def test_metadata_of_another_kind_of_bag_is_one_clear_line(make_bag, text, messa
         ('- a\n- b', "has no 'rosbag2_bagfile_information'"),
         ('', "has no 'rosbag2_bagfile_information'"),
         ('a: [b', 'cannot be understood'),
-        ('a: 2024-99-99', 'cannot be understood'),
+        ('a: 2024-99-99', "has no 'rosbag2_bagfile_information'"),
         ('[' * 1200, 'cannot be understood'),
-        (b'\xff\xfe\x00', 'cannot be understood'),
+        (b'\xff\xfe\x00', 'byte 0 is no UTF-8'),
         ('a: !!python/object/apply:os.system [ls]', 'cannot be understood'),
     ],
 )
@@ -258,3 +258,30 @@ def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
         (folder / 'metadata.yaml').write_text(METADATA.format(name))
         with pytest.raises(BagError, match=r"'other_0.mcap', listed in metadata.yaml, is missing"):
             BagReader(folder)
+
+
+def test_a_link_that_leads_out_of_the_folder_is_not_read_and_one_inside_is(make_bag, tmp_path):
+    folder, other = make_bag(80, options=BagOptions(max_file_duration_s=0.2)), make_bag(70, 'other')
+    first, second = folder / 'run_0.mcap', folder / 'run_1.mcap'
+    first.rename(folder / 'kept.bin')
+    first.symlink_to('kept.bin')
+    with BagReader(folder) as bag:
+        whole = len(list(bag.messages()))
+        assert bag.lost is None
+    second.unlink()
+    second.symlink_to(other / 'other_0.mcap')
+    for metadata in (True, False):
+        if not metadata:
+            (folder / 'metadata.yaml').unlink()
+        with BagReader(folder) as bag:
+            assert 0 < len(list(bag.messages())) < whole
+            assert not metadata or "'run_1.mcap', listed in metadata.yaml, leads out of it by a link" in str(bag.lost)
+
+
+def test_nor_is_metadata_that_lies_elsewhere(make_bag, tmp_path):
+    folder = make_bag(5)
+    (folder / 'metadata.yaml').rename(tmp_path / 'secret.yaml')
+    (folder / 'metadata.yaml').symlink_to(tmp_path / 'secret.yaml')
+    with BagReader(folder) as bag:
+        assert len(list(bag.messages())) == 10
+        assert 'metadata.yaml is a link that leads out of the bag; it is not read' in str(bag.lost)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from gray_box_observer.report import ParameterHistory
+from gray_box_observer.report import MotorHistory, ParameterHistory
+from gray_box_observer.report.history import FitHistory
 from gray_box_observer.report.parameter_figure import parameter_figure, rate_of_change
 from gray_box_observer.report.rejection_figure import rejection_figure
+from gray_box_observer.report.residual_figure import residual_figure
 from gray_box_observer.report.signal_figure import signal_figure
 
 
@@ -112,3 +115,29 @@ def test_rejected_samples_without_a_time_are_told(make_motor):
     figure = rejection_figure(dataclasses.replace(make_motor(), rejected={'late': 7}, rejected_time_s={}))
     assert figure.data[0]['x'] == [7]
     assert '7 rejected samples have no time' in figure.caption
+
+
+def test_the_residual_figure_draws_every_lag_and_the_band_and_says_how_many_lie_outside() -> None:
+    assert residual_figure(FitHistory()) is None
+    drawn = residual_figure(FitHistory('ok', 'fine', 99.0, np.array([0.5, 0.01, -0.02]), 0.04))
+    assert drawn is not None
+    low, high, bars = drawn.data
+    assert (low['y'], high['y'], bars['y']) == ([-0.04, -0.04], [0.04, 0.04], [0.5, 0.01, -0.02])
+    assert drawn.caption.startswith('1 of 3 lags lie outside the band.')
+
+
+def test_free_run_current_and_changes_are_drawn_with_the_signals(make_motor: Callable[..., MotorHistory]) -> None:
+    motor = make_motor()
+    motor = dataclasses.replace(
+        motor, free_run_torque_nm=motor.torque_nm, current_a=100.0 * motor.torque_nm, changes_s=(30.0,)
+    )
+    drawn = signal_figure(motor)
+    names = [trace['name'] for trace in drawn.data]
+    assert {'free run', 'current'} <= set(names)
+    assert [shape['x0'] for shape in drawn.layout['shapes']] == [30.0]
+    bare = dataclasses.replace(
+        motor,
+        predicted_torque_nm=np.full_like(motor.torque_nm, np.nan),
+        white_box_torque_nm=np.full_like(motor.torque_nm, np.nan),
+    )
+    assert 'free run' in [trace['name'] for trace in signal_figure(bare).data]

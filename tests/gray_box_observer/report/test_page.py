@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.report import MotorHistory, ParameterHistory, ReportError, render, write_report
+from gray_box_observer.report.history import FitHistory
 from gray_box_observer.report.page import embedded
 from gray_box_observer.report.sections import sensitivity_table
 
@@ -196,3 +197,31 @@ def test_a_change_that_is_rounding_is_shown_as_none():
     table = sensitivity_table({'back_emf_constant': {'inductance': -7.4e-12, 'resistance': -0.01}})
     cells = re.findall(r'<td class="number">(.*?)</td>', table)
     assert cells == ['0\N{NO-BREAK SPACE}%', '\N{MINUS SIGN}0.010\N{NO-BREAK SPACE}%']
+
+
+def test_the_page_says_at_the_top_whether_the_white_box_explains_the_data(make_run, make_motor) -> None:
+    for verdict, style in (('ok', 'identified'), ('warning', 'doubtful'), ('misfit', 'misfit'), ('untested', 'other')):
+        fit = FitHistory(verdict, f'It is <{verdict}>.', 98.765)
+        page = render(make_run(dataclasses.replace(make_motor(samples=50), fit=fit)))
+        banner = page.split(f'class="fit {style}"')[1].split('</p>')[0]
+        assert f'It is &lt;{verdict}&gt;.' in banner
+        assert '98.77' in banner
+        assert page.index('class="fit') < page.index('class="cards"')
+        assert ('settled, and the data bear it out' in page) == (verdict == 'ok')
+
+
+def test_the_page_prints_parameters_and_validation_and_marks_constants_that_estimates_lean_on(
+    make_run, make_motor
+) -> None:
+    score = {'rmse': 0.001, 'nmae': 0.02, 'fit_percent': 97.5}
+    test = {'verdict': 'ok', 'ratio': None, 'whiteness': None, 'suspects': []}
+    validation = {'bag': 'b<1>', 'samples': 7, 'predictor': True, **score, 'fit': test}
+    validation |= {'white_box': score, 'persistence': {**score, 'rmse': None}}
+    sensitivity = {'back_emf_constant': {'resistance': -4.0}, 'torque_constant': {'resistance': 1.0}}
+    motor = dataclasses.replace(make_motor(samples=50), validation=validation, sensitivity=sensitivity)
+    page = render(dataclasses.replace(make_run(motor), parameters={'motor.torque_constant': 0.01}))
+    assert '<code>motor.torque_constant: 0.01</code>' in page
+    assert 'b&lt;1&gt;: 7 samples, nothing learnt from them' in page
+    assert page.count('<td class="number">97.5</td>') == 3
+    assert 'resistance moves by' in page
+    assert page.count('number strong') == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -13,7 +14,7 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from gray_box_observer.checkpoint import load, save
+from gray_box_observer.checkpoint import capture, encode, load, save
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.observer import Observer
 
@@ -145,6 +146,9 @@ def test_a_path_set_while_it_runs_stays_in_the_folder(rig, record, tmp_path):
         ('../c.safetensors', "must not hold '..'"),
         ('out/c.safetensors', f'leads out of {folder}'),
         ('', 'must be the name of a file'),
+        ('.bashrc', "must hold no name that begins with '.'"),
+        ('.ssh/authorized_keys', "must hold no name that begins with '.'"),
+        ('crontab', 'must end in .safetensors'),
     ):
         successful, reason = ask(value)
         assert not successful
@@ -184,7 +188,7 @@ def test_a_start_with_a_path_outside_of_its_folder_is_one_line(rig, tmp_path):
 def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(rig, record, tmp_path, learnt_offline):
     (tmp_path / 'file').write_text('no folder')
     recording = record(EXCITATION, 12.0)
-    rig.start(checkpoint__path=tmp_path / 'file' / 'c', checkpoint__resume='true', checkpoint__period_s=0.1)
+    rig.start(checkpoint__path=tmp_path / 'file' / 'c.safetensors', checkpoint__resume='true', checkpoint__period_s=0.1)
     said = []
     for first in range(0, 1200, 100):
         rig.send(recording, range(first, first + 100))
@@ -196,3 +200,56 @@ def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(rig
     code, _, log = rig.peer.end(rig.process)
     assert code == 0
     assert 'cannot write' in log
+
+
+@pytest.mark.parametrize('kind', ['pipe', 'sparse file'])
+def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(rig, record, tmp_path, kind):
+    path = tmp_path / 'c.safetensors'
+    if kind == 'pipe':
+        os.mkfifo(path)
+    else:
+        with path.open('wb') as file:
+            file.truncate(1 << 42)
+    rig.start(checkpoint__path=path, checkpoint__resume='true', checkpoint__period_s=0.1)
+    recording = record(EXCITATION, 8.0)
+    said = []
+    for first in range(0, 400, 100):
+        rig.send(recording, range(first, first + 100))
+        rig.wait_for(samples_used=first + 100)
+        said += [status.message for array in rig.diagnostics for status in array.status]
+        rig.diagnostics.clear()
+    assert any('what stands there is no checkpoint of this package; move it away' in message for message in said)
+    answer = rig.call(Trigger, 'load')
+    assert not answer.success
+    assert f'cannot read {path}' in answer.message
+    code, _, log = rig.peer.end(rig.process)
+    assert code == 0
+    (line,) = [line for line in log.splitlines() if 'starting from the initial values: ' in line]
+    assert f'it is kept as {path}' in line
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+
+
+def test_absurd_content_under_a_right_checksum_is_set_aside_and_learning_begins_anew(rig, record, tmp_path):
+    path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
+    core = Observer(Configuration.from_flat({'predictor': False}))
+    for k in range(100):
+        core.voltage('motor', int(recording.stamp_ns[k]), float(recording.voltage_v[0, k]))
+        core.torque('motor', int(recording.stamp_ns[k]), float(recording.torque_nm[0, k]))
+    plain, arrays = decode_of(core)
+    plain['motors']['motor']['context_nodes']['next_fit'] = 10**30
+    path.write_bytes(encode(plain, arrays))
+    rig.start(checkpoint__path=path, checkpoint__resume='true')
+    rig.send(recording, range(400))
+    rig.wait_for(samples_used=400)
+    code, _, said = rig.peer.end(rig.process)
+    assert code == 0
+    (line,) = [line for line in said.splitlines() if 'refused' in line]
+    assert 'next_fit is 10' in line
+    assert (tmp_path / 'c.safetensors.refused').is_file()
+    assert held_by(path)
+
+
+def decode_of(core: Observer) -> tuple[dict, dict]:
+    """What a checkpoint of a core would hold."""
+    snapshot = capture(core)
+    return json.loads(snapshot.content), dict(snapshot.arrays)

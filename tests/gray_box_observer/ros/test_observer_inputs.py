@@ -56,6 +56,7 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
         speed__topic='encoder',
         speed__type='geometry_msgs/msg/WrenchStamped',
         speed__field='wrench.force.x',
+        hold_s=60.0,  # sent faster than time runs, one topic may overtake another by more than it would live
     )
     senders = {
         'voltage': rig.peer.publisher(JointState, 'drive/state', RELIABLE, readers=1),

@@ -227,7 +227,7 @@ def test_reset_publishes_at_once_what_is_known_then(rig, record):
 def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):
     """Freezing, thawing, saving, pausing and loading publish no value that was not learnt at that time."""
     recording = record(EXCITATION, 12.0, torque_noise_relative=0.01)
-    rig.start(checkpoint__path=tmp_path / 'c')
+    rig.start(checkpoint__path=tmp_path / 'c.safetensors')
     rig.send(recording, range(600))
     rig.wait_for(samples_used=600)
     every = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -74,6 +74,8 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
         f'{NODE}/motor/resistance': ('std_msgs/msg/Float64', reliable, latched),
         f'{NODE}/motor/hysteresis': ('std_msgs/msg/Float64', reliable, latched),
         f'{NODE}/motor/identified': ('std_msgs/msg/Bool', reliable, latched),
+        f'{NODE}/motor/fit': ('std_msgs/msg/Float64', reliable, latched),
+        f'{NODE}/motor/resistance/identified': ('std_msgs/msg/Bool', reliable, latched),
         f'{NODE}/motor/alarm': ('std_msgs/msg/Bool', reliable, latched),
         f'{NODE}/motor/covariance': ('std_msgs/msg/Float64MultiArray', reliable, latched),
         f'{NODE}/predicted_torque': ('sensor_msgs/msg/JointState', reliable, volatile),
@@ -105,6 +107,29 @@ def test_a_noise_free_motor_is_identified_and_whoever_comes_late_is_told(rig, re
     assert np.all(np.linalg.eigvalsh(matrix) > 0.0)
     rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample')
     assert rig.values()['inductance verdict'] == 'identified'
+
+
+def test_whoever_comes_late_is_told_how_well_the_white_box_fits_and_which_parameters_are_identified(rig, record):
+    rig.start()
+    rig.send(record(EXCITATION, 8.0, torque_noise_relative=0.01), range(800))
+    rig.wait_for(samples_used=800)
+    values = rig.values()
+    assert values['fit verdict'] == 'ok'
+    assert rig.latched(Float64, 'motor/fit').data == pytest.approx(float(values['fit ratio']), rel=1e-3)
+    assert values['suspects'] == 'none'
+    assert 'Kb is left at its default' in values['assumptions']
+    for name in ('inductance', 'resistance', 'hysteresis'):
+        identified = values[f'{name} verdict'] in ('identified', 'negligible')
+        assert rig.latched(Bool, f'motor/{name}/identified').data is identified
+
+
+def test_a_motor_that_is_told_in_mv_is_a_warning_with_its_remedy_and_nothing_of_it_is_identified(rig, record):
+    recording = record(EXCITATION, 8.0, torque_noise_relative=0.01)
+    rig.start()
+    rig.send(replace(recording, voltage_v=1e3 * recording.voltage_v), range(800))
+    rig.wait_for_level(DiagnosticStatus.WARN, 'set voltage.scale: 0.001')
+    assert rig.values()['suspects'].startswith('units_of_voltage')
+    assert rig.latched(Bool, 'motor/identified').data is False
 
 
 def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_between_costs_nothing(

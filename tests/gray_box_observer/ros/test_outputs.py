@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from types import SimpleNamespace
 
@@ -12,6 +13,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.group import GroupResult
 from gray_box_observer.ros.forms import Form, TorqueMessages, value_form
 from gray_box_observer.ros.outputs import Outputs
@@ -26,7 +29,10 @@ class Node:
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
-        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)))
+        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)), on_activate=lambda _: None)
+
+    def destroy_lifecycle_publisher(self, publisher):
+        """Let one go."""
 
 
 def predicted(node: Node) -> list[tuple[int, float]]:
@@ -144,6 +150,47 @@ def test_an_estimate_goes_out_as_the_messages_that_would_be_built() -> None:
         ]  # fmt: skip
         sent = [deserialize_message(data, type(m)) for (_, data), m in zip(node.sent, messages, strict=True)]
         assert sent == messages
+
+
+def sent_to(node: Node, name: str, kind: type) -> list[object]:
+    return [deserialize_message(data, kind).data for topic, data in node.sent if topic == f'~/motor/{name}']
+
+
+def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_gone_where_it_is_not_known() -> None:
+    node = Node()
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for ratio in (math.nan, 1.25, 1.25, 7.5, math.inf):
+        outputs.fit('motor', FitAssessment(FitVerdict.OK, ratio))
+    assert sent_to(node, 'fit', Float64) == [1.25, 7.5]
+    outputs.fit('stranger', FitAssessment(FitVerdict.OK, 2.0))
+    outputs.forget_published()
+    outputs.fit('motor', FitAssessment())
+    assert sent_to(node, 'fit', Float64) == [1.25, 7.5]
+
+
+def test_which_parameters_are_identified_goes_out_when_it_changes_and_again_when_nobody_may_have_heard() -> None:
+    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters
+    outputs = Outputs(node, Configuration.from_flat({}))
+    for known in ((False, False, False), (False, True, False), (False, True, False), (True, True, True)):
+        outputs.parameters_identified('motor', parameters, known)
+    assert sent_to(node, 'inductance/identified', Bool) == [False, True]
+    assert sent_to(node, 'resistance/identified', Bool) == [False, True]
+    outputs.forget_published()
+    outputs.parameters_identified('motor', parameters, (True, True, True))
+    assert sent_to(node, 'inductance/identified', Bool) == [False, True, True]
+
+
+def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
+    node, parameters = Node(), MotorWhiteBox(('inductance', 'resistance'), 0.01, {}).parameters
+    outputs = Outputs(node, Configuration.from_flat({'motor.context_nodes': ['inductance', 'resistance']}))
+    covariance = np.array([[[np.nan, 0.0], [0.0, 1.0]]])
+    verdicts = ((Verdict.CONVERGING, Verdict.IDENTIFIED),)
+    estimate = Estimate(1, parameters, np.array([[np.inf, 2.0]]), covariance, verdicts)
+    outputs.estimate('motor', estimate)
+    assert [topic for topic, _ in node.sent] == ['~/motor/resistance', '~/motor/identified']
+    outputs.all_estimates(['motor', 'other'], [(('motor',), estimate)])
+    table = node.sent[-1][1]
+    assert list(table.data) == [0.0, -1.0, 2.0, 1.0, 0.0, -1.0, 0.0, -1.0]
 
 
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:

@@ -48,13 +48,14 @@ def series(count: int, step_s: float = 0.01) -> list[JointState]:
     return messages
 
 
-def make_bag(folder: Path, times_s: list[float], topic: str = '/motor/torque') -> Path:
-    """A bag whose message k has effort k and was logged at the k-th time."""
+def make_bag(folder: Path, times_s: list[float], topic: str = '/motor/torque', log_s: int = 0) -> Path:
+    """A bag whose message k has effort k and was logged at the k-th time, `log_s` later than its stamp."""
     with BagWriter(folder) as writer:
         writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
         for index, time_s in enumerate(times_s):
             stamp_ns = 10**9 + round(time_s * 1e9)
-            writer.write(topic, encode_joint_state(stamp_ns, ['motor'], effort=[index]), stamp_ns, stamp_ns)
+            data = encode_joint_state(stamp_ns, ['motor'], effort=[index])
+            writer.write(topic, data, stamp_ns + log_s * 10**9, stamp_ns)
     return folder
 
 
@@ -378,7 +379,12 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
             'sets the compression; leave compression out',
         ),
         (RECORDER, ['-o', '{tmp}/new', '--max-bag-size', '-1'], 'max_file_bytes must be in [0, 1e+15], got -1'),
-        (RECORDER, ['-o', '{tmp}/new', '-d', 'long'], "argument -d/--max-bag-duration: invalid float value: 'long'"),
+        (RECORDER, ['-o', '{tmp}/new', '-d', 'long'], "argument -d/--max-bag-duration: 'long' is no number"),
+        (RECORDER, ['-o', '{tmp}/new', '-d', '1_0'], "argument -d/--max-bag-duration: '1_0' is no number"),
+        (RECORDER, ['-o', '{tmp}/new', '-d', 'nan'], 'max_file_duration_s must be in [0, 1e+09], got nan'),
+        (RECORDER, ['-o', '{tmp}/new', '-b', '1_0'], "argument -b/--max-bag-size: '1_0' is no whole number"),
+        (RECORDER, ['-o', '{tmp}/new', '-b', '9' * 25], 'max_file_bytes must be in [0, 1e+15], got 99'),
+        (PLAYER, ['{tmp}/late', '--ros-args', '-p', 'clock:=true'], 'which /clock cannot tell'),
         (
             RECORDER,
             ['-o', '{tmp}/new', '--ros-args', '-p', 'duration_s:=-1'],
@@ -390,6 +396,7 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
 )
 def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arguments, message):
     make_bag(tmp_path / 'bag', [0.0, 1.0])
+    make_bag(tmp_path / 'late', [0.0], log_s=2**32)
     (tmp_path / 'text.mcap').write_text('no bag')
     spoilt = make_bag(tmp_path / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
     spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))

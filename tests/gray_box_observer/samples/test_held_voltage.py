@@ -20,34 +20,35 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
     return held, stamps
 
 
-def expected(stamps: list[int], held_ns: int, end_ns: int, silence_s: float) -> int | None:
-    """When the voltage is known again after the last silence before ``end_ns``, told stamp by stamp."""
-    seen = [stamp for stamp in stamps if stamp >= held_ns]
-    before = [stamp for stamp in seen if stamp < end_ns]
-    until = [*before, *[stamp for stamp in seen if stamp >= end_ns][:1]]
+def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int) -> int | None:
+    """When the voltage is known again after the last pause that began before ``end_ns``, told stamp by stamp.
+
+    A limit a stamp is the longest habit when it came; one more is that of the voltage which is still to come.
+    """
     known_ns = None
-    for earlier, later in pairwise(until):
-        if (later - earlier) / 1e9 > silence_s:
+    for (earlier, later), limit_s in zip(pairwise([*stamps, end_ns + 1]), limits_s[1:], strict=True):
+        if held_ns <= earlier < end_ns and (min(later, end_ns) - earlier) / 1e9 > limit_s:
             known_ns = later
-    if until[-1] < end_ns and (end_ns - until[-1]) / 1e9 > silence_s:
-        return end_ns + 1
     return known_ns
 
 
 def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
-    random, found, torque = np.random.default_rng(1), [], Rhythm()
+    random, unknown_until, torque = np.random.default_rng(1), [], Rhythm()
     for _ in range(100):
         torque.take(0.001)  # against its habit it was silent, too
     for _ in range(300):
         held, stamps = regular()
         held_ns = stamps[-2]  # the newest is not in force before the stamp that begins with it
+        limits_s = [held._rhythm.silence_s] * len(stamps)
         for gap_ms in random.choice([1, 10, 30, 150, 190, 230, 500], size=int(random.integers(0, 6))).tolist():
             stamps.append(stamps[-1] + gap_ms * MS)
+            limits_s.append(held._rhythm.silence_s)
             held.take(stamps[-1], 2.0)
+        limits_s.append(held._rhythm.silence_s)
         end_ns = held_ns + int(random.integers(25, 1000)) * MS
-        found.append(held.unknown_until_ns(held_ns, end_ns, torque))
-        assert found[-1] == expected(stamps, held_ns, end_ns, held._rhythm.silence_s)
-    assert 100 < sum(stamp is not None for stamp in found) < 290
+        unknown_until.append(held.unknown_until_ns(held_ns, end_ns, torque))
+        assert unknown_until[-1] == expected(stamps, limits_s, held_ns, end_ns)
+    assert 100 < sum(stamp is not None for stamp in unknown_until) < 290
 
 
 def test_what_was_never_regular_and_pauses_no_more_than_torque_does_is_known() -> None:

@@ -155,6 +155,72 @@ def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_
     assert pairing.received_torque == pairing.used + pairing.refused['torque'].total()
 
 
+@pytest.mark.parametrize('ahead_ms', [0, 900])
+@pytest.mark.parametrize('count', [20, 1000, 1021])
+def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows(count: int, ahead_ms: int) -> None:
+    """Torque goes on; the voltage, delivered in time or ahead of torque, misses 1 to 129 samples after regular ones."""
+    voltages, torques = steady(count + 200)
+    for missing in (1, 18, 30, 46, 64, 129):
+        back_ms = 10 * (count + missing)
+        kept = [e for e in voltages if not 10 * count <= e[1] < back_ms]
+        pairing = Pairing()
+        events = sorted(kept + torques, key=lambda e: (e[1] - ahead_ms * (e[0] == 'v'), e[0] == 't'))
+        samples = feed(pairing, events) + pairing.flush()
+        assert all(math.isfinite(value) for sample in content(samples) for value in sample)
+        used_ns = {s.stamp_ns for s in samples}
+        refused = [at for _, at, _ in torques if at * MS not in used_ns]
+        overdue_ms = 10 * (count - 1) + 195  # by its habit of 10 ms, followed to 2 %
+        unknown = [at for _, at, _ in torques if overdue_ms < at < back_ms]
+        assert refused in ((unknown, unknown[1:]) if count >= 1021 else ([],))
+        assert pairing.rejected == ({Rejection.NO_VOLTAGE: len(refused)} if refused else {})
+        assert pairing.received_torque == pairing.used + pairing.rejected.total()
+        begins = [s.stamp_ns // MS for s in samples if s.interval_s[0] == 0.0]
+        assert begins == ([0, back_ms] if refused else [0])
+
+
+def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_across_it() -> None:
+    """Torque has given the voltage up; what comes then is stamped where nothing was missing yet."""
+    voltages, torques = steady(1500)
+    pairing = Pairing(PairingRules(gap_s=5.0))
+    samples = feed(pairing, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't')))
+    samples += feed(pairing, [('t', at, 0.1) for at in range(15_000, 15_500, 10)])
+    samples += feed(pairing, [('v', 15_180, 3.0), ('v', 15_300, 4.0), ('t', 15_500, 0.1)]) + pairing.flush()
+    assert all(math.isfinite(value) for sample in content(samples) for value in sample)
+    assert pairing.received_torque == pairing.used + pairing.rejected.total()
+
+
+@pytest.mark.parametrize('every', [1, 3])
+def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every: int) -> None:
+    """The voltage of one motor is overdue while the messages go on, torque comes as often or three times as often."""
+    pairing, samples = Pairing(PairingRules(hold_s=0.0), motors=3), []
+    for k in range(1250 * every):
+        if k % every == 0:
+            voltage_v = np.array([math.nan if k >= 1050 * every else 1.0, 2.0, 3.0])
+            samples += pairing.voltage(10 * k * MS, voltage_v)
+        samples += pairing.torque(10 * k * MS, np.full(3, 0.1))
+        ahead = pairing.ahead(10 * (k + 1) * MS)
+        assert ahead is None or np.all(np.isfinite(ahead[1]) | (ahead[0] == 0.0))
+    for sample in samples + pairing.flush():
+        present = np.ones(3, dtype=bool) if sample.present is None else sample.present
+        for values in (sample.interval_s, sample.voltage_v, sample.torque_nm):
+            assert np.all(np.isfinite(values[present]))
+    for motor in range(3):
+        counts = pairing.of(motor)
+        assert counts.received_torque == counts.used + counts.refused['torque'].total() + counts.waiting
+    assert pairing.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 100
+    assert pairing.of(1).rejected == {}
+
+
+def test_what_was_refused_with_its_torque_is_seen_by_nobody() -> None:
+    pairing = Pairing(motors=2)
+    pairing.voltage(0, np.ones(2))
+    (sample,) = pairing.torque(0, np.full(2, 0.1), np.array([1e12, 3.0]))
+    assert sample.present is not None
+    assert sample.present.tolist() == [False, True]
+    assert np.isnan(sample.speed_rad_s[0])
+    assert sample.speed_rad_s[1] == 3.0
+
+
 def test_a_lost_message_is_no_silence() -> None:
     voltages, torques = steady(200)
     kept = [e for k, e in enumerate(voltages) if k % 3] + [e for k, e in enumerate(torques) if not 80 < k < 95]
@@ -356,6 +422,17 @@ def test_torque_without_speed_is_refused_where_speed_is_needed_and_the_interval_
     assert pairing.rejected == {Rejection.NO_SPEED: 1}
     assert [round(sample.interval_s[0], 3) for sample in samples] == [0.0, 0.01, 0.02, 0.01]
     assert samples[2].voltage_v[0] == pytest.approx(1.5)
+
+
+def test_a_torque_without_speed_is_refused_too_where_it_waited_with_the_first_that_has_one() -> None:
+    for uses_speed in (True, False):
+        pairing = Pairing(uses_speed=uses_speed)
+        pairing.voltage(-MS, 1.0)
+        for k in range(3):
+            assert pairing.torque(10 * k * MS, 0.1, math.nan if k == 1 else 2.0) == []
+        samples = pairing.voltage(20 * MS, 1.0)
+        assert [s.stamp_ns // MS for s in samples] == ([0, 20] if uses_speed else [0, 10, 20])
+        assert pairing.rejected == ({Rejection.NO_SPEED: 1} if uses_speed else {})
 
 
 @pytest.mark.parametrize('delay_ms', [53, 7, -20, -400])

@@ -1,0 +1,143 @@
+"""What the middleware may hold of a topic is bounded in bytes."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from gray_box_observer.ros import receive_queue
+from gray_box_observer.ros.receive_memory import ReceiveMemory
+from gray_box_observer.ros.receive_queue import BUDGET_MESSAGES, CALM_S, ReceiveQueue
+
+LIMIT = 4_000_000
+BUDGET = BUDGET_MESSAGES * LIMIT
+DEPTH = 1000
+
+
+class Node:
+    """Does what it is asked for when :meth:`turn` is called, as an executor does."""
+
+    def __init__(self) -> None:
+        self.executor = SimpleNamespace(create_task=lambda task: self.waiting.append(task))
+        self.waiting, self.alive, self.said, self.watched = [], [], [], []
+
+    def turn(self) -> None:
+        """Serve tasks and timers."""
+        waiting, self.waiting = self.waiting, []
+        for task in sorted(waiting, key=lambda task: task.__name__ == '_reopen'):
+            task()
+
+    def subscribe(self, profile: QoSProfile | None) -> SimpleNamespace:
+        """Make a subscription."""
+        made = SimpleNamespace(qos_profile=profile or QoSProfile(depth=DEPTH), topic_name='/motor/voltage')
+        self.alive.append(made)
+        return made
+
+    def create_timer(self, period_s, callback, clock):
+        """Have something done later."""
+        self.waiting.append(callback)
+        return callback
+
+    def destroy_timer(self, timer) -> None:
+        """It has been done."""
+
+    def destroy_subscription(self, subscription) -> None:
+        """End a subscription."""
+        self.alive.remove(subscription)
+
+    def get_logger(self):
+        """Keep what is said."""
+        return SimpleNamespace(warning=lambda text, **_: self.said.append(text), info=self.said.append)
+
+
+@pytest.fixture
+def node() -> Node:
+    return Node()
+
+
+@pytest.fixture
+def queue(node) -> ReceiveQueue:
+    return ReceiveQueue(node, node.subscribe, LIMIT, lambda: node.watched.append(True))
+
+
+def test_usual_messages_are_not_looked_at_and_change_nothing(queue, node):
+    assert queue.unchecked_bytes == BUDGET // DEPTH
+    assert queue.admit(queue.unchecked_bytes)
+    node.turn()
+    assert not node.watched
+    assert [subscription.qos_profile.depth for subscription in node.alive] == [DEPTH]
+    assert not node.said
+
+
+@pytest.mark.parametrize(('size', 'is_read'), [(100_000, True), (LIMIT, True), (LIMIT + 1, False), (BUDGET, False)])
+def test_a_large_message_now_and_then_costs_no_other(queue, node, size, is_read):
+    assert queue.admit(size) == is_read
+    node.turn()
+    assert [subscription.qos_profile.depth for subscription in node.alive] == [DEPTH]
+    assert node.watched, 'but the memory is looked at'
+
+
+@pytest.mark.parametrize(('size', 'depth'), [(100_000, 16), (LIMIT, 16), (LIMIT + 1, 8), (10 * BUDGET, 1)])
+def test_where_the_memory_has_grown_the_queue_is_short_and_shorter_for_larger_messages(queue, node, size, depth):
+    queue.empty()
+    assert len(node.alive) == 1, 'nothing is made anew within the callback'
+    node.turn()
+    assert [subscription.qos_profile.depth for subscription in node.alive] == [BUDGET_MESSAGES]
+    queue.admit(size)
+    node.turn()
+    assert [subscription.qos_profile.depth for subscription in node.alive] == [depth]
+    assert depth * size <= BUDGET or depth == 1
+    assert node.alive[0].qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    said = len(node.said)
+    queue.admit(size)
+    node.turn()
+    assert len(node.said) == said, 'the same again changes nothing'
+
+
+def test_the_full_queue_comes_back_when_it_has_been_calm(queue, node, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr(receive_queue.time, 'monotonic', lambda: now_s[0])
+    queue.empty()
+    node.turn()
+    now_s[0] = 0.9 * CALM_S
+    assert queue.unchecked_bytes < 0, 'every message is looked at'
+    queue.admit(100)
+    node.turn()
+    assert queue.subscription.qos_profile.depth == 16
+    now_s[0] = 1.1 * CALM_S
+    queue.admit(100)
+    node.turn()
+    assert queue.subscription.qos_profile.depth == DEPTH
+    assert queue.subscription.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+    assert queue.unchecked_bytes == BUDGET // DEPTH
+
+
+def test_a_queue_can_be_emptied_though_no_message_of_it_was_ever_complete(queue, node):
+    before = queue.subscription
+    queue.empty()
+    node.turn()
+    assert before not in node.alive
+    assert queue.subscription.qos_profile.depth == BUDGET_MESSAGES
+
+
+def test_what_is_closed_while_it_is_made_anew_stays_closed(queue, node):
+    queue.empty()
+    queue.close()
+    node.waiting = [task for task in node.waiting if task.__name__ == '_destroy']
+    node.turn()
+    assert node.alive == []
+
+
+def test_growth_is_told_by_who_has_touched_the_memory():
+    memory, kept = ReceiveMemory(), []
+    kept.append(np.ones(10_000_000))
+    assert memory.grown_bytes() < 20e6, 'ours'
+    memory.mark()
+    other = threading.Thread(target=lambda: kept.append(np.ones(10_000_000)))
+    other.start()
+    other.join()
+    assert memory.grown_bytes() > 60e6, 'of another thread'

@@ -1,0 +1,101 @@
+"""Every executable refuses an input that cannot be read or meant in one line, with exit code 2, and waits for none."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).resolve().parents[2]
+EXECUTABLES = {
+    'identify': 'gray_box_observer',
+    'observer': 'gray_box_observer',
+    'recorder': 'gray_box_observer',
+    'player': 'gray_box_observer',
+    'motor_sim': 'dc_motor_sim',
+}
+BAG = str(ROOT / 'bags' / 'moderate')
+HEAD = '/**:\n  ros__parameters:\n    '
+TIMEOUT_S = 120.0
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(tmp_path: Path) -> Refused:
+    """Run an executable that must end with code 2; returns its one line of error."""
+
+    def run(name: str, *arguments: str | bytes) -> str:
+        executable = ROOT / 'ros_ws' / 'install' / EXECUTABLES[name] / 'lib' / EXECUTABLES[name] / name
+        done = subprocess.run(
+            [str(executable), *arguments],
+            capture_output=True,
+            cwd=tmp_path,
+            timeout=TIMEOUT_S,
+            stdin=subprocess.DEVNULL,
+        )
+        said = done.stderr.decode('utf-8')
+        assert done.returncode == 2, said
+        errors = [line for line in said.splitlines() if line.startswith(f'{name}: error: ')]
+        assert len(errors) == 1, said
+        assert 'Traceback' not in said
+        return errors[0].removeprefix(f'{name}: error: ')
+
+    return run
+
+
+def with_file(name: str, path: Path) -> list[str]:
+    """Arguments that name a parameter file."""
+    if name == 'identify':
+        return [BAG, '--params', str(path)]
+    return [*([BAG] if name == 'player' else []), '--ros-args', '--params-file', str(path)]
+
+
+@pytest.mark.parametrize('name', EXECUTABLES)
+def test_a_pipe_as_parameter_file_is_refused_and_not_waited_for(refused: Refused, tmp_path: Path, name: str) -> None:
+    path = tmp_path / 'pipe.yaml'
+    os.mkfifo(path)
+    line = refused(name, *with_file(name, path))
+    assert f'{path}: cannot be read: ' in line
+    assert 'expected a regular file' in line
+
+
+@pytest.mark.parametrize('name', EXECUTABLES)
+def test_an_argument_that_is_no_utf_8_is_refused_by_its_bytes(refused: Refused, name: str) -> None:
+    assert refused(name, b'bag_\xff') == r'the argument bag_\xff is no UTF-8: rename the file'
+
+
+@pytest.mark.parametrize(
+    ('name', 'text', 'message'),
+    [
+        ('observer', f'{HEAD}gap_s: 1.0\n    gap_s: 2.0\n', 'line 4: the key gap_s stands twice'),
+        ('player', f'{HEAD}rate: 1e400\n', 'line 3: the number 1e400 is too large'),
+        ('recorder', f'{HEAD}topics: &a [*a]\n', 'line 3: an anchor (a); write the values out'),
+        ('observer', f'{HEAD}motors: ["m[1..60000]", "k[1..60000]"]\n', 'stands for 120000 motors, expected 100000'),
+        (
+            'motor_sim',
+            f'{HEAD}motors: ["m[1..6000]", "k[1..6000]"]\n',
+            'motors stands for 12000 motors; expected 10000',
+        ),
+        ('motor_sim', f'{HEAD}sample_rate_hz: .nan\n', 'sample_rate_hz must be a finite number; got nan'),
+        ('identify', f'{HEAD}gap_s: {"[" * 9000}\n', 'line 3: more than 32 levels within each other'),
+    ],
+)
+def test_a_parameter_file_that_cannot_be_meant_is_refused_by_line_or_name(
+    refused: Refused, tmp_path: Path, name: str, text: str, message: str
+) -> None:
+    path = tmp_path / 'p.yaml'
+    path.write_text(text)
+    assert message in refused(name, *with_file(name, path))
+
+
+@pytest.mark.parametrize('place', ['/dev/zero', 'pipe'])
+@pytest.mark.parametrize('name', ['identify', 'player'])
+def test_a_device_or_a_pipe_is_no_bag(refused: Refused, tmp_path: Path, name: str, place: str) -> None:
+    os.mkfifo(tmp_path / 'pipe')
+    assert refused(name, place) == f'{place} is neither a folder nor a regular file'
