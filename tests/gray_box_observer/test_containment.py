@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
+import traceback
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +130,8 @@ def test_it_is_contained_wherever_it_escapes(fault, method):
     assert is_balanced(observer, 'right')
 
 
-def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch):
+@pytest.mark.parametrize('part', ['value', 'covariance'])
+def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch, part):
     observer = observer_of(('motor',))
     feed(observer, ('motor',), range(FAILS_AT))
     real = MotorObserver.repeat
@@ -135,7 +139,7 @@ def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch):
     def poisoned(self, sample):
         estimate = real(self, sample)
         if estimate is not None:
-            estimate.value[:] = np.nan
+            getattr(estimate, part)[:] = np.nan
         return estimate
 
     monkeypatch.setattr(MotorObserver, 'repeat', poisoned)
@@ -246,6 +250,44 @@ def test_an_observer_that_cannot_even_tell_its_state_is_reported_all_the_same(fa
     assert incident.reason == 'ZeroDivisionError'
     assert 'cannot be read' in incident.plain['motor']
     assert incident.write(tmp_path / 'new folder' / 'state.safetensors').exists()
+
+
+def test_an_incident_file_that_the_disk_has_no_room_for_leaves_nothing(stopped, tmp_path, monkeypatch):
+    target = tmp_path / 'state.safetensors'
+
+    def full(descriptor: int, mode: str):
+        os.close(descriptor)
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'fdopen', full)
+        with pytest.raises(GrayBoxError, match='No space left'):
+            stopped.incidents['motor'].write(target)
+    assert not list(tmp_path.iterdir())
+    assert stopped.incidents['motor'].write(target) == file_names(target)[0]
+
+
+@pytest.mark.parametrize('method', ['estimate', 'fit_of'])
+def test_a_motor_that_fails_while_the_result_is_described_is_described_as_stopped(
+    two_motors, parameters, monkeypatch, capsys, method
+):
+    real = getattr(MotorObserver, method)
+
+    def fails(self, *arguments):
+        # of the second motor, once the bag is at its end
+        if self.white_box.torque_constant == 0.02 and called_by('describe.py'):
+            raise OverflowError('too large')
+        return real(self, *arguments)
+
+    monkeypatch.setattr(MotorObserver, method, fails)
+    code, partial, _ = identify(two_motors, '--params', parameters, capsys=capsys)
+    assert code == EXIT_STOPPED
+    assert list(partial['motors']) == ['left']
+    assert list(partial['stopped']) == ['right']
+
+
+def called_by(file: str) -> bool:
+    return any(frame.filename.endswith(file) for frame in traceback.extract_stack())
 
 
 @pytest.fixture

@@ -210,7 +210,16 @@ def load(observer: Observer, path: Path) -> None:
         raise CheckpointError(f'{path} does not hold what this release expects: {reason}') from error
 
 
-_NOT_OURS = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
+_NOT_OURS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 """What may come of a state that obeys every rule and yet is none."""
 
 

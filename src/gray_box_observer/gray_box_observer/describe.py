@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from gray_box_observer.assumptions import assumptions
@@ -77,41 +78,48 @@ def _stops(observer: Observer) -> list[str]:
 
 def describe(outcome: Outcome) -> dict[str, Any]:
     """Return the result as plain values: what ``--json`` writes; a number that is not finite is None."""
-    motors: dict[str, dict[str, Any]] = {}
-    delays = outcome.observer.delays()
-    for name, estimate in outcome.observer.estimates().items():
-        pairing = outcome.observer.counts(name)
-        rejected = {reason.value: pairing.rejected[reason] for reason in Rejection}
-        skill = outcome.observer.skill(name)
-        motors[name] = {
-            'samples': pairing.used,
-            'duration_s': round(outcome.courses[name].duration_s, 6),
-            'rejected': rejected,
-            'parameters': {
-                p.name: {
-                    'value': float(estimate.value[0, j]),
-                    'std': float(estimate.std[0, j]),
-                    'unit': p.unit,
-                    'verdict': estimate.verdicts[0][j].value,
-                }
-                for j, p in enumerate(estimate.parameters)
-            },
-            'covariance': estimate.covariance[0].tolist(),
-            'fit': outcome.observer.motors[name].fit.to_dict(),
-            'fit_percent': outcome.observer.motors[name].fit_percent(),
-            'predictor': None if skill is None else skill.to_dict(),
-            'alarms': None,
-            'changes_s': [round(time_s, 6) for time_s in outcome.courses[name].changes_s],
-        }
-        if outcome.observer.motors[name].alarm is not None:
-            times_s = [round(time_s, 6) for time_s in outcome.courses[name].alarms_s]
-            motors[name]['alarms'] = {'raised': len(times_s), 'first_s': times_s[0] if times_s else None}
-        delay = delays[name]
-        if delay.asked or delay.complaint(name) is not None:
-            motors[name]['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
-    incidents = outcome.observer.incidents.items()
+    observer = outcome.observer
+    described = {
+        name: observer.contain(observer.group_of(name), partial(_motor, outcome, name)) for name in [*observer.motors]
+    }
+    motors = {name: values for name, values in described.items() if values is not None}
+    incidents = observer.incidents.items()
     stopped = {name: {'reason': incident.reason, 'traceback': incident.trace} for name, incident in incidents}
     result: dict[str, Any] = plain(
         {'motors': motors, **({'stopped': stopped} if stopped else {}), 'digest': outcome.digest}
     )
     return result
+
+
+def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
+    """Return what was found of one motor."""
+    motor, course = outcome.observer.motors[name], outcome.courses[name]
+    estimate, delay = motor.estimate, motor.delay
+    counts = outcome.observer.counts(name)
+    skill = outcome.observer.skill(name)
+    alarms_s = [round(time_s, 6) for time_s in course.alarms_s]
+    values: dict[str, Any] = {
+        'samples': counts.used,
+        'duration_s': round(course.duration_s, 6),
+        'rejected': {reason.value: counts.rejected[reason] for reason in Rejection},
+        'parameters': {
+            parameter.name: {
+                'value': float(estimate.value[0, j]),
+                'std': float(estimate.std[0, j]),
+                'unit': parameter.unit,
+                'verdict': estimate.verdicts[0][j].value,
+            }
+            for j, parameter in enumerate(estimate.parameters)
+        },
+        'covariance': estimate.covariance[0].tolist(),
+        'fit': motor.fit.to_dict(),
+        'fit_percent': motor.fit_percent(),
+        'predictor': None if skill is None else skill.to_dict(),
+        'alarms': None,
+        'changes_s': [round(time_s, 6) for time_s in course.changes_s],
+    }
+    if motor.alarm is not None:
+        values['alarms'] = {'raised': len(alarms_s), 'first_s': alarms_s[0] if alarms_s else None}
+    if delay.asked or delay.complaint(name) is not None:
+        values['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
+    return values

@@ -11,6 +11,7 @@ import os
 import time
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -58,14 +59,12 @@ class Incident:
         """Collect what is known of a group whose observer has failed; raises nothing."""
         trace = ''.join(traceback.format_exception(error))
         plain: dict[str, Any] = {}
-        arrays = _arrays_of(samples)
+        arrays: dict[str, Array] = {}
+        with suppress(Exception):  # whatever is broken, the rest is told
+            arrays = _arrays_of(samples)
         for place, name in enumerate(group.names[:MAX_MOTORS]):
-            state = _state_of(group, place)
-            if isinstance(state, str):
-                plain[name] = state
-                continue
-            plain[name], own = state
-            arrays.update({f'{name}/{key}': np.array(array) for key, array in own.items()})
+            plain[name], own = _state_of(group, place)
+            arrays.update({f'{name}/{key}': array for key, array in own.items()})
         return cls(group.names, _reason_of(error), trace, plain, arrays)
 
     def write(self, checkpoint: Path) -> Path:
@@ -114,8 +113,12 @@ def _write_new(checkpoint: Path, data: bytes) -> Path:
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         except FileExistsError:
             continue
-        with os.fdopen(descriptor, 'wb') as file:
-            file.write(data)
+        try:
+            with os.fdopen(descriptor, 'wb') as file:
+                file.write(data)
+        except OSError:
+            path.unlink(missing_ok=True)  # a file that is cut tells nothing and takes a name
+            raise
         return path
     raise GrayBoxError(f'{checkpoint.parent} holds {MAX_FILES} incident files of {checkpoint.stem} already: move them')
 
@@ -128,14 +131,15 @@ def _reason_of(error: Exception) -> str:
     return f'{type(error).__name__}{": " if text else ""}{text[:200]}{place}'
 
 
-def _state_of(group: Group, place: int) -> tuple[dict[str, Any], dict[str, Array]] | str:
-    """Return the state of a motor, or why it cannot be had: the observer is broken, somehow."""
+def _state_of(group: Group, place: int) -> tuple[dict[str, Any] | str, dict[str, Array]]:
+    """Return copies of the state of a motor, or in words why it cannot be had: the observer is broken, somehow."""
     if group.observer is None:
-        return 'no sample was learnt yet'
+        return 'no sample was learnt yet', {}
     try:
-        return group.observer.state(place)
+        plain, arrays = group.observer.state(place)
+        return plain, {key: np.array(array) for key, array in arrays.items()}
     except Exception as error:
-        return f'the state cannot be read: {error!r}'
+        return f'the state cannot be read: {type(error).__name__}', {}
 
 
 def _arrays_of(samples: Sequence[Sample]) -> dict[str, Array]:

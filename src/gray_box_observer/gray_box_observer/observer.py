@@ -265,7 +265,7 @@ class Observer:
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor that has been seen."""
-        return {name: motor.estimate for name, motor in self.motors.items()}
+        return self._of_every_motor(lambda motor: motor.estimate)
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
         """Return what is known of a motor and whether all of it is identified; of one not seen yet, what was given."""
@@ -290,7 +290,12 @@ class Observer:
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return what is known of the delay between voltage and torque of every motor that has been seen."""
-        return {name: motor.delay for name, motor in self.motors.items()}
+        return self._of_every_motor(lambda motor: motor.delay)
+
+    def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
+        """Return something of every motor that has been seen; what has stopped is left out."""
+        found = {name: self.contain(self.group_of(name), partial(get, motor)) for name, motor in [*self.motors.items()]}
+        return {name: value for name, value in found.items() if value is not None}
 
     def alarm(self, motor: str) -> bool:
         """Whether the alarm on the prediction's residual stands; never where nothing is predicted by the physics."""
@@ -441,7 +446,7 @@ class Observer:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
             left, estimate = observer.step(sample)
-            if estimate is not None and not np.isfinite(estimate.value).all():
+            if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(GroupResult(group, sample, left.prediction, observer.changed, estimate, left))
             delay_s = None

@@ -57,6 +57,11 @@ class Estimate:
         result: Array = np.sqrt(np.diagonal(self.covariance, axis1=-2, axis2=-1))
         return result
 
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number in it is finite."""
+        return bool(np.isfinite(self.value).all() and np.isfinite(self.covariance).all())
+
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
         p, value = self.parameters[parameter], self.value[motor, parameter]
