@@ -18,7 +18,7 @@ from gray_box_observer.predictor.lessons import Lesson, exact_run, free_run, fre
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
-from gray_box_observer.predictor.start import SHIPPED, fresh, load
+from gray_box_observer.predictor.start import SHIPPED, first_network, fresh, load
 from gray_box_observer.predictor.teaching import Pupil, defect_loss
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -107,17 +107,20 @@ def test_teaching_lowers_the_error_on_motors_that_never_taught() -> None:
 
 
 def test_a_trainer_lets_only_better_networks_run(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
+    # How many are adopted hangs on the last bits of the arithmetic, which differ from processor to processor.
     trainer, job = PhysicsTrainer(configuration(thesis_box)), job_of(samples, HARD)
-    errors, adopted = [], 0
-    for _ in range(12):
-        result = trainer.train(job)
-        errors.append(result['error'])
-        adopted += 'input' in result
-        if result['settled']:
-            break
-    assert adopted >= 2
-    assert np.all(np.diff(errors) <= 0.0)
-    assert errors[-1] < 0.7 * errors[0]
+    results = [trainer.train(job) for _ in range(8)]
+    adopted = [k for k, result in enumerate(results) if 'input' in result]
+    errors = [result['error'] for result in results]
+    assert adopted
+    for k in range(1, len(results)):
+        assert errors[k] <= 0.98 * errors[k - 1] if k in adopted else errors[k] == errors[k - 1]
+    best = results[adopted[-1]]
+    taught = Weights(**{name: best[name] for name in Weights.__dataclass_fields__})
+    untaught = first_network(FRESH, 5)
+    held_out = trainer._draw(np.random.default_rng(99), job, HARD, 100)
+    exact = exact_run(held_out)
+    assert free_run_error(taught, held_out, exact) < free_run_error(untaught, held_out, exact)
 
 
 def test_the_network_that_ships_has_nothing_to_gain_on_the_motor_of_the_thesis_and_needs_no_torch(
