@@ -190,7 +190,7 @@ def test_figures_tell_false_from_withheld() -> None:
         name,
         2,
         verdicts={'resistance': 'misfit'},
-        fit={'verdict': 'misfit', 'suspects': [{'effect': 'voltage_offset'}]},
+        fit={'verdict': 'misfit', 'suspects': [{'effect': 'lost_voltage'}]},
     )
     assert not scenario_of(false).holds
     values = {figure.name.strip(): figure.value for figure in figures([false, withheld], {})}

@@ -13,10 +13,10 @@ from common.trust.records import GEAR_START, Scenario
 
 ROTOR = ('rotor',)
 CURRENT_OFFSET = ('current_offset',)
-VOLTAGE_OFFSET = ('voltage_offset', 'brush_drop', 'dead_zone')
+VOLTAGE_OFFSET = ('lost_voltage', 'dead_zone')
 CURRENT_LAG = ('current_lag',)
 DELAY = ('delay',)
-VOLTAGE_GAIN = ('voltage_gain', 'sag')
+VOLTAGE_GAIN = ('sag',)
 CHANGE = ('change',)
 LAG_OR_DELAY = (*CURRENT_LAG, *DELAY)
 """A mean over some samples is a lag or a delay, whichever is named."""

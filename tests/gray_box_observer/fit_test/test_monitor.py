@@ -113,6 +113,37 @@ def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
 
 
+def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
+    """At a constant voltage the current tells resistance and back-EMF together; nobody can part them."""
+    current_a = np.full(4000, 0.3)  # of 3 A at stall
+    settled = Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
+    assert settled.estimate.std[0, 1] < 0.01 * settled.estimate.value[0, 1]  # sharp, and ten times too large
+    assert Verdict.IDENTIFIED not in settled.estimate.verdicts[0]
+
+
+def test_readings_that_end_at_one_value_are_a_sensor_at_the_end_of_its_range() -> None:
+    healthy = _healthy(7)
+    clipped = Record(healthy.voltage_v, np.clip(healthy.current_a, -4.0, 4.0))
+    fit = clipped.observed().motors['motor'].fit
+    assert fit.verdict is FitVerdict.MISFIT
+    assert fit.suspects[0].effect == 'saturation'
+    assert '4 A' in fit.suspects[0].remedy
+    coarse = Record(healthy.voltage_v, 0.2 * np.round(healthy.current_a / 0.2))  # levels repeat, and that is all right
+    assert 'saturation' not in {suspect.effect for suspect in coarse.observed().motors['motor'].fit.suspects}
+
+
+def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
+    healthy = _healthy(5, 6000)
+    random = np.random.default_rng(1)
+    late = random.uniform(0.0, 0.3, healthy.current_a.size)
+    change = np.diff(current_of(healthy.voltage_v), append=0.0)
+    scattered = Record(healthy.voltage_v, healthy.current_a + late * change)  # read that much after its stamp
+    motors = [record.observed(stamps_exact=True).motors['motor'] for record in (healthy, scattered)]
+    exact, loose = (motor.estimate for motor in motors)
+    assert loose.std[0, 0] > 5.0 * exact.std[0, 0]
+    assert abs(loose.value[0, 0] - 4e-3) < 3.0 * loose.std[0, 0]
+
+
 def test_l_below_a_sample_interval_is_believed_only_where_stamps_are_exact() -> None:
     """With 10 ms between samples of a motor whose L/R is 2 ms, L is what the instant of a step says."""
     coarse = _healthy(samples=20000)

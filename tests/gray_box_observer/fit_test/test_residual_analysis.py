@@ -26,6 +26,14 @@ def test_white_noise_on_the_right_physics_leaves_nothing_to_explain(seed: int) -
     assert analysis.floor_a == pytest.approx(STD_A, rel=0.06)
 
 
+def test_errors_in_time_show_where_the_current_is_steep() -> None:
+    record = _record(1)
+    assert analyse(WHITE_BOX, TRUTH, record.stretch).jitter == 0.0
+    late = np.random.default_rng(2).normal(0.0, 0.1, SAMPLES)
+    scattered = Record(record.voltage_v, record.current_a - late * np.gradient(current_of(record.voltage_v)))
+    assert analyse(WHITE_BOX, TRUTH, scattered.stretch).jitter == pytest.approx(0.1, rel=0.4)
+
+
 def test_an_offset_of_the_current_stands_out_though_the_residual_stays_small() -> None:
     record = _record(1)
     offset = Record(record.voltage_v, record.current_a + STD_A)

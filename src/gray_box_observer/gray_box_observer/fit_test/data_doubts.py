@@ -1,4 +1,4 @@
-"""Doubts about the data themselves: a unit that is not SI, a speed with the wrong sign, a Kb that is not the motor's.
+"""Doubts about the data themselves: a unit that is not SI, a wrong sign or Kb, a sensor at the end of its range.
 
 A white box fits a current in mA as well as one in A: only what a motor can be tells them apart. Magnitudes tell the
 units. A least-squares fit of the integrated voltage balance (docs/METHOD.md, Residual analysis) with Kb free tells the
@@ -14,6 +14,7 @@ import numpy as np
 
 from gray_box_observer.configuration import MotorConfiguration
 from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.fit_test.noise_floor import quantisation_step
 from gray_box_observer.parameters import MOTOR_PARAMETERS
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
@@ -78,6 +79,18 @@ FAR = 2.0
 FAR_FROM_DEFAULT = 1.25
 """The same where Kb has its default, which says nothing of this motor."""
 
+CLIPPED = 0.01
+"""Share of the readings that stand at their largest value where a sensor is at the end of its range."""
+
+SEVERAL_STEPS = 2.0
+"""Steps of the readings that the noise must reach: what toggles between two levels looks like 1.2 steps of it."""
+
+NOISELESS = 1e-4
+"""Noise, as a share of the current's spread, of a simulation without any."""
+
+FEWEST_CLIPPED = 30
+"""Readings that these are at least: noise brings a step's worth of readings to the largest value by chance."""
+
 _INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
 
 
@@ -141,6 +154,27 @@ def doubts(white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorC
     if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
         return tuple(found)
     return (*found, *_doubts_of_back_emf(white_box, balance, motor))
+
+
+def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
+    """Doubt that the sensor's range is wide enough: noisy readings that end at one and the same largest value.
+
+    Args:
+        current_a: shape (n,): readings.
+        noise_a: standard deviation of their noise; of a step of the readings or less nothing can be told.
+    """
+    step_a = float(quantisation_step(current_a[None])[0])
+    if noise_a < SEVERAL_STEPS * step_a or noise_a <= NOISELESS * float(np.std(current_a)):
+        return None
+    for limit_a in (float(current_a.max()), float(current_a.min())):
+        share = float(np.mean(current_a == limit_a))
+        if share >= CLIPPED and share * current_a.size >= FEWEST_CLIPPED:
+            text = (
+                f'widen the range of the current sensor, or drive the motor less: {100.0 * share:.2g} % of the '
+                f'readings stand at {limit_a:.4g} A'
+            )
+            return Suspect('saturation', share * current_a.size, text)
+    return None
 
 
 def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:

@@ -7,6 +7,7 @@ shape follows from the samples; how much of it there is, the tests ask (:mod:`re
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -23,6 +24,12 @@ ROTOR_SAMPLES = ((16.0, 128.0), (64.0, 512.0), (256.0, 4096.0))
 
 DELAY_SAMPLES = ((1, 4), (1, 2, 4, 8))
 LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0))
+WAVES = 8
+"""Half waves of cosine over the stretch that make a voltage which wanders."""
+
+LATER = (0.0, math.inf)
+"""Amounts of a delay or a lag: voltage that acts before it is stamped is none."""
+
 CHANGE_AT = ((0.5,), (0.25, 0.5, 0.75))
 """Delays, time constants, and shares of the stretch after which the motor is another one: few to find that something is
 wrong, more to say what (:attr:`Scene.fine`)."""
@@ -71,6 +78,7 @@ class Effect:
         remedy: what to do about it; ``{motor}`` stands for the motor's name.
         needs_speed: whether it is about a measured speed.
         without_speed: whether it can only be where speed is not measured.
+        credible: lowest and highest amount of the first shape that such an effect can have.
     """
 
     name: str
@@ -78,6 +86,7 @@ class Effect:
     remedy: str
     needs_speed: bool = False
     without_speed: bool = False
+    credible: tuple[float, float] = (-math.inf, math.inf)
 
 
 def leaky_mean(signal: Array, samples: tuple[float, ...]) -> Array:
@@ -117,6 +126,9 @@ def _dead_zone(scene: Scene) -> Iterator[Shapes]:
 def _sag(scene: Scene) -> Iterator[Shapes]:
     voltage_v, progress = scene.voltage_v, scene.progress
     yield -voltage_v * progress, -voltage_v * progress**2
+    if scene.fine:
+        angle = 0.5 * math.pi * (progress + 1.0)
+        yield tuple(-voltage_v * np.cos(wave * angle) for wave in range(1, WAVES + 1))
     yield (-voltage_v * np.abs(scene.current_a),)
 
 
@@ -182,11 +194,13 @@ EFFECTS: dict[str, Effect] = {
             'delay',
             _delay,
             '{motor}.delay: estimate: voltage acts later than it is stamped',
+            credible=LATER,
         ),
         Effect(
             'current_lag',
             _current_lag,
             'take the filter off the current, or delay the voltage alike ({motor}.delay: estimate): the sensor lags',
+            credible=LATER,
         ),
         Effect('change', _change, 'call ~/reset: the motor has become another one'),
         Effect(

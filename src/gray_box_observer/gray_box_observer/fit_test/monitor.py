@@ -27,7 +27,7 @@ from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import doubts
+from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts
 from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
     RATIO_MISFIT,
@@ -206,10 +206,12 @@ class FitMonitor:
         before = self._tested[motor]
         samples = replay.newest(count, one)
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
-        if _is_held(samples[1, 0]) and (before is not None or not hopeful):
+        white_box = self._white_boxes[motor]
+        # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a whole transient counts.
+        tells = before is None and (estimate.identified(0) or (hopeful and white_box.speed_measured))
+        if _is_held(samples[1, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
-        white_box = self._white_boxes[motor]
         theta = estimate.value
         stretch = Stretch.newest(white_box, replay, count, one)
         analysis = analyse(white_box, to_coordinates(theta), stretch, nodes.is_drifting(motor))
@@ -222,11 +224,14 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
         )
         named = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
+        stored = replay.newest(min(replay.stored(motor), WINDOW), one)
+        clipped = doubt_of_range(white_box.state(stored[2, 0]), analysis.moving_noise_a)
+        if clipped is not None:
+            named.append(clipped)
         late = self._delay_suspect(motor, delay)
         if named or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         if judgement.verdict is not FitVerdict.OK:
-            stored = replay.newest(min(replay.stored(motor), WINDOW), one)
             named += self._suspects(analysis, Stretch.of_content(white_box, stored), motor)
         named = [late[0] if late and suspect.effect == 'delay' else suspect for suspect in named] + late
         assessment = FitAssessment(

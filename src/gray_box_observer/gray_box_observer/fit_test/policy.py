@@ -50,6 +50,9 @@ NOTICEABLE = 0.003
 UNIFORM_STD = 1.0 / math.sqrt(12.0)
 """Standard deviation of an unknown fraction of a sample interval."""
 
+UNIFORM_MEAN = math.sqrt(3.0)
+"""Mean of a delay that is anything from none to its largest, in standard deviations of it."""
+
 SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below the first fully."""
 
@@ -125,9 +128,11 @@ def judge(
     if coloured:
         robust = SAFETY * analysis.robust_std * math.sqrt(analysis.samples / max(samples, analysis.samples))
         factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
+    late = UNIFORM_MEAN * analysis.jitter
     if not stamps_exact:
         fully, from_here = SHORTEST
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
-        late = share * UNIFORM_STD * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
-        spread += np.outer(late, late)
+        late += share * UNIFORM_STD
+    moved = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+    spread += np.outer(moved, moved)
     return Judgement(verdict, np.nan_to_num(factor, nan=1.0), np.nan_to_num(spread))

@@ -37,6 +37,15 @@ DISTINCT = 1e-6
 INTEGRATION = 1e-4
 """Noise floor that is believed at least, as a share of the current's spread: steps of the integration err by less."""
 
+STEEPEST = 0.02
+"""Share of the samples, the steepest ones of the current, in which errors of the stamps would show."""
+
+FEWEST_STEEP = 20
+"""Samples that these are at least."""
+
+SCATTERED = 2.0
+"""Times the other residuals, by their medians, that these must be: in white noise they reach 1.6."""
+
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
 
@@ -71,6 +80,9 @@ class ResidualAnalysis:
         delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if the voltage acted
             one sample interval later than it is stamped.
         intervals: sample intervals in an electrical time constant L/R.
+        jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as large in steep parts of
+            the current as in flat ones.
+        moving_noise_a: standard deviation of white noise in A, where no reading repeats the one before.
     """
 
     samples: int
@@ -81,12 +93,21 @@ class ResidualAnalysis:
     robust_std: Array
     delay_shift: Array
     intervals: float
+    jitter: float
+    moving_noise_a: float
 
 
 def difference_noise(signal: Array) -> float:
     """Standard deviation of white noise on a smooth signal, from its second differences; robust against jumps."""
     second = signal[2:] - 2.0 * signal[1:-1] + signal[:-2]
     return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
+
+
+def _moving_noise(residual: Array, readings: Array) -> float:
+    """Noise of those samples whose reading is neither that before nor that after; 0 where there are too few."""
+    moving = readings[1:] != readings[:-1]
+    second = (residual[2:] - 2.0 * residual[1:-1] + residual[:-2])[moving[1:] & moving[:-1]]
+    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second))) if second.size >= FEWEST_STEEP else 0.0
 
 
 def ljung_box(residual: Array, lags: int = LAGS) -> float:
@@ -135,6 +156,8 @@ def analyse(white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = Fa
         robust_std=robust,
         delay_shift=_delay_shift(run, projection, weight),
         intervals=_intervals(white_box, p, stretch),
+        jitter=_jitter(run, projection.remainder, floor_a),
+        moving_noise_a=_moving_noise(run.residual_a, stretch.state[0]),
     )
 
 
@@ -148,6 +171,22 @@ def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
     voltage_v = run.stretch.voltage_v[0]
     later = np.diff(voltage_v, prepend=voltage_v[:1])
     return -projection.shift(run.response(-later[None])[0] * weight)
+
+
+def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
+    """Return by how much stamps scatter, in sample intervals: errors in time show where the current is steep."""
+    slope = np.abs(np.gradient(run.current_a))
+    count = max(FEWEST_STEEP, int(STEEPEST * slope.size))
+    if count > slope.size // 4:
+        return 0.0
+    order = np.argsort(slope)
+    steep, rest = order[-count:], order[: -4 * count]
+    size = np.abs(remainder)
+    steep_a = MAD_TO_STD * float(np.median(size[steep]))
+    rest_a = max(MAD_TO_STD * float(np.median(size[rest])), floor_a)
+    if steep_a <= SCATTERED * rest_a:
+        return 0.0
+    return math.sqrt(steep_a**2 - rest_a**2) / math.sqrt(float(np.mean(slope[steep] ** 2)))
 
 
 def _intervals(white_box: WhiteBox, p: Array, stretch: Stretch) -> float:

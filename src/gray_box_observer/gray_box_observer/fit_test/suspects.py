@@ -54,9 +54,15 @@ class Explanation:
     resistance: float
 
     @property
-    def is_physical(self) -> bool:
-        """Whether a resistance was found beside it: else its amount means nothing."""
-        return math.isfinite(self.amount) and self.resistance > 0.0
+    def is_credible(self) -> bool:
+        """Whether such an effect can have this amount."""
+        lowest, highest = self.effect.credible
+        return lowest <= self.amount <= highest
+
+    @property
+    def needs_resistance(self) -> bool:
+        """Whether its remedy is a number that follows from the resistance."""
+        return '{offset_nm' in self.effect.remedy
 
     def suspect(self, motor: str, torque_constant: float) -> Suspect:
         """Name it, with a remedy that can be pasted.
@@ -65,7 +71,7 @@ class Explanation:
             motor: its name.
             torque_constant: Kt in N m/A.
         """
-        offset_nm = torque_constant * self.amount / self.resistance
+        offset_nm = torque_constant * self.amount / self.resistance if self.resistance > 0.0 else math.nan
         remedy = self.effect.remedy.format(motor=motor, amount=self.amount, offset_nm=offset_nm)
         return Suspect(self.effect.name, self.evidence, remedy)
 
@@ -103,10 +109,12 @@ def likeliest(found: Iterable[Explanation]) -> list[Explanation]:
     """Return explanations that bring enough, the best first.
 
     An offset and a lost voltage are the same while the current keeps its sign; one that takes voltage is more often a
-    loss, one that gives it an offset.
+    loss, one that gives it an offset. Where no
+    explanation comes with a resistance, the best ones without a number stand.
     """
-    clear = (one for one in found if one.evidence > CLEAR and one.is_physical)
-    ranked = sorted(clear, key=lambda one: -one.evidence)
+    clear = [one for one in found if one.evidence > CLEAR and one.is_credible]
+    physical = [one for one in clear if one.resistance > 0.0] or [one for one in clear if not one.needs_resistance]
+    ranked = sorted(physical, key=lambda one: -one.evidence)
     tied = [one for one in ranked if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED]
     if ranked and len(tied) > 1 and ranked[0] in tied:
         wanted = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'

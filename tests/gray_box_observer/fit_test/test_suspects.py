@@ -1,0 +1,39 @@
+"""What is left out is named by the voltage balance, and only by what can be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
+
+from gray_box_observer.fit_test.suspects import explanations, likeliest
+
+SAMPLES = 3000
+
+
+def _first(voltage_v: np.ndarray, current_a: np.ndarray) -> str:
+    noisy = Record(voltage_v, current_a + noise(current_a.size, 0.02, 3))
+    return likeliest(explanations(WHITE_BOX, noisy.stretch).values())[0].effect.name
+
+
+def test_a_delay_is_named_and_so_is_a_lag() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    late_v = np.concatenate([np.zeros(2), voltage_v[:-2]])
+    assert _first(voltage_v, current_of(late_v)) == 'delay'
+    lagging = current_of(voltage_v)
+    for sample in range(1, SAMPLES):
+        lagging[sample] = lagging[sample - 1] + (lagging[sample] - lagging[sample - 1]) / 3.0
+    assert _first(voltage_v, lagging) in ('current_lag', 'delay')
+
+
+@pytest.mark.parametrize('frequency_hz', [2.0, 5.0])
+def test_of_one_frequency_a_voltage_that_acts_before_it_is_stamped_is_no_explanation(frequency_hz: float) -> None:
+    """Current that leads, as a free rotor's does, would be a negative delay: the rotor is named."""
+    voltage_v = 9.0 * np.sin(2.0 * np.pi * frequency_hz * 1e-3 * np.arange(SAMPLES))
+    assert _first(voltage_v, current_of_free_rotor(voltage_v)) == 'rotor'
+
+
+def test_a_supply_that_wanders_is_named() -> None:
+    voltage_v = steps(SAMPLES, 4)
+    wander = 1.0 + 0.1 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 1100.0)
+    assert _first(voltage_v, current_of(wander * voltage_v)) == 'sag'
