@@ -17,7 +17,7 @@ RATE ?= 1
 DEMO_ARGS ?=
 # make test
 ARGS ?=
-WORKERS ?= 2
+WORKERS ?= 4
 # make bench
 NAME ?=
 QUICK ?=
@@ -35,8 +35,8 @@ demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TOR
 		--torque-noise '$(TORQUE_NOISE)' $(if $(BAG),--bag '$(BAG)' --rate '$(RATE)') \
 		$(if $(PARAMS),--params '$(PARAMS)') $(DEMO_ARGS)
 
-# `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
-test: setup  ## run every test (ARGS='-k pairing' WORKERS=2)
+# More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
+test: setup  ## run every test (ARGS='-k pairing' WORKERS=4)
 	$(RUN) python -m pytest -n $(WORKERS) --dist load $(ARGS)
 
 lint: setup  ## ruff, its formatter and strict mypy over cores and scripts

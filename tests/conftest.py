@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
 ASK_AGAIN_S = 15.0
 DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
 """In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet ephemeral ones."""

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.system
 EXCITATION = 'R[5,15]D[0.1,1]'
 INITIAL = {'inductance': 1.5, 'resistance': 3.0, 'hysteresis': 1.0}
 START_NS = 1_000_000_000
-END_S = 5.0
+END_S = 20.0
 """A node that is asked to end has done so after this time."""
 
 CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP

@@ -35,7 +35,7 @@ TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 EXCITATION = 'R[5,15]D[0.1,1]'
 START_NS = 1_000_000_000
 CHUNK = 20
-END_S = 5.0
+END_S = 20.0
 """A node that is asked to end has done so after this time."""
 
 

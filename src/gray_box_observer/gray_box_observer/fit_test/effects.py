@@ -22,12 +22,12 @@ KNEE = 0.01
 ROTOR_SAMPLES = ((16.0, 128.0), (64.0, 512.0), (256.0, 4096.0))
 """Pairs of time constants, in samples: a rotor's back-EMF is near a sum of two leaky integrals of the current."""
 
-DELAY_SAMPLES = ((1, 4), (1, 2, 4, 8))
-LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0))
+DELAY_SAMPLES = (((1,), (4,)), ((1,), (1, 2), (2, 3), (3, 4), (5, 6), (8, 9)))
+LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0, 8.0))
 WAVES = 8
 """Half waves of cosine over the stretch that make a voltage which wanders."""
 
-LATER = (0.0, math.inf)
+LATER = (0.0, 1.5)
 """Amounts of a delay or a lag: voltage that acts before it is stamped is none."""
 
 CHANGE_AT = ((0.5,), (0.25, 0.5, 0.75))
@@ -78,7 +78,8 @@ class Effect:
         remedy: what to do about it; ``{motor}`` stands for the motor's name.
         needs_speed: whether it is about a measured speed.
         without_speed: whether it can only be where speed is not measured.
-        credible: lowest and highest amount of the first shape that such an effect can have.
+        credible: lowest and highest amount of all its shapes together that such an effect can have.
+        hides_resistance: whether the resistance may come out as anything beside it.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Effect:
     needs_speed: bool = False
     without_speed: bool = False
     credible: tuple[float, float] = (-math.inf, math.inf)
+    hides_resistance: bool = False
 
 
 def leaky_mean(signal: Array, samples: tuple[float, ...]) -> Array:
@@ -133,8 +135,8 @@ def _sag(scene: Scene) -> Iterator[Shapes]:
 
 
 def _delay(scene: Scene) -> Iterator[Shapes]:
-    for samples in DELAY_SAMPLES[scene.fine]:
-        yield (_delayed(scene.voltage_v, samples) - scene.voltage_v,)
+    for neighbours in DELAY_SAMPLES[scene.fine]:  # between two of them lie the delays that are no whole samples
+        yield tuple(_delayed(scene.voltage_v, samples) - scene.voltage_v for samples in neighbours)
 
 
 def _current_lag(scene: Scene) -> Iterator[Shapes]:
@@ -168,6 +170,7 @@ EFFECTS: dict[str, Effect] = {
             _rotor,
             "publish the speed in motor/torque's velocity: a rotor turns whose speed is not measured",
             without_speed=True,
+            hides_resistance=True,
         ),
         Effect(
             'current_offset',

@@ -299,7 +299,7 @@ class FitMonitor:
                 if effect in explained
             }
         torque_constant = float(white_box.torque_constant)
-        return [one.suspect(name, torque_constant) for one in likeliest(explained.values())]
+        return [one.suspect(name, torque_constant) for one in likeliest(explained.values(), scores)]
 
     def judged(self, estimate: Estimate, motors: NDArray[np.intp], rules: VerdictRules) -> Estimate:
         """Return an estimate as far as the fit lets it be believed.

@@ -8,7 +8,7 @@ current. Every effect is tried beside the parameters by least squares, and the l
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +33,9 @@ CLEAR = 5.0
 ALIKE = ('current_offset', 'lost_voltage', 'dead_zone')
 """What cannot be told apart while current and voltage keep their signs."""
 
+LATE = ('delay', 'current_lag')
+"""What the balance, summed over some samples, hardly tells apart: the free run does."""
+
 TIED = 2.0
 """Log-likelihood by which explanations must differ to be told apart."""
 
@@ -45,24 +48,26 @@ class Explanation:
         effect: which.
         evidence: log-likelihood that it brings.
         amount: how much of its first shape there is, in the unit of the shape's coefficient.
+        total: how much of all its shapes together.
         resistance: R in ohm beside it, or as it is given; NaN where it is not.
     """
 
     effect: Effect
     evidence: float
     amount: float
+    total: float
     resistance: float
 
     @property
     def is_credible(self) -> bool:
-        """Whether such an effect can have this amount."""
+        """Whether such an effect can be as large as that, beside this resistance."""
         lowest, highest = self.effect.credible
-        return lowest <= self.amount <= highest
+        return lowest <= self.total <= highest and (self.resistance > 0.0 or self.effect.hides_resistance)
 
     @property
-    def needs_resistance(self) -> bool:
-        """Whether its remedy is a number that follows from the resistance."""
-        return '{offset_nm' in self.effect.remedy
+    def rank(self) -> tuple[bool, float]:
+        """Explanations in the order of their evidence, those that cannot be before all others."""
+        return self.is_credible, self.evidence
 
     def suspect(self, motor: str, torque_constant: float) -> Suspect:
         """Name it, with a remedy that can be pasted.
@@ -71,7 +76,7 @@ class Explanation:
             motor: its name.
             torque_constant: Kt in N m/A.
         """
-        offset_nm = torque_constant * self.amount / self.resistance if self.resistance > 0.0 else math.nan
+        offset_nm = torque_constant * self.amount / self.resistance
         remedy = self.effect.remedy.format(motor=motor, amount=self.amount, offset_nm=offset_nm)
         return Suspect(self.effect.name, self.evidence, remedy)
 
@@ -98,23 +103,28 @@ def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explan
         left, weights = _fit([*regressors, *further], target)
         gain = 0.5 * target.size / STRIDE * math.log(unexplained / left)
         evidence = gain - 0.5 * len(shapes) * math.log(target.size)
-        if effect.name not in best or evidence > best[effect.name].evidence:
-            resistance = float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
-            amount = float(weights[len(names)])
-            best[effect.name] = Explanation(effect, evidence, amount, resistance)
+        resistance = float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
+        own = weights[len(names) :]
+        found = Explanation(effect, evidence, float(own[0]), float(own.sum()), resistance)
+        if effect.name not in best or found.rank > best[effect.name].rank:
+            best[effect.name] = found
     return best
 
 
-def likeliest(found: Iterable[Explanation]) -> list[Explanation]:
+def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list[Explanation]:
     """Return explanations that bring enough, the best first.
 
     An offset and a lost voltage are the same while the current keeps its sign; one that takes voltage is more often a
-    loss, one that gives it an offset. Where no
-    explanation comes with a resistance, the best ones without a number stand.
+    loss, one that gives it an offset.
+
+    Args:
+        found: what might be.
+        scores: evidence of the free run, by the effect's name.
     """
-    clear = [one for one in found if one.evidence > CLEAR and one.is_credible]
-    physical = [one for one in clear if one.resistance > 0.0] or [one for one in clear if not one.needs_resistance]
-    ranked = sorted(physical, key=lambda one: -one.evidence)
+    clear = (one for one in found if one.evidence > CLEAR and one.is_credible)
+    ranked = sorted(clear, key=lambda one: -one.evidence)
+    if ranked and {one.effect.name for one in ranked[:2]} == set(LATE):
+        ranked[:2] = sorted(ranked[:2], key=lambda one: -scores.get(one.effect.name, 0.0))
     tied = [one for one in ranked if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED]
     if ranked and len(tied) > 1 and ranked[0] in tied:
         wanted = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
