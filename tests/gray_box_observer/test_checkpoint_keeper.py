@@ -365,6 +365,10 @@ Spoil = Callable[[dict[str, Any], dict[str, Any]], Any]
 
 ABSURD: dict[str, tuple[Spoil, str]] = {
     'next_fit': (lambda plain, _: plain['context_nodes'].update(next_fit=10**30), 'next_fit is 10'),
+    'a change of what is unknown': (
+        lambda plain, _: plain['context_nodes'].update(started=False, asked=64),
+        'nothing is known yet cannot have changed',
+    ),
     'a covariance': (lambda _, arrays: arrays['belief.covariance'].fill(np.nan), 'holds what is no number'),
     'noise': (lambda _, arrays: arrays['belief.noise'].fill(0.0), 'belief.noise holds 0'),
     'new': (lambda plain, _: plain['context_nodes'].update(new=-1), 'new is -1'),

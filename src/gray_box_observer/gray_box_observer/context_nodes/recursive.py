@@ -33,7 +33,7 @@ from gray_box_observer.context_nodes.normal_equations import definite
 from gray_box_observer.context_nodes.ordinary_block import LEARNT, Turn
 from gray_box_observer.context_nodes.ordinary_estimate import OrdinaryEstimates
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.printable import printable
 from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
@@ -401,6 +401,7 @@ def _check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) ->
     whole(plain, 'anchored', -MOST, -new)
     whole(plain, 'begin', 0, gone + remembered - new)
     whole(plain, 'examined', -MOST, 0)
-    whole(plain, 'asked', WALK_AGAIN)
-    flag(plain, 'started')
+    asked = whole(plain, 'asked', WALK_AGAIN)
+    if not flag(plain, 'started') and asked:
+        raise CheckpointError('asked: a motor of which nothing is known yet cannot have changed')
     flag(plain, 'resumes')
