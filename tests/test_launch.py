@@ -19,7 +19,6 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros.parameters import NodeParameters
 from gray_box_observer import configuration
-from gray_box_observer.ros import discovery
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH_FILES = sorted((ROOT / 'src').glob('*/launch/*.launch.py'))
@@ -28,9 +27,10 @@ IDS = [path.name for path in LAUNCH_FILES]
 
 @dataclass
 class LaunchContext:
-    """Values of the launch arguments."""
+    """Values of the launch arguments, and the environment of what is launched."""
 
     launch_configurations: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -47,14 +47,6 @@ class DeclareLaunchArgument:
     name: str
     default_value: str
     description: str
-
-
-@dataclass
-class SetEnvironmentVariable:
-    """Sets a variable for everything that is launched."""
-
-    name: str
-    value: str
 
 
 @dataclass
@@ -101,11 +93,12 @@ class Node:
     output: str = 'log'
     namespace: Any = ''
     on_exit: Any = None
+    additional_env: dict[str, str] | None = None
 
 
 STAND_INS = {
     'launch': (LaunchContext, LaunchDescription),
-    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown),
+    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, Shutdown),
     'launch.substitutions': (LaunchConfiguration,),
     'launch_ros': (),
     'launch_ros.parameter_descriptions': (ParameterValue,),
@@ -131,12 +124,13 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-def launched(path: Path, **arguments: str) -> tuple[dict[str, str], list[Node]]:
+def launched(path: Path, /, environment: dict[str, str] | None = None, **arguments: str) -> tuple[dict, list[Node]]:
     """Declared arguments with their defaults, and the nodes that come of them."""
     entities = load(path).generate_launch_description().entities
+    assert {type(e) for e in entities} == {DeclareLaunchArgument, OpaqueFunction}, 'nothing else may be in the file'
     declared = {e.name: e.default_value for e in entities if isinstance(e, DeclareLaunchArgument)}
-    context = LaunchContext({**declared, **arguments})
-    nodes = [e for e in entities if isinstance(e, Node)]
+    context = LaunchContext({**declared, **arguments}, environment or {})
+    nodes = []
     for entity in entities:
         if isinstance(entity, OpaqueFunction):
             nodes += entity.function(context)
@@ -200,17 +194,14 @@ def test_the_demo_ends_with_its_simulator():
 
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
-def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path, monkeypatch: pytest.MonkeyPatch):
-    for name in discovery.SAYS:
-        monkeypatch.delenv(name, raising=False)
-
-    def set_variables() -> list[tuple[str, str]]:
-        entities = load(path).generate_launch_description().entities
-        return [(e.name, e.value) for e in entities if isinstance(e, SetEnvironmentVariable)]
-
-    assert set_variables() == [('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')]
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
-    assert set_variables() == []
+def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path):
+    """A variable of the launch itself would cut off whatever an including file launches afterwards."""
+    environment = {'HOME': '/home'}
+    _, nodes = launched(path, environment)
+    assert [node.additional_env for node in nodes] == [{'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}] * len(nodes)
+    assert environment == {'HOME': '/home'}
+    _, nodes = launched(path, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'})
+    assert [node.additional_env for node in nodes] == [{}] * len(nodes)
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
-
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -38,6 +36,8 @@ def make_nodes(context: LaunchContext) -> list[Node]:
             name='motor_sim',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
+            # of this node alone: the environment of the launch belongs to whoever includes this file
+            additional_env=discovery.default_range(context.environment),
             parameters=[params_file, *parameters] if params_file else parameters,
         )
     ]
@@ -49,5 +49,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
-    return LaunchDescription([*declared, *kept_here, OpaqueFunction(function=make_nodes)])
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

@@ -5,10 +5,8 @@ Ends when the simulator does. The observer's first guess is three times off.
 
 from __future__ import annotations
 
-import os
-
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -25,19 +23,17 @@ FIRST_GUESS_FACTOR = 3.0
 READERS_OF_TORQUE = 2
 
 
-def generate_launch_description() -> LaunchDescription:
-    """Describe the launch."""
-    declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, (default, text) in ARGUMENTS.items()
-    ]
-    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
+def make_nodes(context: LaunchContext) -> list[Node]:
+    """Make the three nodes from the launch arguments."""
+    # of these nodes alone: the environment of the launch belongs to whoever includes this file
+    kept_here = discovery.default_range(context.environment)
     observer = LifecycleNode(
         package='gray_box_observer',
         executable='observer',
         name='gray_box_observer',
         namespace='',
         output='screen',
+        additional_env=kept_here,
         parameters=[{f'motor.initial.{name}': FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}],
     )
     recorder = Node(
@@ -45,6 +41,7 @@ def generate_launch_description() -> LaunchDescription:
         executable='recorder',
         name='bag_recorder',
         output='screen',
+        additional_env=kept_here,
         parameters=[{'output': ParameterValue(LaunchConfiguration('output'), value_type=str)}],
     )
     simulator = Node(
@@ -52,6 +49,7 @@ def generate_launch_description() -> LaunchDescription:
         executable='motor_sim',
         name='motor_sim',
         output='screen',
+        additional_env=kept_here,
         parameters=[
             {
                 'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
@@ -62,4 +60,13 @@ def generate_launch_description() -> LaunchDescription:
         ],
         on_exit=Shutdown(reason='the simulator has ended'),
     )
-    return LaunchDescription([*declared, *kept_here, observer, recorder, simulator])
+    return [observer, recorder, simulator]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the launch."""
+    declared = [
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
+    ]
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])
