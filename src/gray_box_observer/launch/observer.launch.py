@@ -8,7 +8,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
-from gray_box_observer.ros import discovery
+from gray_box_observer.ros import discovery, launch_arguments
 
 ARGUMENTS = {
     'params_file': ('', 'parameter file (YAML); without one every parameter has its default'),
@@ -19,7 +19,7 @@ ARGUMENTS = {
 
 def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
     """Make the observer's node from the launch arguments."""
-    params_file = LaunchConfiguration('params_file').perform(context)
+    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
     parameters = [{'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}]
     return [
         LifecycleNode(
@@ -30,7 +30,7 @@ def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
             output='screen',
             # of this node alone: the environment of the launch belongs to whoever includes this file
             additional_env=discovery.default_range(context.environment),
-            parameters=[params_file, *parameters] if params_file else parameters,
+            parameters=[*files, *parameters],
         )
     ]
 
