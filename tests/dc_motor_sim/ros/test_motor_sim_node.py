@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 
+import psutil
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
@@ -173,6 +175,40 @@ def test_an_external_command_drives_the_plant_and_a_non_finite_one_does_not(list
     code, _, err = listener.peer.end(process, signal.SIGINT)
     assert code == 0
     assert err.count('voltage command refused') == 1  # the second warning is throttled
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_when_its_readers_have_acknowledged(listener, launch, number):
+    inherited = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup hands on that it is ignored
+    try:
+        process = launch()
+    finally:
+        signal.signal(signal.SIGHUP, inherited)
+    listener.wait(lambda: len(listener.torque) > 20, 'samples')
+    code, _, err = listener.peer.end(process, number)
+    assert code == 0
+    assert 'not acknowledged' not in err
+    assert f'published {len(listener.torque)} samples' in err
+
+
+def test_who_interrupts_again_waits_no_longer_for_a_reader_that_hangs(listener, tmp_path):
+    peer = listener.peer
+    reader = peer.start('gray_box_observer.ros.recorder_node', '-o', str(tmp_path / 'bag'))
+    process = peer.start(MODULE, wait_for_subscribers=2)
+    listener.wait(lambda: listener.torque, 'samples')
+    reader.send_signal(signal.SIGSTOP)
+    listener.wait(lambda: psutil.Process(reader.pid).status() == psutil.STATUS_STOPPED, 'the reader to hang')
+    count = len(listener.torque)
+    listener.wait(lambda: len(listener.torque) > count + 5, 'samples that it does not acknowledge')
+    process.send_signal(signal.SIGINT)
+    while 'waiting up to 5 s for acknowledgements' not in (line := process.stderr.readline()):
+        assert line, 'the end of what it says'
+    told_s = time.monotonic()
+    listener.wait(lambda: time.monotonic() > told_s + 0.7, 'patience to be over')
+    process.send_signal(signal.SIGINT)
+    code, _, err = peer.end(process, None)
+    assert code == 0
+    assert float(re.search(r'not acknowledged by every subscriber within ([0-9.]+) s', err)[1]) < 4.5
 
 
 def test_a_node_waits_for_its_subscribers_only_so_long(peer):
