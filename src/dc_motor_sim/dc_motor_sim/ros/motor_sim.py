@@ -20,6 +20,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind
@@ -314,13 +315,15 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
     os.environ.update(kept_here)
     try:
         command_line.check(argv)
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(args=argv)
         if unknown:
             return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         node = MotorSim()
         if kept_here:
             node.get_logger().info(discovery.OPENED_BY)
+    except rclpy_implementation.UnknownROSArgsError as error:
+        return _fail(f'unknown ROS arguments: {error}')
     except (SimulationError, ParameterException, RuntimeError) as error:
         return _fail(error)
     executor = SingleThreadedExecutor()

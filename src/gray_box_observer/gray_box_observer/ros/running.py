@@ -96,7 +96,7 @@ def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None)
     try:
         _check_parameter_files(sys.argv if args is None else args)
         own = remove_ros_args(list(args) if args is not None else None)
-    except (GrayBoxError, rclpy_implementation.RCLError) as error:
+    except (GrayBoxError, *_STARTUP_ERRORS) as error:
         parser.exit(EXIT_USER_ERROR, f'{parser.prog}: error: {_one_line(error)}\n')
     return parser.parse_args(own[1:])
 
