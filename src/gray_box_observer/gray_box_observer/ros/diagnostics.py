@@ -1,7 +1,7 @@
 """Diagnostics of every motor in the shape operators know: level, one line of advice, key-value pairs.
 
-As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware. OK: nothing to do. WARN: estimates come, and
-something spoils them. ERROR: it will not mend by itself. STALE: nothing comes.
+As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware, both with their namespace. OK: nothing to do.
+WARN: estimates come, and something spoils them. ERROR: it will not mend by itself. STALE: nothing comes.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def status_of(motor: str, situation: Situation) -> DiagnosticStatus:
     """Describe one motor."""
     if situation.state != 'active':
         return idle_status(motor, situation.node, situation.state, values_of(motor, situation))
-    return _status(motor, _judge(motor, situation), values_of(motor, situation))
+    return _status(motor, situation.node, _judge(motor, situation), values_of(motor, situation))
 
 
 def idle_status(motor: str, node: str, state: str, values: dict[str, str]) -> DiagnosticStatus:
@@ -101,15 +101,16 @@ def idle_status(motor: str, node: str, state: str, values: dict[str, str]) -> Di
     """
     verb = {'unconfigured': 'configure', 'inactive': 'activate'}.get(state)
     remedy = f'{verb} the node (ros2 lifecycle set {node} {verb})' if verb else 'start the node anew'
-    return _status(motor, (DiagnosticStatus.STALE, f'{state}: {remedy}'), values)
+    return _status(motor, node, (DiagnosticStatus.STALE, f'{state}: {remedy}'), values)
 
 
-def _status(motor: str, judgement: Judgement, values: dict[str, str]) -> DiagnosticStatus:
+def _status(motor: str, node: str, judgement: Judgement, values: dict[str, str]) -> DiagnosticStatus:
+    name = node.lstrip('/')  # /diagnostics is one topic for every robot: what stands on it must tell them apart
     return DiagnosticStatus(
         level=judgement[0],
-        name=f'gray_box_observer: {motor}',
+        name=f'{name}: {motor}',
         message=judgement[1],
-        hardware_id=motor,
+        hardware_id=''.join(name.rpartition('/')[:2]) + motor,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
 
