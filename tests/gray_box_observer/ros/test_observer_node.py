@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -207,12 +208,15 @@ def test_a_delay_that_was_not_declared_is_a_warning_and_an_asked_for_one_is_appl
     assert float(rig.values()['delay [s]']) == pytest.approx(0.05, abs=1e-3)
     assert 0.0 < float(rig.values()['delay std [s]']) < 1e-3
     assert rig.values()['delay verdict'] == 'undeclared'
+    words = r'found in the data: 0\.0\d+ \+- \S+ s; applied: 0 s, as declared'
+    assert re.fullmatch(words, rig.values()['delay in words'])
     rig.peer.end(rig.process)
     rig.start(motor__delay='estimate')
     rig.wait_for(samples_used=0)
     rig.send(early, range(900))
     rig.wait_for(delay_verdict='estimated')
     assert float(rig.values()['delay applied [s]']) == pytest.approx(0.05, abs=1e-3)
+    assert rig.values()['delay in words'].endswith(f'applied: {rig.values()["delay applied [s]"]} s, as estimated')
     said = rig.call(GetParameters, 'get_parameters', names=['motor.delay']).values[0]
     assert said.string_value == 'estimate'
 
