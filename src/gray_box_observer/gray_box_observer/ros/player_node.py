@@ -85,6 +85,7 @@ class BagPlayer(Node):
     def __init__(self, stop: Stop, bag: str = '', preceding: Mapping[str, Any] | None = None) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
+        self._is_closing = False
         given = declare(self, PLAYER_PARAMETERS, preceding)
         path, is_paused = given['bag'], given['paused']
         topics = [name for name in given['topics'] if name]
@@ -128,7 +129,8 @@ class BagPlayer(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop replaying and close the bag."""
+        """Stop waiting or replaying, and close the bag."""
+        self._is_closing = True
         self._pacer.stop()
         self._thread.join(timeout=2 * _ACK_PATIENCE_S)
         if sys.stderr.isatty():
@@ -206,7 +208,7 @@ class BagPlayer(Node):
         enough = any if is_own_wait and not watched else all
         watched = watched or list(self._publishers_by_topic.values())
         began_s, is_told = time.monotonic(), False
-        while not self._stop.requested:
+        while not (self._stop.requested or self._is_closing):
             counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in watched}
             if enough(count >= wanted for count in counts.values()):
                 time.sleep(_SETTLE_S if wanted else 0.0)
