@@ -240,10 +240,43 @@ def metadata_text(
         ros_distro: Such as ``jazzy``.
         custom_data: Free texts that travel with the bag.
     """
+    information = _information(topics, files, ros_distro, custom_data)
+    text = _dump({'rosbag2_bagfile_information': information})
+    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
+    names = [_scalar(file.path) for file in files]
+    lists = {
+        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
+        'files': ''.join(map(_file_text, names, files)),
+    }
+    for key, items in lists.items():
+        if items:
+            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
+    return text
+
+
+def storage_text(ros_distro: str, custom_data: Mapping[str, str] | None = None) -> str:
+    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the file itself tells.
+
+    ``ros2 bag info`` and ``ros2 bag reindex`` read it where there is no ``metadata.yaml``.
+
+    Args:
+        ros_distro: Such as ``jazzy``.
+        custom_data: Free texts that travel with the bag.
+    """
+    return _dump(_information((), (), ros_distro, custom_data))
+
+
+def _information(
+    topics: Sequence[TopicRecord],
+    files: Sequence[FileRecord],
+    ros_distro: str,
+    custom_data: Mapping[str, str] | None,
+) -> dict[str, Any]:
+    """What the metadata say, without the lists of files."""
     filled = [file for file in files if file.message_count]
     start_ns = min((file.start_ns for file in filled), default=_NEVER_NS)
     end_ns = max((file.end_ns for file in filled), default=_NEVER_NS)
-    information = {
+    return {
         'version': METADATA_VERSION,
         'storage_identifier': 'mcap',
         **_span(start_ns, end_ns),
@@ -268,17 +301,6 @@ def metadata_text(
         'custom_data': dict(custom_data) if custom_data else None,
         'ros_distro': ros_distro,
     }
-    text = _dump({'rosbag2_bagfile_information': information})
-    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
-    names = [_scalar(file.path) for file in files]
-    lists = {
-        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
-        'files': ''.join(map(_file_text, names, files)),
-    }
-    for key, items in lists.items():
-        if items:
-            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
-    return text
 
 
 def _file_text(name: str, file: FileRecord) -> str:
