@@ -15,7 +15,7 @@ from gray_box_observer.ros import topics
 from gray_box_observer.ros.diagnostics import Situation, idle_status, status_of
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.qos import advertise
-from gray_box_observer.ros.traffic import TrafficMeter
+from gray_box_observer.ros.traffic import Traffic, TrafficMeter
 
 AT_ONCE = 100
 """Motors, at least, that one message tells of."""
@@ -46,15 +46,15 @@ class Diagnoser:
         topic = topics.DIAGNOSTICS
         self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
 
-    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> None:
-        """Publish one round.
+    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> Traffic | None:
+        """Publish one round; return what has come since the last one, where the node is configured.
 
         Args:
             state: of the node's life cycle.
             observer: of the node; None where it is not configured.
             intake: likewise.
         """
-        array = DiagnosticArray()
+        array, traffic = DiagnosticArray(), None
         clock = self._node.get_clock()
         now = clock.now()
         array.header.stamp = now.to_msg()
@@ -63,6 +63,7 @@ class Diagnoser:
             array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
         else:
             self._warn_of_strangers(observer, intake)
+            traffic = self._meter.read(observer, intake)
             situation = Situation(
                 name,
                 state,
@@ -70,7 +71,7 @@ class Diagnoser:
                 intake,
                 self._inputs,
                 self._meter,
-                self._meter.read(observer, intake),
+                traffic,
                 self._keeper.failure,
                 self._keeper.age_s,
                 now.nanoseconds,
@@ -78,6 +79,7 @@ class Diagnoser:
             )
             array.status = [_contained_status(motor, situation) for motor in self._next()]
         self._publisher.publish(array)
+        return traffic
 
     def _next(self) -> list[str]:
         """Motors that are told of in this round: all of few, in turn those of many."""
