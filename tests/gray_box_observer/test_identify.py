@@ -225,10 +225,13 @@ def test_the_report_says_what_was_taken_as_known(identify: Run, bag: Path, tmp_p
 
 def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n')
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n    gap: 1.0\n'
+    )
     code, out, said = identify(bag, '--params', params, '--json', '-', '--skip-predictor')
     assert code == 0
     assert 'warning: parameter publish_rate is none of the observer' in said
+    assert 'warning: parameter gap is none of the observer (did you mean gap_s?); it is ignored' in said
     assert json.loads(out)['motors']['motor']['parameters']['inductance']['value'] == pytest.approx(1.0, rel=0.03)
 
 

@@ -26,6 +26,7 @@ from gray_box_observer.finite import plain
 from gray_box_observer.identify_options import configure, read_limits, read_mapping
 from gray_box_observer.observer import Result
 from gray_box_observer.outputs import refuse_unwritable, write_json
+from gray_box_observer.parameter_names import nearest
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.printable import printable
 from gray_box_observer.result_text import write_text
@@ -162,7 +163,9 @@ def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
 
 def _warn_of_unknown(configuration: Configuration) -> None:
     for name in configuration.unknown[:MOST_NAMED]:
-        _tell(f'warning: parameter {brief(name)[1:-1]} is none of the observer; it is ignored')
+        near = nearest(name, configuration.alike(name))
+        meant = f' (did you mean {near}?)' if near else ''
+        _tell(f'warning: parameter {brief(name)[1:-1]} is none of the observer{meant}; it is ignored')
     rest = len(configuration.unknown) - MOST_NAMED
     if rest > 0:
         _tell(f'warning: and {rest} parameters more that are none of the observer')

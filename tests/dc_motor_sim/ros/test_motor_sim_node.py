@@ -247,10 +247,35 @@ def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):
     assert 'published 10 samples' in err
 
 
-def test_a_misspelt_parameter_is_pointed_out(peer):
-    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, motor__resistence=2.0), None)
-    assert code == 0
-    assert 'no parameter of motor_sim: motor.resistence' in err
+@pytest.mark.parametrize(
+    ('values', 'what'),
+    [
+        ({'motor__resistence': 2.0}, 'motor.resistence (did you mean motor.resistance?)'),
+        ({'duration': 2.0}, 'duration (did you mean duration_s?)'),
+        ({'motr__resistance': 2.0}, 'motr.resistance (did you mean motor.resistance?)'),
+        ({'frobnicate': 1}, 'no parameter of motor_sim: frobnicate; --help lists them'),
+    ],
+)
+def test_a_misspelt_parameter_is_refused_with_the_nearest_name(peer, values, what):
+    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, **values), None)
+    (line,) = [line for line in err.splitlines() if 'error:' in line]
+    assert code == 2
+    assert what in line
+
+
+def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(peer, tmp_path):
+    path = tmp_path / 'shared.yaml'
+    own = 'motors: [m_1]\n    duration_s: 0.1\n    m_1: {resistance: 2.0}\n'
+    others = '    m_2: {resistance: 3.0}\n    gap_s: 1.0\n    m_1.initial.resistance: 1.0\n'
+    codes, said = [], []
+    for text in (own + others, own + '    m_1.resistence: 2.0\n'):
+        path.write_text(f'/**:\n  ros__parameters:\n    {text}')
+        code, _, err = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)
+        codes.append(code)
+        said.append(err)
+    assert codes == [0, 2]
+    assert 'no parameter of motor_sim, ignored: gap_s, m_1.initial.resistance, m_2.resistance; ' in said[0]
+    assert 'm_1.resistence (did you mean m_1.resistance?)' in said[1]
 
 
 def test_help_names_the_parameters_and_starts_nothing(peer):

@@ -6,6 +6,7 @@ import re
 from itertools import pairwise
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import SetBool, Trigger
 
@@ -84,3 +85,16 @@ def test_services_and_transitions_are_told(rig, record, tmp_path):
     for words in wanted:
         assert any(text.startswith(words) for text in texts), (words, texts)
         del texts[: next(k for k, text in enumerate(texts) if text.startswith(words)) + 1]
+
+
+def test_two_observers_of_one_name_are_told(rig, make_rig):
+    words = 'another node is called /gray_box_observer too: '
+    rig.start()
+    said_until(rig, 'active: listening')
+    second = make_rig()
+    second.start()
+    for one in (rig, second):
+        assert said_until(one, words)[-1]['level'] == 'WARN'
+    rig.wait_for_level(DiagnosticStatus.WARN, words)
+    rig.peer.end(second.process)
+    rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor')

@@ -30,6 +30,15 @@ def check(args: Sequence[str]) -> None:
             check_file(value)
 
 
+def parameter_names(args: Sequence[str]) -> set[str]:
+    """Names of parameters that a command line gives: of ``-p NODE:NAME:=VALUE`` the name."""
+    return {
+        text.partition(':=')[0].rpartition(':')[2]
+        for option, text in pairwise(args)
+        if option in ('-p', '--param') and ':=' in text
+    }
+
+
 def check_file(path: str) -> None:
     """Refuse what is no regular file of reasonable size.
 

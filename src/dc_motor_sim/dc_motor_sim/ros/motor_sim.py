@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import rclpy
@@ -63,11 +63,14 @@ OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABI
 class MotorSim(Node):
     """Wires a `Simulation` to topics, parameters and the wall clock.
 
+    Args:
+        said: Names of parameters on the command line.
+
     Raises:
         SimulationError: A parameter it was started with cannot be used.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, said: Collection[str] = ()) -> None:
         super().__init__('motor_sim')
         settings = parameters.declare(self)
         self.finished = False
@@ -94,7 +97,7 @@ class MotorSim(Node):
         self._clock_publisher = self._publisher(topics.CLOCK) if self._options.publish_clock else None
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
-        parameters.warn_of_unread(self)
+        parameters.settle_unread(self, said)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
@@ -319,7 +322,7 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
         if unknown:
             return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
-        node = MotorSim()
+        node = MotorSim(command_line.parameter_names(argv))
         if kept_here:
             node.get_logger().info(discovery.OPENED_BY)
     except rclpy_implementation.UnknownROSArgsError as error:

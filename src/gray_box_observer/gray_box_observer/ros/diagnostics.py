@@ -37,6 +37,9 @@ ADVICE = {
 }
 
 
+NAMESAKE = 'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r __node:=NAME'
+"""What is wrong where somebody has started a second observer of the same name."""
+
 DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
 """Suspects that say more than a bound that is met."""
 
@@ -68,6 +71,7 @@ class Situation:
         checkpoint_age_s: time since one was taken; None where none was.
         now_ns: the node's clock.
         simulated: whether that is ``/clock``.
+        has_namesake: whether another node has the same name.
     """
 
     node: str
@@ -81,6 +85,7 @@ class Situation:
     checkpoint_age_s: float | None
     now_ns: int
     simulated: bool
+    has_namesake: bool
 
 
 def status_of(motor: str, situation: Situation) -> DiagnosticStatus:
@@ -119,6 +124,7 @@ def _judge(motor: str, now: Situation) -> Judgement:
     """Find the first thing that an operator has to know."""
     return (
         _stopped(motor, now)
+        or _namesake(now)
         or _nothing_yet(motor, now)
         or _failed_training(motor, now)
         or _nothing_new(motor, now)
@@ -134,6 +140,11 @@ def _stopped(motor: str, now: Situation) -> Judgement | None:
         return None
     remedy = f'call {now.node}/reset to start anew, and report it: the log says more'
     return DiagnosticStatus.ERROR, f'stopped by a defect: {incident.reason}; {remedy}'
+
+
+def _namesake(now: Situation) -> Judgement | None:
+    """Whether what is read here may be of another node."""
+    return (DiagnosticStatus.WARN, NAMESAKE.format(now.node)) if now.has_namesake else None
 
 
 def _nothing_yet(motor: str, now: Situation) -> Judgement | None:

@@ -26,6 +26,7 @@ from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.incident import in_words
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
+from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 from gray_box_observer.predictor import ProcessTraining
 from gray_box_observer.printable import printable
 from gray_box_observer.ros.chore import Chore
@@ -33,6 +34,7 @@ from gray_box_observer.ros.commentary import Commentary
 from gray_box_observer.ros.diagnoser import Diagnoser
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.life_cycle import survive_impossible_transitions
+from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.ros.parameters import LiveParameters, declare
 from gray_box_observer.ros.qos import unused_overrides
@@ -52,6 +54,9 @@ ARRIVED = {
     'shut down': 'the end',
 }
 """What a transition has led to, as the log says it; activation says what it listens to."""
+
+OF_EACH_MOTOR = 'parameters of each motor, below its name (-p motor.delay:=0.05), or below defaults for all'
+"""What ``--help`` calls them."""
 
 Transition = TransitionCallbackReturn
 
@@ -478,8 +483,10 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog='observer',
         description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
-        'predicts their torque. Parameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
-        epilog='share/gray_box_observer/config/observer.yaml lists every parameter with its default and meaning.',
+        'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
+        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}\n\n'
+        'share/gray_box_observer/config/observer.yaml holds them all, to begin with.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parse_arguments(parser, args)
     nodes: list[ObserverNode] = []
