@@ -195,6 +195,8 @@ def option_lines(parser: argparse.ArgumentParser) -> list[str]:
     """How a command is called."""
     rows = []
     for action in parser._actions:
+        if action.help is argparse.SUPPRESS:  # what is refused
+            continue
         metavar = action.metavar if isinstance(action.metavar, str) else ''
         if action.choices is not None:
             metavar = '{' + ','.join(str(choice) for choice in action.choices) + '}'

@@ -19,18 +19,20 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros.parameters import NodeParameters
 from gray_box_observer import configuration
-from gray_box_observer.ros import discovery
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH_FILES = sorted((ROOT / 'src').glob('*/launch/*.launch.py'))
 IDS = [path.name for path in LAUNCH_FILES]
+DEMO = ROOT / 'src' / 'gray_box_observer' / 'launch' / 'demo.launch.py'
+SIMULATOR = ROOT / 'src' / 'dc_motor_sim' / 'launch' / 'motor_sim.launch.py'
 
 
 @dataclass
 class LaunchContext:
-    """Values of the launch arguments."""
+    """Values of the launch arguments, and the environment of what is launched."""
 
     launch_configurations: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -47,14 +49,6 @@ class DeclareLaunchArgument:
     name: str
     default_value: str
     description: str
-
-
-@dataclass
-class SetEnvironmentVariable:
-    """Sets a variable for everything that is launched."""
-
-    name: str
-    value: str
 
 
 @dataclass
@@ -86,7 +80,7 @@ class LaunchConfiguration:
 class ParameterValue:
     """Turns the text of an argument into a typed value."""
 
-    value: LaunchConfiguration
+    value: LaunchConfiguration | str
     value_type: type
 
 
@@ -101,11 +95,16 @@ class Node:
     output: str = 'log'
     namespace: Any = ''
     on_exit: Any = None
+    additional_env: dict[str, str] | None = None
+
+
+class LifecycleNode(Node):
+    """Starts a managed node."""
 
 
 STAND_INS = {
     'launch': (LaunchContext, LaunchDescription),
-    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown),
+    'launch.actions': (DeclareLaunchArgument, OpaqueFunction, Shutdown),
     'launch.substitutions': (LaunchConfiguration,),
     'launch_ros': (),
     'launch_ros.parameter_descriptions': (ParameterValue,),
@@ -119,7 +118,7 @@ def stand_ins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         module.__dict__.update({member.__name__: member for member in members})
         monkeypatch.setitem(sys.modules, name, module)
     actions = ModuleType('launch_ros.actions')
-    actions.__dict__.update(Node=Node, LifecycleNode=Node)
+    actions.__dict__.update(Node=Node, LifecycleNode=LifecycleNode)
     monkeypatch.setitem(sys.modules, 'launch_ros.actions', actions)
     yield
 
@@ -131,17 +130,18 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-def launched(path: Path, **arguments: str) -> tuple[dict[str, str], list[Node]]:
+def launched(path: Path, /, environment: dict[str, str] | None = None, **arguments: str) -> tuple[dict, list[Node]]:
     """Declared arguments with their defaults, and the nodes that come of them."""
     entities = load(path).generate_launch_description().entities
+    assert {type(e) for e in entities} == {DeclareLaunchArgument, OpaqueFunction}, 'nothing else may be in the file'
     declared = {e.name: e.default_value for e in entities if isinstance(e, DeclareLaunchArgument)}
-    context = LaunchContext({**declared, **arguments})
-    nodes = [e for e in entities if isinstance(e, Node)]
+    context = LaunchContext({**declared, **arguments}, environment or {})
+    nodes = []
     for entity in entities:
         if isinstance(entity, OpaqueFunction):
             nodes += entity.function(context)
     for value in (v for node in nodes for p in node.parameters if isinstance(p, dict) for v in p.values()):
-        if isinstance(value, ParameterValue):
+        if isinstance(value, ParameterValue) and isinstance(value.value, LaunchConfiguration):
             value.value_type(value.value.perform(context))
     return declared, nodes
 
@@ -181,36 +181,81 @@ def test_every_parameter_that_is_set_is_one_that_the_node_declares(path: Path):
 
 
 @pytest.mark.usefixtures('stand_ins')
-@pytest.mark.parametrize('path', [p for p in LAUNCH_FILES if p.name != 'demo.launch.py'], ids=lambda p: p.name)
-def test_a_parameter_file_comes_before_the_arguments_that_win_over_it(path: Path):
+@pytest.mark.parametrize('path', [p for p in LAUNCH_FILES if p != DEMO], ids=lambda p: p.name)
+def test_a_parameter_file_comes_before_the_arguments_that_win_over_it(path: Path, tmp_path: Path):
+    mine = tmp_path / 'mine.yaml'
+    mine.touch()
     _, (without,) = launched(path)
-    _, (given,) = launched(path, params_file='mine.yaml')
-    assert given.parameters == ['mine.yaml', *without.parameters]
-
-
-@pytest.mark.usefixtures('stand_ins')
-def test_the_demo_ends_with_its_simulator():
-    _, nodes = launched(ROOT / 'src' / 'gray_box_observer' / 'launch' / 'demo.launch.py')
-    assert {n.executable: isinstance(n.on_exit, Shutdown) for n in nodes} == {
-        'observer': False,
-        'recorder': False,
-        'motor_sim': True,
-    }
+    _, (given,) = launched(path, params_file=str(mine))
+    assert given.parameters == [str(mine), *without.parameters]
 
 
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
-def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path, monkeypatch: pytest.MonkeyPatch):
-    for name in discovery.SAYS:
-        monkeypatch.delenv(name, raising=False)
+def test_a_parameter_file_that_is_not_there_is_refused_by_name(path: Path):
+    with pytest.raises(Exception, match=r'^params_file: .*nowhere\.yaml: cannot be read: No such file or directory$'):
+        launched(path, params_file='nowhere.yaml')
 
-    def set_variables() -> list[tuple[str, str]]:
-        entities = load(path).generate_launch_description().entities
-        return [(e.name, e.value) for e in entities if isinstance(e, SetEnvironmentVariable)]
 
-    assert set_variables() == [('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')]
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
-    assert set_variables() == []
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize(('path', 'name'), [(DEMO, 'duration'), (SIMULATOR, 'duration'), (SIMULATOR, 'seed')])
+def test_a_number_that_is_none_is_refused_by_name(path: Path, name: str):
+    with pytest.raises(Exception, match=rf"^{name} is 'abc'; expected a (whole )?number$"):
+        launched(path, **{name: 'abc'})
+    _, nodes = launched(path, **{name: '7'})
+    (given,) = [p[key] for n in nodes for p in n.parameters for key in p if key in (name, f'{name}_s')]
+    assert given == 7
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
+    """``launch_ros`` ends with an error where a managed node is launched and a second end is asked for."""
+    _, nodes = launched(DEMO)
+    assert {n.executable: (type(n), type(n.on_exit)) for n in nodes} == dict.fromkeys(
+        ('observer', 'recorder', 'motor_sim'), (Node, Shutdown)
+    )
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_a_second_demo_in_the_same_folder_has_a_bag_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+
+    def bag(**arguments: str) -> str:
+        _, nodes = launched(DEMO, **arguments)
+        (recorder,) = [node for node in nodes if node.executable == 'recorder']
+        return recorder.parameters[-1]['output'].value
+
+    assert bag() == 'demo_bag'
+    for name in ('demo_bag', 'demo_bag_2', 'mine'):
+        Path(name).mkdir()
+    assert bag() == 'demo_bag_3'
+    assert bag(output='yours') == 'yours'
+    with pytest.raises(
+        Exception, match=r'^output: mine is there already; expected a new folder, or no word of output$'
+    ):
+        bag(output='mine')
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_the_demo_takes_a_namespace_and_a_parameter_file_for_all_of_its_nodes(tmp_path: Path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('/**: {ros__parameters: {motors: [left, right]}}')
+    _, nodes = launched(DEMO, params_file=str(mine))
+    assert [node.parameters[0] for node in nodes] == [str(mine)] * 3
+    assert not any(key.startswith('motor.') for node in nodes for p in node.parameters[1:] for key in p)
+    assert all(node.namespace.name == 'namespace' for node in nodes)
+
+
+@pytest.mark.usefixtures('stand_ins')
+@pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
+def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path):
+    """A variable of the launch itself would cut off whatever an including file launches afterwards."""
+    environment = {'HOME': '/home'}
+    _, nodes = launched(path, environment)
+    assert [node.additional_env for node in nodes] == [{'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}] * len(nodes)
+    assert environment == {'HOME': '/home'}
+    _, nodes = launched(path, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'})
+    assert [node.additional_env for node in nodes] == [{}] * len(nodes)
 
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)

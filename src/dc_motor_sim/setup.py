@@ -24,5 +24,5 @@ setup(
     maintainer_email='maintainers@gray-box-observer.example',
     description='Simulated DC motors that publish armature voltage and torque.',
     license='Apache-2.0',
-    entry_points={'console_scripts': ['motor_sim = dc_motor_sim.ros.motor_sim:main']},
+    entry_points={'console_scripts': ['motor_sim = dc_motor_sim.executables:motor_sim']},
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import struct
 from collections.abc import Callable, Iterable, Iterator
-from itertools import repeat
+from itertools import chain, repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -183,6 +183,28 @@ def wide_window(path: Path) -> None:
     write(path, declarations(), samples(), chunk(frame, 70 * MB, 'zstd'))
 
 
+def a_packed_file(path: Path) -> None:
+    """A whole file packed by rosbag2's compression, which unpacks to a little less than the limit."""
+    write(path, declarations(), samples(), *[packed_chunk(padded(empties(12 * MB), k, 20_000)) for k in range(8)])
+    with path.open('ab') as stream:
+        stream.write(record(PRIVATE, bytes(78 * MB)))
+    path.write_bytes(zstandard.compress(path.read_bytes()))
+
+
+def a_packed_file_without_size(path: Path) -> None:
+    """The same, whose head does not tell that it unpacks to a gibibyte; noise keeps the ratio of a log."""
+    frame, _ = packed(chain([MAGIC, random.Random(1).randbytes(900_000)], repeat(bytes(BLOCK_BYTES), 1 << 10)), 'zstd')
+    path.write_bytes(frame)
+
+
+def packed_messages(path: Path) -> None:
+    """Messages packed one by one; each unpacks to as much as it may, and together to ten times the limit."""
+    data = encode_joint_state(START_NS, ['motor'], effort=[1.0]) + random.Random(1).randbytes(80_000)
+    frame = zstandard.compress(data + bytes(78 * MB))
+    chunks = [chunk(message(2, frame) * 2, 2 * len(message(2, frame))) for _ in range(5)]
+    write(path, declarations(), samples(), *chunks)
+
+
 def sparse_declaration(path: Path) -> None:
     """A schema of a terabyte, all of it a hole."""
     write(path, declarations(), samples(), record(SCHEMA, b'', 1 << 40), Hole(1 << 40), samples())
@@ -328,6 +350,9 @@ CRAFTS: dict[str, Craft] = {
         large_messages,
         claims,
         wide_window,
+        a_packed_file,
+        a_packed_file_without_size,
+        packed_messages,
         sparse_declaration,
         sparse_message,
         sparse_chunks,

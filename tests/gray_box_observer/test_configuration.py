@@ -268,6 +268,15 @@ def test_the_example_file_holds_every_parameter_with_its_default_and_its_descrip
     assert said == [(name.rpartition('.')[2], specs[name].description) for name in given]
 
 
+def test_each_signal_is_described_in_its_own_unit_and_fields_with_an_index() -> None:
+    said = {spec.name: spec.description for spec in OBSERVER_PARAMETERS}
+    units = {'voltage': 'V', 'torque': 'N m', 'speed': 'rad/s'}
+    for signal, unit in units.items():
+        assert f' in {unit}; ' in said[f'{signal}.scale']
+        assert ('Kt' in said[f'{signal}.scale']) == (signal == 'torque')
+        assert 'data[0]' in said[f'{signal}.field']
+
+
 def test_groups_become_dotted_names() -> None:
     assert flatten({'a': {'b': {'c': 1}, 'd': [1]}, 'e.f': 2}) == {'a.b.c': 1, 'a.d': [1], 'e.f': 2}
 

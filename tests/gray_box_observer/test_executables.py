@@ -3,8 +3,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+BAG = Path(__file__).resolve().parents[2] / 'bags' / 'moderate'
 
 START = """
 import sys
@@ -79,6 +82,30 @@ def test_a_module_of_ours_that_is_missing_is_a_defect_and_shows_its_traceback() 
     code, _, said = start('identify', 'gray_box_observer.offline')
     assert code == 1
     assert 'Traceback' in said
+
+
+@pytest.mark.parametrize('asked', [['--json', 'found.json'], ['--json', '-', '--report', 'found.html']])
+def test_a_reader_of_the_output_may_leave_early_and_files_are_written_all_the_same(
+    tmp_path: Path, asked: list[str]
+) -> None:
+    script = 'from gray_box_observer import executables; raise SystemExit(executables.identify())'
+    command = [sys.executable, '-c', script, str(BAG), '--skip-predictor', *asked]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    process.stdout.close()
+    said = process.stderr.read()
+    assert (process.wait(timeout=100), 'Broken' in said) == (0, False), said
+    assert sorted(path.name for path in tmp_path.iterdir()) == [name for name in asked if name.startswith('found')]
+
+
+def test_a_reader_of_errors_may_leave_early_too(tmp_path: Path) -> None:
+    script = 'from gray_box_observer import executables; raise SystemExit(executables.identify())'
+    strange = tmp_path / 'strange.yaml'
+    strange.write_text('/**: {ros__parameters: {strange: 1}}')
+    asked = [str(BAG), '--skip-predictor', '--params', str(strange), '--json', 'found.json']
+    process = subprocess.Popen([sys.executable, '-c', script, *asked], stderr=subprocess.PIPE, cwd=tmp_path)
+    process.stderr.close()
+    assert process.wait(timeout=100) == 0
+    assert (tmp_path / 'found.json').exists()
 
 
 MEMORY_LEFT = """

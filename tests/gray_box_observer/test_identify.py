@@ -177,7 +177,7 @@ def test_an_asked_for_delay_is_found_applied_and_reported(identify: Run, early: 
     assert motor['delay_s']['applied'] == pytest.approx(0.05, abs=1e-3)
     assert motor['parameters']['inductance']['value'] == pytest.approx(0.5, rel=0.01)
     assert 'The delay from voltage to torque is estimated: ' in report.read_text(encoding='utf-8')
-    assert 'applied 0.0' in identify(early, '--skip-predictor', '--params', params)[1]
+    assert ' s found in the data, applied 0.0' in identify(early, '--skip-predictor', '--params', params)[1]
 
 
 def test_a_delay_is_not_mentioned_where_nobody_asked_and_there_is_none(identify: Run, bag: Path) -> None:
@@ -225,10 +225,13 @@ def test_the_report_says_what_was_taken_as_known(identify: Run, bag: Path, tmp_p
 
 def test_the_observers_own_parameter_file_serves(identify: Run, bag: Path, tmp_path: Path) -> None:
     params = tmp_path / 'p.yaml'
-    params.write_text('/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n')
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.02}\n    publish_rate: 3.0\n    gap: 1.0\n'
+    )
     code, out, said = identify(bag, '--params', params, '--json', '-', '--skip-predictor')
     assert code == 0
     assert 'warning: parameter publish_rate is none of the observer' in said
+    assert 'warning: parameter gap is none of the observer (did you mean gap_s?); it is ignored' in said
     assert json.loads(out)['motors']['motor']['parameters']['inductance']['value'] == pytest.approx(1.0, rel=0.03)
 
 

@@ -44,6 +44,7 @@ def refused(tmp_path: Path) -> Refused:
         errors = [line for line in said.splitlines() if line.startswith(f'{name}: error: ')]
         assert len(errors) == 1, said
         assert 'Traceback' not in said
+        assert '[ERROR]' not in said, 'said a second time'
         return errors[0].removeprefix(f'{name}: error: ')
 
     return run
@@ -68,6 +69,20 @@ def test_a_pipe_as_parameter_file_is_refused_and_not_waited_for(refused: Refused
 @pytest.mark.parametrize('name', EXECUTABLES)
 def test_an_argument_that_is_no_utf_8_is_refused_by_its_bytes(refused: Refused, name: str) -> None:
     assert refused(name, b'bag_\xff') == r'the argument bag_\xff is no UTF-8: rename the file'
+
+
+@pytest.mark.parametrize('name', [name for name in EXECUTABLES if name != 'identify'])
+@pytest.mark.parametrize(
+    ('words', 'message'),
+    [
+        (('--nosuchflag',), "unknown ROS arguments: ['--nosuchflag']"),
+        (('-p',), "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter override rule found."),
+    ],
+)
+def test_an_argument_that_ros_does_not_know_is_refused_in_its_words(
+    refused: Refused, name: str, words: tuple[str, ...], message: str
+) -> None:
+    assert refused(name, '--ros-args', *words) == message
 
 
 @pytest.mark.parametrize(

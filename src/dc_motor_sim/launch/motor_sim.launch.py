@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from dc_motor_sim.ros import discovery
+from dc_motor_sim.ros import discovery, launch_arguments
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal, or external to drive the motor by motor/voltage_command'),
@@ -23,12 +21,14 @@ ARGUMENTS = {
 
 def make_nodes(context: LaunchContext) -> list[Node]:
     """Make the simulator's node from the launch arguments."""
-    params_file = LaunchConfiguration('params_file').perform(context)
+    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
+    duration = LaunchConfiguration('duration').perform(context)
+    seed = LaunchConfiguration('seed').perform(context)
     parameters = [
         {
             'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
-            'duration_s': ParameterValue(LaunchConfiguration('duration'), value_type=float),
-            'seed': ParameterValue(LaunchConfiguration('seed'), value_type=int),
+            'duration_s': launch_arguments.number('duration', duration),
+            'seed': launch_arguments.whole_number('seed', seed),
         }
     ]
     return [
@@ -38,7 +38,9 @@ def make_nodes(context: LaunchContext) -> list[Node]:
             name='motor_sim',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            parameters=[params_file, *parameters] if params_file else parameters,
+            # of this node alone: the environment of the launch belongs to whoever includes this file
+            additional_env=discovery.default_range(context.environment),
+            parameters=[*files, *parameters],
         )
     ]
 
@@ -49,5 +51,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
-    return LaunchDescription([*declared, *kept_here, OpaqueFunction(function=make_nodes)])
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

@@ -185,6 +185,20 @@ class Configuration:
         }
         return replace(made, motors=motors, unknown=self.unknown)
 
+    def alike(self, name: str) -> list[str]:
+        """Return declared names that an unknown one may have been meant for.
+
+        A motor that is not listed may be one of another node; it is taken for a slip of a motor of which nothing is
+        stated, and of no other.
+        """
+        found = [spec.name for spec in OBSERVER_PARAMETERS]
+        group = name.partition('.')[0]
+        if group in self.motors or group == DEFAULTS:
+            groups = [group]
+        else:
+            groups = [DEFAULTS, *(motor for motor, of in self.motors.items() if not of.stated)][:MOST_ALIKE]
+        return found + [f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS]
+
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
         """Read a ROS parameter file (``/**`` or the node's name, then ``ros__parameters``).
@@ -229,6 +243,9 @@ FITS_TWICE = (
     ('training.context', 'training.replay_capacity'),
 )
 """What has to fit twice into what: a memory must hold more than one piece of work on it."""
+
+MOST_ALIKE = 100
+"""Motors of which an unknown name is looked up."""
 
 FOREIGN_PARAMETERS = frozenset({'use_sim_time', 'start_type_description_service'})
 """Parameters that rclpy declares itself."""

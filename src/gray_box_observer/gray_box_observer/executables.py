@@ -10,8 +10,12 @@ import ctypes
 import importlib
 import os
 import re
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+from gray_box_observer.standard_streams import readers_may_leave
 
 EXIT_USER_ERROR = 2
 
@@ -25,6 +29,12 @@ LARGE_BYTES = 1 << 22
 """Blocks of memory from this size on go back to the system when they are freed."""
 
 _M_MMAP_THRESHOLD = -3  # malloc.h
+
+EXIT_INTERRUPTED = 130
+"""Of a command that Ctrl-C ends; a node that is asked to end has done what it was asked."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What asks a process to end."""
 
 _OF_ROS = re.compile(r'rclpy|(ament|rcl|ros|rosidl)_.*|.*_(msgs|srvs|interfaces)')
 
@@ -46,7 +56,7 @@ def player(args: Sequence[str] | None = None) -> int:
 
 def identify(args: Sequence[str] | None = None) -> int:
     """Run the offline command; the result is the exit code."""
-    return _start('identify', 'gray_box_observer.identify', args)
+    return _start('identify', 'gray_box_observer.identify', args, is_node=False)
 
 
 def settle_memory() -> None:
@@ -61,7 +71,19 @@ def settle_memory() -> None:
         return
 
 
-def _start(name: str, module: str, args: Sequence[str] | None) -> int:
+def _start(name: str, module: str, args: Sequence[str] | None, *, is_node: bool = True) -> int:
+    try:
+        with _ending_quietly(name, is_node=is_node):
+            return _run(name, module, args, is_node=is_node)
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:  # it was closed before we began
+                # A disk that is full is told of when Python itself flushes once more.
+                with suppress(OSError), readers_may_leave(stream):
+                    stream.flush()
+
+
+def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -> int:
     for variable in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
         os.environ.setdefault(variable, '1')
     settle_memory()
@@ -71,7 +93,10 @@ def _start(name: str, module: str, args: Sequence[str] | None) -> int:
         print(f'{name}: error: the argument {shown} is no UTF-8: rename the file', file=sys.stderr)
         return EXIT_USER_ERROR
     try:
-        code: int = importlib.import_module(module).main(args)
+        main = importlib.import_module(module).main
+        if not is_node:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on it is the command's own affair
+        code: int = main(args)
     except ModuleNotFoundError as error:
         package = (error.name or '').partition('.')[0]
         if package in ('', __name__.partition('.')[0]):  # a defect of ours, not of the installation
@@ -79,6 +104,29 @@ def _start(name: str, module: str, args: Sequence[str] | None) -> int:
         print(f'{name}: error: this Python has no {package}: {_remedy(package)}', file=sys.stderr)
         return EXIT_USER_ERROR
     return code
+
+
+@contextmanager
+def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
+    """Let a signal end a process that still loads its modules, and change nothing of one that is done.
+
+    Terminal and launch both send one, the second of which may come when the first has been obeyed.
+    """
+
+    def end(*_: object) -> None:
+        if not is_node:
+            os.write(2, f'{name}: interrupted; nothing was written\n'.encode())
+        os._exit(0 if is_node else EXIT_INTERRUPTED)
+
+    # nohup asked for what is ignored; a command that is terminated ends as every other
+    ends = [n for n in (SIGNALS if is_node else (signal.SIGINT,)) if signal.getsignal(n) is not signal.SIG_IGN]
+    for number in ends:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ends:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _is_text(word: str) -> bool:

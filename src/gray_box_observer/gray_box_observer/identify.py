@@ -26,9 +26,11 @@ from gray_box_observer.finite import plain
 from gray_box_observer.identify_options import configure, read_limits, read_mapping
 from gray_box_observer.observer import Result
 from gray_box_observer.outputs import refuse_unwritable, write_json
+from gray_box_observer.parameter_names import nearest
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.printable import printable
 from gray_box_observer.result_text import write_text
+from gray_box_observer.standard_streams import readers_may_leave
 from gray_box_observer.validation import Training, validate
 
 if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
@@ -51,22 +53,23 @@ def main(args: Sequence[str] | None = None) -> int:
     0 when it ran to the end, 1 where a defect has stopped a motor, 2 for input it cannot use, 3 where every bag was
     read by itself and some gave nothing.
     """
-    words = list(sys.argv if args is None else args)[1:]
-    options = _parser().parse_args(words)
-    options.command = shlex.join(['identify', *words])
     try:
+        words = list(sys.argv if args is None else args)[1:]
+        options = _parser().parse_args(words)
+        options.command = shlex.join(['identify', *words])
         return _run(options)
     except GrayBoxError as error:
         _tell(f'error: {" ".join(str(error).split())}')
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
-        print('identify: interrupted; nothing was written', file=sys.stderr)
+        _tell('interrupted; nothing was written')
         return archive.EXIT_INTERRUPTED
 
 
 def _tell(text: str) -> None:
     """Say something in one line; what came with the data is shown, not obeyed."""
-    print(printable(f'identify: {text}'), file=sys.stderr)
+    with readers_may_leave(sys.stderr):
+        print(printable(f'identify: {text}'), file=sys.stderr)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -160,7 +163,9 @@ def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
 
 def _warn_of_unknown(configuration: Configuration) -> None:
     for name in configuration.unknown[:MOST_NAMED]:
-        _tell(f'warning: parameter {brief(name)[1:-1]} is none of the observer; it is ignored')
+        near = nearest(name, configuration.alike(name))
+        meant = f' (did you mean {near}?)' if near else ''
+        _tell(f'warning: parameter {brief(name)[1:-1]} is none of the observer{meant}; it is ignored')
     rest = len(configuration.unknown) - MOST_NAMED
     if rest > 0:
         _tell(f'warning: and {rest} parameters more that are none of the observer')
@@ -199,7 +204,8 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         _write_report(options, outcome, result, histories)
     if options.json != '-':
         fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
-        write_text(result, fits, sys.stdout)
+        with readers_may_leave(sys.stdout):
+            write_text(result, fits, sys.stdout)
     return EXIT_STOPPED if outcome.observer.incidents else 0
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import errno
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.finite import plain
+from gray_box_observer.standard_streams import readers_may_leave
 
 
 def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
@@ -42,7 +44,8 @@ def write_json(result: dict[str, Any], target: str) -> None:
     """
     text = json.dumps(plain(result), indent=2, allow_nan=False)
     if target == '-':
-        print(text)
+        with readers_may_leave(sys.stdout):
+            print(text)
         return
     try:
         Path(target).write_text(text + '\n', encoding='utf-8')

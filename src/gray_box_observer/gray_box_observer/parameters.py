@@ -101,22 +101,27 @@ def _as_float(value: Any) -> Any:
         return math.inf if value > 0 else -math.inf
 
 
-def _signal(name: str, topic: str, type_name: str, field_path: str, scale: bool, what: str) -> list[ParameterSpec]:
-    specs = [
+def _signal(name: str, topic: str, field_path: str, what: str, scale: str) -> list[ParameterSpec]:
+    """Parameters that say where a signal comes from.
+
+    Args:
+        name: of the signal.
+        topic: default of its topic.
+        field_path: default of its field.
+        what: it is, in words.
+        scale: its SI unit, and what the factor to it is in a usual case.
+    """
+    return [
         ParameterSpec(f'{name}.topic', topic, f'Topic that carries {what}; empty: none of its own.'),
-        ParameterSpec(f'{name}.type', type_name, f'Message type of {name}.topic.'),
+        ParameterSpec(f'{name}.type', 'sensor_msgs/msg/JointState', f'Message type of {name}.topic.'),
         ParameterSpec(
             f'{name}.field',
             field_path,
-            f'Field path of {what} in the message, such as data or wrench.torque.z.',
+            f'Field path of {what} in the message, such as data, data[0] or wrench.torque.z.',
         ),
+        ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in {scale}.'),
+        ParameterSpec(f'{name}.offset', 0.0, f'Added to {what} after the scale, in SI units.', -1e9, 1e9),
     ]
-    if scale:
-        specs.append(
-            ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in SI units (a current: give Kt).')
-        )
-        specs.append(ParameterSpec(f'{name}.offset', 0.0, f'Added to {what} after the scale, in SI units.', -1e9, 1e9))
-    return specs
 
 
 OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
@@ -175,9 +180,9 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         0.001,
         1e6,
     ),
-    *_signal('voltage', 'motor/voltage', 'sensor_msgs/msg/JointState', 'effort', True, 'armature voltage'),
-    *_signal('torque', 'motor/torque', 'sensor_msgs/msg/JointState', 'effort', True, 'motor torque'),
-    *_signal('speed', '', 'sensor_msgs/msg/JointState', 'velocity', True, 'shaft speed'),
+    *_signal('voltage', 'motor/voltage', 'effort', 'armature voltage', 'V; of mV: 0.001'),
+    *_signal('torque', 'motor/torque', 'effort', 'motor torque', 'N m; of a current in A: Kt'),
+    *_signal('speed', '', 'velocity', 'shaft speed', 'rad/s; of revolutions a minute: 0.10472'),
     ParameterSpec('recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000),
     ParameterSpec('recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000),
     ParameterSpec(

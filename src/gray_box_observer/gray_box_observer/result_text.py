@@ -72,7 +72,7 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
 def _delay_line(delay: Mapping[str, Any]) -> str:
     value = 'not told by the data'
     if delay['value'] is not None:
-        value = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s'
+        value = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
     return f'{"delay":<18} {value}, applied {delay["applied"]:.6g} s'
 
 

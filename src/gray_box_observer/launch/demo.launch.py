@@ -1,28 +1,79 @@
 """Simulator, observer and recorder together: ``ros2 launch gray_box_observer demo.launch.py duration:=60.0``.
 
-Ends when the simulator does. The observer's first guess is three times off.
+Ends when one of them does, which the simulator does after its duration. The observer's first guess is three times off.
 """
 
 from __future__ import annotations
 
-import os
+from typing import Any
 
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable, Shutdown
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import LifecycleNode, Node
+from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from gray_box_observer.ros import discovery
+from gray_box_observer.ros import discovery, launch_arguments
 
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal of the simulator'),
     'duration': ('60.0', 'seconds'),
-    'output': ('demo_bag', 'folder of the bag; must not exist yet'),
+    'output': ('', 'folder of the bag, which must not exist yet; empty: demo_bag, or demo_bag_2 and so on'),
+    'params_file': ('', "parameter file (YAML) of all three nodes, in place of the demo's motor and first guess"),
+    'namespace': ('', 'namespace of the nodes and their topics'),
 }
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 FIRST_GUESS_FACTOR = 3.0
 READERS_OF_TORQUE = 2
+
+
+def make_nodes(context: LaunchContext) -> list[Node]:
+    """Make the three nodes from the launch arguments."""
+    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
+    duration = LaunchConfiguration('duration').perform(context)
+    output = LaunchConfiguration('output').perform(context)
+    motor = {f'motor.{name}': value for name, value in TRUTH.items()}
+    guess = {f'motor.initial.{name}': FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
+    bag = launch_arguments.new_folder('output', output, 'demo_bag')
+    simulated = {
+        'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
+        'duration_s': launch_arguments.number('duration', duration),
+        'wait_for_subscribers': READERS_OF_TORQUE,
+    }
+
+    # Plain nodes: launch_ros ends with an error where the end is asked for twice and one of the nodes is managed.
+    shared: dict[str, Any] = {
+        'namespace': LaunchConfiguration('namespace'),
+        'output': 'screen',
+        # of these nodes alone: the environment of the launch belongs to whoever includes this file
+        'additional_env': discovery.default_range(context.environment),
+    }
+    return [
+        Node(
+            package='gray_box_observer',
+            executable='observer',
+            name='gray_box_observer',
+            parameters=files or [guess],
+            on_exit=Shutdown(reason='the observer has ended'),
+            **shared,
+        ),
+        Node(
+            package='gray_box_observer',
+            executable='recorder',
+            name='bag_recorder',
+            parameters=[*files, {'output': ParameterValue(bag, value_type=str)}],
+            on_exit=Shutdown(reason='the recorder has ended'),
+            **shared,
+        ),
+        Node(
+            package='dc_motor_sim',
+            executable='motor_sim',
+            name='motor_sim',
+            parameters=[*files, simulated if files else {**motor, **simulated}],
+            on_exit=Shutdown(reason='the simulator has ended'),
+            **shared,
+        ),
+    ]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -31,35 +82,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
-    observer = LifecycleNode(
-        package='gray_box_observer',
-        executable='observer',
-        name='gray_box_observer',
-        namespace='',
-        output='screen',
-        parameters=[{f'motor.initial.{name}': FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}],
-    )
-    recorder = Node(
-        package='gray_box_observer',
-        executable='recorder',
-        name='bag_recorder',
-        output='screen',
-        parameters=[{'output': ParameterValue(LaunchConfiguration('output'), value_type=str)}],
-    )
-    simulator = Node(
-        package='dc_motor_sim',
-        executable='motor_sim',
-        name='motor_sim',
-        output='screen',
-        parameters=[
-            {
-                'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
-                'duration_s': ParameterValue(LaunchConfiguration('duration'), value_type=float),
-                'wait_for_subscribers': READERS_OF_TORQUE,
-                **{f'motor.{name}': value for name, value in TRUTH.items()},
-            }
-        ],
-        on_exit=Shutdown(reason='the simulator has ended'),
-    )
-    return LaunchDescription([*declared, *kept_here, observer, recorder, simulator])
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
-from gray_box_observer.ros import discovery
+from gray_box_observer.ros import discovery, launch_arguments
 
 ARGUMENTS = {
     'params_file': ('', 'parameter file (YAML); without one every parameter has its default'),
@@ -21,7 +19,7 @@ ARGUMENTS = {
 
 def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
     """Make the observer's node from the launch arguments."""
-    params_file = LaunchConfiguration('params_file').perform(context)
+    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
     parameters = [{'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}]
     return [
         LifecycleNode(
@@ -30,7 +28,9 @@ def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
             name='gray_box_observer',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            parameters=[params_file, *parameters] if params_file else parameters,
+            # of this node alone: the environment of the launch belongs to whoever includes this file
+            additional_env=discovery.default_range(context.environment),
+            parameters=[*files, *parameters],
         )
     ]
 
@@ -41,5 +41,4 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, (default, text) in ARGUMENTS.items()
     ]
-    kept_here = [SetEnvironmentVariable(*item) for item in discovery.default_range(os.environ).items()]
-    return LaunchDescription([*declared, *kept_here, OpaqueFunction(function=make_nodes)])
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
 
+import psutil
 import pytest
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically
@@ -26,7 +28,7 @@ class Listener:
         self.peer = peer
         self.wait = peer.wait
         self.voltage, self.torque, self.clock = (
-            peer.listen(topic.type, topic.name, topic.qos) for topic in (topics.VOLTAGE, topics.TORQUE, topics.CLOCK)
+            peer.listen(topic.type, topic.name) for topic in (topics.VOLTAGE, topics.TORQUE, topics.CLOCK)
         )
         self.command = peer.publisher(
             topics.VOLTAGE_COMMAND.type, topics.VOLTAGE_COMMAND.name, topics.VOLTAGE_COMMAND.qos
@@ -92,11 +94,12 @@ def test_a_sped_up_clock_starts_at_zero_and_finishes_early(listener, launch):
         duration_s=10.0, publish_clock='true', clock_speed_up=10.0, speed_mode='rotor', motors='[left, right]'
     )
     listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 1000, 'all samples')
+    listener.wait(lambda: len(listener.clock) == 1000, 'the clock')
     assert listener.peer.end(process, None)[0] == 0
     assert [stamp_ns(message) for message in listener.torque] == [k * 10_000_000 for k in range(1000)]
     clock_ns = [message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock]
-    assert clock_ns == sorted(clock_ns)
-    assert clock_ns
+    assert clock_ns == [k * 10_000_000 for k in range(1000)], 'every message of the clock'
+    assert topics.CLOCK.qos.depth >= 100, 'messages that the transport drops are sent again'
     last = listener.torque[-1]
     assert list(last.name) == ['left', 'right']
     assert len(last.velocity) == len(last.effort) == 2
@@ -175,6 +178,40 @@ def test_an_external_command_drives_the_plant_and_a_non_finite_one_does_not(list
     assert err.count('voltage command refused') == 1  # the second warning is throttled
 
 
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_it_when_its_readers_have_acknowledged(listener, launch, number):
+    inherited = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup hands on that it is ignored
+    try:
+        process = launch()
+    finally:
+        signal.signal(signal.SIGHUP, inherited)
+    listener.wait(lambda: len(listener.torque) > 20, 'samples')
+    code, _, err = listener.peer.end(process, number)
+    assert code == 0
+    assert 'not acknowledged' not in err
+    assert f'published {len(listener.torque)} samples' in err
+
+
+def test_who_interrupts_again_waits_no_longer_for_a_reader_that_hangs(listener, tmp_path):
+    peer = listener.peer
+    reader = peer.start('gray_box_observer.ros.recorder_node', '-o', str(tmp_path / 'bag'))
+    process = peer.start(MODULE, wait_for_subscribers=2)
+    listener.wait(lambda: listener.torque, 'samples')
+    reader.send_signal(signal.SIGSTOP)
+    listener.wait(lambda: psutil.Process(reader.pid).status() == psutil.STATUS_STOPPED, 'the reader to hang')
+    count = len(listener.torque)
+    listener.wait(lambda: len(listener.torque) > count + 5, 'samples that it does not acknowledge')
+    process.send_signal(signal.SIGINT)
+    while 'waiting up to 5 s for acknowledgements' not in (line := process.stderr.readline()):
+        assert line, 'the end of what it says'
+    told_s = time.monotonic()
+    listener.wait(lambda: time.monotonic() > told_s + 0.7, 'patience to be over')
+    process.send_signal(signal.SIGINT)
+    code, _, err = peer.end(process, None)
+    assert code == 0
+    assert float(re.search(r'not acknowledged by every subscriber within ([0-9.]+) s', err)[1]) < 4.5
+
+
 def test_a_node_waits_for_its_subscribers_only_so_long(peer):
     process = peer.start(MODULE, duration_s=0.1, wait_for_subscribers=1, wait_timeout_s=0.3)
     code, _, err = peer.end(process, None)
@@ -210,10 +247,35 @@ def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):
     assert 'published 10 samples' in err
 
 
-def test_a_misspelt_parameter_is_pointed_out(peer):
-    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, motor__resistence=2.0), None)
-    assert code == 0
-    assert 'no parameter of motor_sim: motor.resistence' in err
+@pytest.mark.parametrize(
+    ('values', 'what'),
+    [
+        ({'motor__resistence': 2.0}, 'motor.resistence (did you mean motor.resistance?)'),
+        ({'duration': 2.0}, 'duration (did you mean duration_s?)'),
+        ({'motr__resistance': 2.0}, 'motr.resistance (did you mean motor.resistance?)'),
+        ({'frobnicate': 1}, 'no parameter of motor_sim: frobnicate; --help lists them'),
+    ],
+)
+def test_a_misspelt_parameter_is_refused_with_the_nearest_name(peer, values, what):
+    code, _, err = peer.end(peer.start(MODULE, duration_s=0.1, **values), None)
+    (line,) = [line for line in err.splitlines() if 'error:' in line]
+    assert code == 2
+    assert what in line
+
+
+def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(peer, tmp_path):
+    path = tmp_path / 'shared.yaml'
+    own = 'motors: [m_1]\n    duration_s: 0.1\n    m_1: {resistance: 2.0}\n'
+    others = '    m_2: {resistance: 3.0}\n    gap_s: 1.0\n    m_1.initial.resistance: 1.0\n'
+    codes, said = [], []
+    for text in (own + others, own + '    m_1.resistence: 2.0\n'):
+        path.write_text(f'/**:\n  ros__parameters:\n    {text}')
+        code, _, err = peer.end(peer.start(MODULE, '--ros-args', '--params-file', str(path)), None)
+        codes.append(code)
+        said.append(err)
+    assert codes == [0, 2]
+    assert 'no parameter of motor_sim, ignored: gap_s, m_1.initial.resistance, m_2.resistance; ' in said[0]
+    assert 'm_1.resistence (did you mean m_1.resistance?)' in said[1]
 
 
 def test_help_names_the_parameters_and_starts_nothing(peer):

@@ -105,6 +105,31 @@ def test_metadata_is_what_jazzy_writes(tmp_path):
     }
 
 
+@pytest.mark.parametrize('is_finished', [True, False])
+def test_the_file_itself_tells_rosbag2_the_distribution(tmp_path, is_finished):
+    """``ros2 bag info`` and ``reindex`` have nothing else where ``metadata.yaml`` is not at hand."""
+    writer = BagWriter(tmp_path / 'run', BagOptions(custom_data={'plant': 'one'}))
+    add(writer)
+    writer.write('/t', encode_joint_state(0, []), 5, 5)
+    writer.close() if is_finished else writer.flush()
+    with (tmp_path / 'run' / 'run_0.mcap').open('rb') as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        (found,) = [record for record in reader.iter_metadata() if record.name == 'rosbag2']
+        assert reader.get_summary().statistics.metadata_count == 1
+    told = yaml.safe_load(found.metadata['serialized_metadata'])
+    whole = yaml.safe_load((tmp_path / 'run' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert told.keys() == whole.keys(), 'rosbag2 asks for every one'
+    assert (told['ros_distro'], told['version'], told['custom_data']) == ('jazzy', 9, {'plant': 'one'})
+
+
+def test_the_level_of_a_compression_counts(make_bag):
+    sizes = [
+        sum(path.stat().st_size for path in make_bag(300, f'level_{k}', options).glob('*.mcap'))
+        for k, options in enumerate(BagOptions(compression='zstd', compression_level=level) for level in (-5, 19))
+    ]
+    assert sizes[1] < 0.9 * sizes[0]
+
+
 def test_channels_carry_the_qos_and_the_hash_of_their_topic(tmp_path):
     with BagWriter(tmp_path / 'run') as writer:
         add(writer)

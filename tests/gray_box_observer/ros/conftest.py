@@ -90,7 +90,8 @@ class Rig:
 
     def status(self, motor: str = 'motor') -> Any:
         """The newest diagnostic status of a motor; None before the first."""
-        found = [s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == motor]
+        hardware = f'{self.namespace}/{motor}'.lstrip('/')
+        found = [s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == hardware]
         return found[0] if found else None
 
     def values(self, motor: str = 'motor') -> dict[str, str]:

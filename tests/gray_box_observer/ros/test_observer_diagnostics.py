@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
+from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from gray_box_observer.bounded_yaml import read_yaml
 from gray_box_observer.ros.diagnostics import REJECTIONS
 from gray_box_observer.samples import Rejection
 
 pytestmark = pytest.mark.system
 
+CONFIG = Path(__file__).resolve().parents[3] / 'src' / 'gray_box_observer' / 'config'
 EXCITATION = 'R[5,15]D[0.1,1]'
 START_NS = 1_000_000_000
 CHUNK = 20
@@ -45,6 +48,25 @@ def test_the_numbers_of_a_healthy_motor(rig, record):
     assert 0.0 <= float(values['CPU of this process [%]']) < 200.0
     assert 0.0 <= float(values['time spent on messages [%]']) <= 100.0
     assert float(values['age of newest sample [s]']) > 1e8, 'stamps of a recording are long ago'
+
+
+def test_observers_in_namespaces_are_told_apart_and_the_aggregator_finds_them(make_rig):
+    for namespace in ('', '/r1', '/r2/arm'):
+        make_rig(namespace).start('--ros-args', '-r', f'__ns:={namespace or "/"}')
+    rig = make_rig()
+    wanted = {
+        ('gray_box_observer: motor', 'motor'),
+        ('r1/gray_box_observer: motor', 'r1/motor'),
+        ('r2/arm/gray_box_observer: motor', 'r2/arm/motor'),
+    }
+
+    def heard() -> set[tuple[str, str]]:
+        return {(status.name, status.hardware_id) for array in rig.diagnostics for status in array.status}
+
+    rig.peer.wait(lambda: heard() == wanted, 'the diagnostics of three observers')
+    parameters = read_yaml(CONFIG / 'diagnostic_aggregator.yaml')['/**']['ros__parameters']
+    (word,) = parameters['motors']['contains']
+    assert all(word in name for name, _ in wanted)
 
 
 def test_a_signal_that_falls_silent_is_named_and_so_is_a_driver_that_is_gone(rig, record):

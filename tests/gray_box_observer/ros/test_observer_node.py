@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -207,12 +208,15 @@ def test_a_delay_that_was_not_declared_is_a_warning_and_an_asked_for_one_is_appl
     assert float(rig.values()['delay [s]']) == pytest.approx(0.05, abs=1e-3)
     assert 0.0 < float(rig.values()['delay std [s]']) < 1e-3
     assert rig.values()['delay verdict'] == 'undeclared'
+    words = r'found in the data: 0\.0\d+ \+- \S+ s; applied: 0 s, as declared'
+    assert re.fullmatch(words, rig.values()['delay in words'])
     rig.peer.end(rig.process)
     rig.start(motor__delay='estimate')
     rig.wait_for(samples_used=0)
     rig.send(early, range(900))
     rig.wait_for(delay_verdict='estimated')
     assert float(rig.values()['delay applied [s]']) == pytest.approx(0.05, abs=1e-3)
+    assert rig.values()['delay in words'].endswith(f'applied: {rig.values()["delay applied [s]"]} s, as estimated')
     said = rig.call(GetParameters, 'get_parameters', names=['motor.delay']).values[0]
     assert said.string_value == 'estimate'
 
@@ -446,15 +450,26 @@ def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middlewar
     assert said.count('std_msgs/msg/Float64 has no header: voltage is stamped by the middleware') == 1
 
 
-def test_a_message_without_the_configured_field_ends_the_node_with_one_line(rig):
+def test_a_field_that_the_type_has_not_is_refused_before_any_message(rig):
     rig.start(torque__type='geometry_msgs/msg/WrenchStamped', torque__field='wrench.torque.zz')
-    torque = rig.peer.publisher(WrenchStamped, 'motor/torque', SIGNAL_QOS, readers=1)
-    torque.publish(WrenchStamped())
+    code, _, said = rig.peer.end(rig.process, None)
+    errors = [line for line in said.splitlines() if 'error' in line]
+    assert code == 2
+    assert errors == [
+        "observer: error: torque.field 'wrench.torque.zz' on motor/torque: "
+        "WrenchStamped.wrench.torque has no field 'zz'; there are: x, y, z"
+    ]
+
+
+def test_a_message_that_is_too_short_for_the_field_ends_the_node_with_one_line(rig):
+    rig.start(torque__field='effort[3]')
+    torque = rig.peer.publisher(JointState, 'motor/torque', SIGNAL_QOS, readers=1)
+    torque.publish(rig.state('motor', START_NS, 1.0))
     code, _, said = rig.peer.end(rig.process, None)
     errors = [line for line in said.splitlines() if 'error' in line]
     assert code == 2
     assert len(errors) == 1
-    assert errors[0].startswith("observer: error: torque.field 'wrench.torque.zz' on motor/torque: ")
+    assert errors[0].startswith("observer: error: torque.field 'effort[3]' on motor/torque: ")
 
 
 @pytest.mark.parametrize(

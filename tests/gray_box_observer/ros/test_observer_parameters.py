@@ -178,3 +178,44 @@ def test_nothing_that_is_set_from_outside_ends_the_node(rig, record):
     assert rig.call(GetParameters, 'get_parameters', names=sorted(SPECS)).values == before
     rig.send(record(EXCITATION, 8.0), range(100))
     rig.wait_for(samples_used=100)
+
+
+@pytest.mark.parametrize(
+    ('given', 'meant'),
+    [
+        ('gap', 'gap (did you mean gap_s?)'),
+        ('motor.torqe_constant', 'motor.torqe_constant (did you mean motor.torque_constant?)'),
+        ('motor.initial.resistence', 'motor.initial.resistence (did you mean motor.initial.resistance?)'),
+        ('motr.delay', 'motr.delay (did you mean motor.delay?)'),
+        ('frobnicate', 'not a parameter of this node: frobnicate; --help lists them'),
+    ],
+)
+def test_a_parameter_on_the_command_line_that_nobody_declared_is_refused_with_the_nearest(rig, given, meant):
+    rig.start('--ros-args', '-p', f'{given}:=1.0')
+    code, _, said = rig.peer.end(rig.process, None)
+    (line,) = [line for line in said.splitlines() if 'error' in line]
+    assert code == 2
+    assert line.startswith('observer: error: not a parameter of this node: ')
+    assert meant in line
+
+
+def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, tmp_path):
+    path = tmp_path / 'shared.yaml'
+    own = '/**:\n  ros__parameters:\n    motors: [m_1]\n    m_1: {torque_constant: 0.02}\n'
+    path.write_text(f'{own}    m_2: {{torque_constant: 0.03}}\n    robot_radius: 1.0\n')
+    rig.start('--ros-args', '--params-file', str(path))
+    rig.peer.wait(lambda: rig.status('m_1'), 'the diagnostics of m_1')
+    code, _, said = rig.peer.end(rig.process)
+    assert code == 0
+    assert 'not of this node, ignored: m_2.torque_constant, robot_radius; --help' in said
+    path.write_text(f'{own}    checkpoint: {{resum: true}}\n')
+    rig.start('--ros-args', '--params-file', str(path))
+    code, _, said = rig.peer.end(rig.process, None)
+    assert code == 2
+    assert 'checkpoint.resum (did you mean checkpoint.resume?)' in said
+
+
+def test_help_lists_every_parameter(peer):
+    code, out, _ = peer.end(peer.start('gray_box_observer.ros.observer_node', '--help'), None)
+    assert code == 0
+    assert all(f'\n  {spec.name} ' in out for spec in (*OBSERVER_PARAMETERS, *MOTOR_PARAMETERS))

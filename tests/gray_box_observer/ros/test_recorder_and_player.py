@@ -167,7 +167,9 @@ def test_a_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(peer, tm
 
 def test_topics_that_appear_later_are_recorded_with_their_own_quality_of_service(peer, tmp_path):
     folder = tmp_path / 'bag'
-    recorder = peer.start(RECORDER, 'fast', '/latched', output=folder)
+    recorder = peer.start(
+        RECORDER, 'fast', '-s', 'mcap', '--topics', '/latched', '--ros-args', '-p', f'output:={folder}'
+    )
     peer.wait(lambda: any(n == 'bag_recorder' for n in peer.node.get_node_names()), 'the recorder')
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     latched = peer.publisher(Float64, '/latched', LATCHED_QOS)
@@ -268,22 +270,66 @@ def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins
         Clock, '/clock', lambda m: clocks.append(rclpy.time.Time.from_msg(m.clock).nanoseconds), 100
     )
     bag = make_bag(tmp_path / 'bag', [0.0, 0.5, 1.0])
-    player = peer.start(PLAYER, bag=bag, clock='true', loop='true', rate=4)
+    player = peer.start(PLAYER, bag=bag, clock='true', loop='true', rate=4, wait_for_subscribers=0)
     peer.wait(lambda: sum(b < a for a, b in itertools.pairwise(clocks)) >= 2, 'two jumps back')
     assert peer.end(player, signal.SIGTERM)[0] == 0
     assert min(clocks) >= 10**9 and max(clocks) == 2 * 10**9
     assert set(clocks) - {10**9, 15 * 10**8, 2 * 10**9}, 'the clock ticks between the messages too'
 
 
-def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_path):
+WANTED = {
+    'parameters': '--ros-args -p rate:=2000.0 -p start_offset_s:=1000 -p topics:=[motor/torque]',
+    'options of ros2 bag': '-r 2000 --start-offset 1000 --storage mcap --topics motor/torque',
+    'options before parameters': '--rate 2000 -s mcap --ros-args -p rate:=0.001 -p start_offset_s:=1000',
+}
+
+
+@pytest.mark.parametrize('words', WANTED.values(), ids=WANTED)
+def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_path, words):
     heard: list[float] = []
     peer.node.create_subscription(JointState, 'motor/torque', lambda m: heard.append(m.effort[0]), SIGNAL_QOS)
     bag = make_bag(tmp_path / 'bag', [200.0 * k for k in range(11)])  # at any other rate it would not end in time
-    wanted = {'start_offset_s': 1000, 'topics': '[motor/torque]', 'wait_for_subscribers': 1}
-    player = peer.start(PLAYER, str(bag), rate=2000.0, **wanted)
+    player = peer.start(PLAYER, str(bag), *words.split())
     assert peer.end(player, None)[0] == 0
     peer.wait(lambda: len(heard) == 6, 'the last six messages')
     assert heard == [5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+
+
+def test_a_player_waits_for_its_readers_without_being_asked_and_says_so(peer, tmp_path):
+    bag = make_bag(tmp_path / 'bag', [0.001 * k for k in range(200)])
+    player = peer.start(PLAYER, str(bag))
+    while 'waiting up to 10 s for 1 readers, found 0 of /motor/torque' not in (line := player.stderr.readline()):
+        assert line, 'the end of what it says'
+    heard = peer.listen(JointState, 'motor/torque', SIGNAL_QOS)
+    assert peer.end(player, None)[0] == 0
+    peer.wait(lambda: len(heard) == 200, 'every message')
+    assert [message.effort[0] for message in heard] == list(range(200))
+
+
+def test_a_player_that_was_not_told_to_wait_begins_without_readers_in_the_end(peer, tmp_path):
+    bag = make_bag(tmp_path / 'bag', [0.0, 0.1])
+    code, _, said = peer.end(peer.start(PLAYER, str(bag), wait_timeout_s=0.3), None)
+    assert code == 0
+    assert 'no reader within 0.3 s (0 of /motor/torque); going on without' in said
+    assert '2 messages replayed' in said
+
+
+def test_what_an_observer_published_is_replayed_only_if_asked_for(peer, tmp_path):
+    topics = ['/motor/torque', '/r1/gray_box_observer/motor/resistance', '/gray_box_observer/estimates', '/diagnostics']
+    with BagWriter(tmp_path / 'bag') as writer:
+        for k, topic in enumerate(topics):
+            writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
+            writer.write(topic, encode_joint_state(1, ['motor'], effort=[1.0]), 10**9 + k, 10**9)
+    asked = {
+        '1 messages': {},
+        '4 messages': {'observer_outputs': 'true'},
+        '2 messages': {'topics': '[/diagnostics, /gray_box_observer/estimates]'},
+    }
+    players = {count: peer.start(PLAYER, tmp_path / 'bag', wait_for_subscribers=0, **p) for count, p in asked.items()}
+    for count, player in players.items():
+        code, _, said = peer.end(player, None)
+        assert (code, f'{count} replayed' in said) == (0, True), said
+        assert ('3 topics that an observer published are left out' in said) == (count == '1 messages')
 
 
 def test_as_fast_as_possible_does_not_outrun_a_reader_of_the_stated_speed(peer, tmp_path):
@@ -357,6 +403,15 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
             ['{tmp}/bag', '--ros-args', '-p', 'wait_for_subscribers:=1', '-p', 'wait_timeout_s:=0.3'],
             'waited 0.3 s for 1 readers, found 0 of /motor/torque',
         ),
+        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'ratee:=2.0'], 'ratee (did you mean rate?); --help lists them'),
+        (RECORDER, ['--ros-args', '-p', 'bag_recorder:duration:=2.0'], 'duration (did you mean duration_s?)'),
+        (RECORDER, ['--ros-args', '-p', 'frobnicate:=2'], 'not a parameter of this node: frobnicate; --help'),
+        (PLAYER, ['{tmp}/bag', '--delay', '4'], '--delay of ros2 bag is not known here; it waits for readers: '),
+        (PLAYER, ['{tmp}/bag', '-x', '/rosout'], '-x of ros2 bag is not known here; name what is wanted: --topics'),
+        (PLAYER, ['{tmp}/bag', '-r', 'fast'], "argument -r/--rate: 'fast' is no number"),
+        (PLAYER, ['{tmp}/bag', '-s', 'sqlite3'], "invalid choice: 'sqlite3' (choose from 'mcap')"),
+        (PLAYER, ['{tmp}/own'], 'holds only what an observer published; -p observer_outputs:=true replays it'),
+        (RECORDER, ['-o', '{tmp}/new', '--compression-mode', 'file'], 'leave it out: --compression-format compresses'),
         (RECORDER, ['-o', '{tmp}/bag'], 'exists already and is not overwritten'),
         (RECORDER, ['-o', '{tmp}/bag/metadata.yaml/new'], 'metadata.yaml/new: cannot be made: Not a directory'),
         (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'], 'must be one of none, lz4, zstd'),
@@ -397,6 +452,7 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
 def test_a_users_mistake_is_one_line_and_exit_code_2(peer, tmp_path, module, arguments, message):
     make_bag(tmp_path / 'bag', [0.0, 1.0])
     make_bag(tmp_path / 'late', [0.0], log_s=2**32)
+    make_bag(tmp_path / 'own', [0.0], topic='/gray_box_observer/predicted_torque')
     (tmp_path / 'text.mcap').write_text('no bag')
     spoilt = make_bag(tmp_path / 'damaged', [0.0, 1.0]) / 'damaged_0.mcap'
     spoilt.write_bytes(spoilt.read_bytes()[:400] + bytes(2000))

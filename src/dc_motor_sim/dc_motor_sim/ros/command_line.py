@@ -27,10 +27,24 @@ def check(args: Sequence[str]) -> None:
             raise ConfigurationError(f'the argument {shown} is no UTF-8: rename the file') from None
     for option, value in pairwise(args):
         if option == '--params-file':
-            _check_file(value)
+            check_file(value)
 
 
-def _check_file(path: str) -> None:
+def parameter_names(args: Sequence[str]) -> set[str]:
+    """Names of parameters that a command line gives: of ``-p NODE:NAME:=VALUE`` the name."""
+    return {
+        text.partition(':=')[0].rpartition(':')[2]
+        for option, text in pairwise(args)
+        if option in ('-p', '--param') and ':=' in text
+    }
+
+
+def check_file(path: str) -> None:
+    """Refuse what is no regular file of reasonable size.
+
+    Raises:
+        ConfigurationError: One line that names the file.
+    """
     try:
         status = os.stat(path)  # noqa: PTH116 - a text may name what no path can be made of
     except (OSError, ValueError) as error:

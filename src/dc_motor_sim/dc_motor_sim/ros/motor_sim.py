@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any
 
 import rclpy
@@ -20,6 +20,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSPolicyKind
@@ -29,6 +30,7 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
+from dc_motor_sim import executables
 from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import command_line, discovery, parameters, topics
@@ -45,6 +47,12 @@ SETTLE_S = 0.25
 """A subscriber that is matched here may not have matched us yet; torque would reach it before its voltage."""
 MIRROR_PERIOD_S = 1.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
+"""Longer than the 3 s between two of Fast DDS's requests for acknowledgements."""
+ACKNOWLEDGE_SLICE_S = 0.1
+ACKNOWLEDGE_TOLD_S = 0.5
+"""A wait that is longer is told of."""
+PATIENCE_S = 1.0
+"""Who interrupts again so long after the first time does not want to wait for acknowledgements."""
 WARNING_INTERVAL_S = 5.0
 MOST_NAMED = 10
 """Motors that get a line of the log at the start."""
@@ -55,11 +63,14 @@ OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABI
 class MotorSim(Node):
     """Wires a `Simulation` to topics, parameters and the wall clock.
 
+    Args:
+        said: Names of parameters on the command line.
+
     Raises:
         SimulationError: A parameter it was started with cannot be used.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, said: Collection[str] = ()) -> None:
         super().__init__('motor_sim')
         settings = parameters.declare(self)
         self.finished = False
@@ -86,7 +97,7 @@ class MotorSim(Node):
         self._clock_publisher = self._publisher(topics.CLOCK) if self._options.publish_clock else None
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
-        parameters.warn_of_unread(self)
+        parameters.settle_unread(self, said)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
@@ -99,12 +110,29 @@ class MotorSim(Node):
             self.create_timer(MIRROR_PERIOD_S, self.mirror_schedule, clock=steady)
         self._log_start(settings)
 
-    def close(self, timeout_s: float) -> None:
-        """Wait until every subscriber has acknowledged what was published, at most `timeout_s` a topic."""
-        for publisher in (self._voltage_publisher, self._torque_publisher):
-            if not publisher.wait_for_all_acked(Duration(seconds=timeout_s)):
-                self.get_logger().warning(
-                    f'{publisher.topic_name}: not acknowledged by every subscriber within {timeout_s:g} s'
+    def close(self, hurried: Callable[[], bool]) -> None:
+        """Wait until every subscriber has acknowledged what was published, but not for long.
+
+        Args:
+            hurried: Whether somebody does not want to wait any longer.
+        """
+        began_s = time.monotonic()
+        told = False
+        unconfirmed = [self._voltage_publisher, self._torque_publisher]
+        while True:
+            patience = Duration(seconds=ACKNOWLEDGE_SLICE_S)
+            unconfirmed = [publisher for publisher in unconfirmed if not publisher.wait_for_all_acked(patience)]
+            if not unconfirmed:
+                break
+            names = ', '.join(publisher.topic_name for publisher in unconfirmed)
+            waited_s = time.monotonic() - began_s
+            if hurried() or waited_s > ACKNOWLEDGE_TIMEOUT_S:
+                self.get_logger().warning(f'{names}: not acknowledged by every subscriber within {waited_s:.1f} s')
+                break
+            if not told and waited_s > ACKNOWLEDGE_TOLD_S:
+                told = True
+                self.get_logger().info(
+                    f'waiting up to {ACKNOWLEDGE_TIMEOUT_S:g} s for acknowledgements of {names}; interrupt to leave'
                 )
         self.get_logger().info(
             f'published {self._made} samples, {to_seconds(self._made * self._period_ns):g} simulated seconds'
@@ -263,36 +291,53 @@ def main(args: Sequence[str] | None = None) -> int:
     if '--help' in own or '-h' in own:
         print(parameters.usage_text())
         return 0
-    stop_requested = False
-
-    def request_stop(*_: object) -> None:
-        nonlocal stop_requested
-        stop_requested = True
+    asked_s: list[float] = []
 
     # rclpy's own handlers would shut the context down under the last samples.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, request_stop)
+    handled = [number for number in executables.SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    for number in handled:
+        signal.signal(number, lambda *_: asked_s.append(time.monotonic()))
+    try:
+        return _run(argv, asked_s)
+    finally:
+        for number in handled:  # a second interrupt, as of a terminal and of launch, must not kill what is done
+            signal.signal(number, signal.SIG_IGN)
+
+
+def _run(argv: list[str], asked_s: list[float]) -> int:
+    """Run the node.
+
+    Args:
+        argv: Command line without the program name.
+        asked_s: Grows with every signal that asks for the end, by its time.
+
+    Returns:
+        The exit status.
+    """
     kept_here = discovery.default_range(os.environ)
     os.environ.update(kept_here)
     try:
         command_line.check(argv)
-        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(args=argv)
         if unknown:
             return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
-        node = MotorSim()
+        rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
+        node = MotorSim(command_line.parameter_names(argv))
         if kept_here:
             node.get_logger().info(discovery.OPENED_BY)
+    except rclpy_implementation.UnknownROSArgsError as error:
+        return _fail(f'unknown ROS arguments: {error}')
     except (SimulationError, ParameterException, RuntimeError) as error:
         return _fail(error)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     status = 0
     try:
-        while not (stop_requested or node.finished):
+        while not (asked_s or node.finished):
             executor.spin_once(timeout_sec=0.1)
         node.mirror_schedule()
-        node.close(1.0 if stop_requested else ACKNOWLEDGE_TIMEOUT_S)
+        patient_until_s = asked_s[0] + PATIENCE_S if asked_s else 0.0
+        node.close(lambda: any(at_s > patient_until_s for at_s in asked_s))
     except ExternalShutdownException:
         pass
     except SimulationError as error:

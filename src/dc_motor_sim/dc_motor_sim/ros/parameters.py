@@ -7,8 +7,9 @@ others are read-only.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
+from difflib import SequenceMatcher, get_close_matches
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -23,6 +24,14 @@ _RANGE = re.compile(r'([A-Za-z][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
 
 MOST_MOTORS = 10_000
 """Of a whole list, ranges written out; each declares a dozen parameters."""
+
+_ALIKE = 0.7
+"""Share of the letters that two parts of a name have in common where the one may be a slip of the other."""
+
+_SUGGESTED = 0.5
+"""The same of whole names, where there is none of which it may be a slip."""
+
+_MOST_TOLD = 8
 
 _EXCITATION_OF_MOTOR = Quantity("excitation of this motor; empty for the node's own")
 
@@ -262,10 +271,51 @@ def _check_names(motors: tuple[str, ...]) -> None:
             )
 
 
-def warn_of_unread(node: Node) -> None:
-    """Point out parameters that were given and that nothing has asked for, once everything has been declared."""
-    unread = [name for name in getattr(node, '_parameter_overrides', {}) if not node.has_parameter(name)]
+def settle_unread(node: Node, said: Container[str]) -> None:
+    """Refuse parameters that were given and that nothing has asked for, once everything has been declared.
+
+    A name on the command line is meant for this node. A parameter file may serve several nodes: of its names only slips
+    of our own are refused, and of others the log warns.
+
+    Args:
+        node: To which they were given.
+        said: Names on the command line.
+
+    Raises:
+        ConfigurationError: One of them was meant for this node; says which of ours comes nearest.
+    """
+    given = getattr(node, '_parameter_overrides', {})
+    unread = sorted(name for name in given if not node.has_parameter(name))
+    declared = list(getattr(node, '_parameters', {}))
+    # A motor that is not listed may be one of another node: only one of which nothing is given can be meant.
+    stated = {name.partition('.')[0] for name in given}
+    bare = {name.partition('.')[0] for name in declared} - stated
+    slips: list[str] = []
+    for name in unread:
+        group = name.partition('.')[0]
+        known = [other for other in declared if other.partition('.')[0] in {group, *bare} or '.' not in name]
+        near = _slip_of(name, known)
+        if not near and name in said:
+            near = next(iter(get_close_matches(name, known, 1, _SUGGESTED)), '')
+        if near or name in said:
+            slips.append(f'{name} (did you mean {near}?)' if near else name)
+    if slips:
+        raise ConfigurationError(f'no parameter of motor_sim: {", ".join(slips[:_MOST_TOLD])}; --help lists them')
     if unread:
         node.get_logger().warning(
-            f'no parameter of motor_sim: {", ".join(sorted(unread))}; a slip of the pen? --help lists them'
+            f'no parameter of motor_sim, ignored: {", ".join(unread[:_MOST_TOLD])}; --help lists them'
         )
+
+
+def _slip_of(name: str, known: Sequence[str]) -> str:
+    """Return the known name of which another is a slip: all parts but one are the same, and that one is alike."""
+    parts = name.split('.')
+    found, alike = '', _ALIKE
+    for other in known:
+        others = other.split('.')
+        differing = [pair for pair in zip(parts, others, strict=False) if pair[0] != pair[1]]
+        if len(parts) == len(others) and len(differing) == 1:
+            ratio = SequenceMatcher(None, *differing[0]).ratio()
+            if ratio >= alike and (not found or ratio > alike):
+                found, alike = other, ratio
+    return found

@@ -11,8 +11,8 @@ from sensor_msgs.msg import JointState
 SIGNAL_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Stamped signals: nothing may be lost on the way to a slower reader."""
 
-CLOCK_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-"""Only the latest time counts; reliable, so that readers of either kind match."""
+CLOCK_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""Reliable, so that readers of either kind match; of one message alone, none that the transport drops is sent again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.printable import printable
 from gray_box_observer.report.trend import ArchiveHistory, MotorTrend
 from gray_box_observer.report.trend_page import drift_words, write_trend_report
+from gray_box_observer.standard_streams import readers_may_leave
 
 _INTERRUPTED = 'interrupted before it was read'
 
@@ -67,7 +68,7 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
     results = [found.get(k) or BagResult(str(bag), error=_INTERRUPTED) for k, bag in enumerate(bags)]
     _tell(options, results)
     if is_interrupted:
-        print(f'identify: interrupted; {len(found)} of {len(bags)} bags were read', file=sys.stderr)
+        _say(f'interrupted; {len(found)} of {len(bags)} bags were read')
         return EXIT_INTERRUPTED
     return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
 
@@ -96,10 +97,10 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     """Write what was asked for, and say what went wrong."""
     for result in results:
         if result.error not in (None, _INTERRUPTED):
-            print(printable(f'identify: {_named(result)}'), file=sys.stderr)
+            _say(_named(result))
     warned = sum(bool(result.warnings) for result in results)
     if warned:
-        print(f'identify: warning: {warned} bags have warnings; --table and --json say which', file=sys.stderr)
+        _say(f'warning: {warned} bags have warnings; --table and --json say which')
     motors, digest = gather(results), digest_of(results)
     if options.table is not None:
         write_table(results, options.table)
@@ -108,7 +109,14 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     if options.report is not None:
         write_trend_report(_history(options, results, motors, digest), options.report)
     if options.json != '-':
-        _print_trends(results, motors, sys.stdout)
+        with readers_may_leave(sys.stdout):
+            _print_trends(results, motors, sys.stdout)
+
+
+def _say(text: str) -> None:
+    """Say something in one line on standard error."""
+    with readers_may_leave(sys.stderr):
+        print(printable(f'identify: {text}'), file=sys.stderr)
 
 
 def _named(result: BagResult) -> str:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from gray_box_observer.bag.metadata import METADATA_NAME
+from gray_box_observer.bag.metadata import ENDINGS, METADATA_NAME
 from gray_box_observer.errors import BagError
 
 
@@ -15,7 +15,8 @@ def find_bags(places: Iterable[Path]) -> list[Path]:
 
     A file is taken for a bag whatever it is called. A folder is one if it has ``metadata.yaml``, or, after a recorder
     was killed, the first file of a recording (``NAME/NAME_0.mcap``). Any other folder is looked through, in order of
-    names; an ``.mcap`` file in it is a bag too. Hidden folders are left out, and so is what links to another folder.
+    names; an ``.mcap`` file in it, packed or not, is a bag too. Hidden folders are left out, and so is what links to
+    another folder.
 
     Args:
         places: bags, and folders of bags.
@@ -39,13 +40,13 @@ def _bags_at(place: Path) -> Iterator[Path]:
         yield place
         return
     for folder, below, files in os.walk(place, onerror=_refuse):
-        if METADATA_NAME in files or f'{Path(folder).name}_0.mcap' in files:
+        if any(name in files for name in (METADATA_NAME, *(f'{Path(folder).name}_0{ending}' for ending in ENDINGS))):
             below.clear()
             yield Path(folder)
             continue
         below[:] = sorted(name for name in below if not name.startswith('.'))
         for name in sorted(files):
-            if name.endswith('.mcap') and not name.startswith('.'):
+            if name.endswith(ENDINGS) and not name.startswith('.'):
                 yield Path(folder, name)
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from collections.abc import Collection, Container
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
 
+from gray_box_observer.bag import packed
 from gray_box_observer.bag.limits import MESSAGE_OVERHEAD_BYTES, ReadLimits
 from gray_box_observer.bag.losses import UNFINISHED, Losses
 from gray_box_observer.bag.mcap_content import (
@@ -21,7 +23,7 @@ from gray_box_observer.bag.mcap_content import (
 )
 from gray_box_observer.bag.mcap_layout import Layout, Piece, walk
 from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, MESSAGE_HEAD, Definitions
-from gray_box_observer.bag.metadata import ListedFile, list_files
+from gray_box_observer.bag.metadata import ListedFile, conversion, list_files
 from gray_box_observer.errors import BagError
 
 
@@ -90,6 +92,19 @@ class BagFiles:
             return []
         found, rest, orphan_count = parse_messages(records, channels, wanted)
         self._note_rest(file, piece, rest, orphan_count)
+        if found and found[0].data.startswith(packed.MARK):
+            return self._unpacked(file, piece, found, room)
+        return found
+
+    def _unpacked(self, file: BagFile, piece: Piece, messages: list[RawMessage], room: int) -> list[RawMessage]:
+        """The messages of a piece that rosbag2 has packed one by one."""
+        try:
+            found, complaint = packed.unpack_messages(messages, room, self.limits)
+        except TooLarge as error:
+            self._damage(file, piece, piece.length, f'what stands at byte {piece.offset} is left out: {error}')
+            return []
+        if complaint:
+            self._damage(file, piece, 0, f'at byte {piece.offset} {complaint}')
         return found
 
     def _records(self, file: BagFile, piece: Piece) -> bytes | None:
@@ -219,11 +234,22 @@ class BagFiles:
         if self._is_closed:
             raise BagError(f'{self.path}: the bag is closed')
         if self._opened is None or self._opened[0] != path:
-            stream = path.open('rb')
+            stream: BinaryIO = path.open('rb')
+            if packed.is_packed(stream):
+                stream = self._unpacked_file(path, stream)
             if self._opened is not None:
                 self._opened[1].close()
             self._opened = (path, stream)
         return self._opened[1]
+
+    def _unpacked_file(self, path: Path, stream: BinaryIO) -> BinaryIO:
+        """The content of a file that rosbag2 has packed as a whole."""
+        with stream:
+            unpacked, complaint = packed.unpack_file(path, stream, self.limits)
+        if complaint:
+            self._losses.damage(path, unpacked.seek(0, io.SEEK_END), 0, complaint)
+            unpacked.seek(0)
+        return unpacked
 
     def _open_files(self, listed: Collection[ListedFile]) -> list[BagFile]:
         """Look at every file; one that cannot be used costs only itself, as long as another can be."""
@@ -241,12 +267,13 @@ class BagFiles:
 
     def _look_at(self, path: Path) -> Layout:
         try:
-            size = path.stat().st_size
-            if not size:
+            if not path.stat().st_size:
                 raise BagError(f'{path} is empty')
             stream = self._stream(path)
+            size = stream.seek(0, io.SEEK_END)  # of a packed file, what it unpacks to
+            stream.seek(0)
             if stream.read(len(MAGIC)) != MAGIC:
-                raise BagError(f"{path} is no MCAP file; another kind of bag can be converted with 'ros2 bag convert'")
+                raise BagError(f'{path} is no MCAP file; of another kind of bag, {conversion(path)} makes one')
             return walk(stream, size)
         except OSError as error:
             raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

@@ -41,7 +41,7 @@ class Loss:
         shown = ' '.join('; '.join(self.reasons[:3]).split())
         if len(self.reasons) > 3:
             shown += f'; and {len(self.reasons) - 3} more'
-        return f'{shown}; {self.byte_count} bytes could not be read'
+        return f'{shown}; {self.byte_count} bytes could not be read' if self.byte_count else shown
 
 
 def name_list(names: Iterable[str]) -> str:

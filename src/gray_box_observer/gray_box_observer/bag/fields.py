@@ -43,6 +43,11 @@ class FieldPath:
         self._steps = tuple(steps)
         self._get: Callable[[Any], Any] = attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
 
+    @property
+    def steps(self) -> tuple[str | int, ...]:
+        """Names of fields, and indices."""
+        return self._steps
+
     def __repr__(self) -> str:
         return f'FieldPath({self.text!r})'
 

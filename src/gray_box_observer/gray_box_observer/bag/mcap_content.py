@@ -77,13 +77,13 @@ def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:
     """
     stream.seek(piece.offset)
     if not piece.is_chunk:
-        _check_size(piece.length, piece.length, limits)
+        check_size(piece.length, piece.length, limits)
         return stream.read(piece.length)
     head = stream.read(_CHUNK_HEAD_BYTES)
     size, checksum, name_length = _CHUNK_SIZES.unpack_from(head, _CHUNK_HEAD_BYTES - _CHUNK_SIZES.size)
     compression = stream.read(name_length).decode('ascii', 'replace')
     packed_length = piece.length - _CHUNK_HEAD_BYTES - name_length - 8
-    _check_size(max(size, packed_length), packed_length, limits)
+    check_size(max(size, packed_length), packed_length, limits)
     packed = stream.read(8 + packed_length)[8:]
     if piece.is_cut:
         return packed[:-END_BYTES]  # a write over an older end may have been cut just before that was all replaced
@@ -95,7 +95,7 @@ def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:
     return records
 
 
-def _check_size(size: int, packed_length: int, limits: ReadLimits) -> None:
+def check_size(size: int, packed_length: int, limits: ReadLimits) -> None:
     """Refuse what would unpack to more than it may.
 
     Raises:

@@ -39,9 +39,12 @@ class McapFile:
         library: Who writes it, for the header.
         compression: One of `COMPRESSIONS`, for the chunks.
         level: Of the compression, in its own numbers; None for its default.
+        about: What rosbag2 keeps in the file itself (`gray_box_observer.bag.metadata.storage_text`); empty for nothing.
     """
 
-    def __init__(self, path: Path, *, library: str, compression: str = 'none', level: int | None = None) -> None:
+    def __init__(
+        self, path: Path, *, library: str, compression: str = 'none', level: int | None = None, about: str = ''
+    ) -> None:
         self.path = path
         self.size = 0
         self.start_ns = 0
@@ -50,7 +53,7 @@ class McapFile:
         self._compression = '' if compression == 'none' else compression
         self._pack = _packer(compression, level)
         self._counts: dict[int, int] = defaultdict(int)
-        self._tail = McapTail()
+        self._tail = McapTail(about)
         self._written_tail = b''
         self._new_chunk()
         try:

@@ -21,12 +21,16 @@ from mcap.records import (
     Footer,
     McapRecord,
     Metadata,
+    MetadataIndex,
     Schema,
     Statistics,
     SummaryOffset,
 )
 
 from gray_box_observer.bag.mcap_records import MAGIC, UNFINISHED
+
+ROSBAG2 = 'rosbag2'
+"""Name of the metadata record that tells rosbag2 of the bag where there is only the file."""
 
 LARGEST_PROVISIONAL_BYTES = 1 << 20
 """Where the index is longer than this, a provisional end has none: it is written with every chunk, and would only grow.
@@ -37,9 +41,14 @@ one that every reader can scan and none can seek in.
 
 
 class McapTail:
-    """Collects what has to stand in the summary of one file, and makes the bytes of its end."""
+    """Collects what has to stand in the summary of one file, and makes the bytes of its end.
 
-    def __init__(self) -> None:
+    Args:
+        about: What rosbag2 keeps in the file itself (`gray_box_observer.bag.metadata.storage_text`); empty for nothing.
+    """
+
+    def __init__(self, about: str = '') -> None:
+        self._about = bytes_of(Metadata(name=ROSBAG2, metadata={'serialized_metadata': about})) if about else b''
         self.start_ns = 0
         self.end_ns = 0
         self.message_count = 0
@@ -82,10 +91,10 @@ class McapTail:
         Args:
             data_end: Byte of the file where this end will start.
         """
-        end = bytes_of(DataEnd(data_section_crc=0))
+        end = self._about + bytes_of(DataEnd(data_section_crc=0))
         start = data_end + len(end)
         out, offsets = bytearray(), bytearray()
-        for opcode, content in self._groups():
+        for opcode, content in self._groups(data_end):
             if content:
                 offsets += bytes_of(SummaryOffset(opcode, start + len(out), len(content)))
                 out += content
@@ -94,7 +103,7 @@ class McapTail:
         covered = out + struct.pack('<BQQQ', Opcode.FOOTER, 20, start, offsets_start)
         return end + bytes(out) + bytes_of(Footer(start, offsets_start, zlib.crc32(covered))) + MAGIC
 
-    def _groups(self) -> list[tuple[Opcode, bytes]]:
+    def _groups(self, data_end: int) -> list[tuple[Opcode, bytes]]:
         statistics = Statistics(
             attachment_count=0,
             channel_count=len(self.channels),
@@ -103,14 +112,16 @@ class McapTail:
             message_count=self.message_count,
             message_end_time=self.end_ns,
             message_start_time=self.start_ns,
-            metadata_count=0,
+            metadata_count=1 if self._about else 0,
             schema_count=len(self.schemas),
         )
+        about = MetadataIndex(offset=data_end, length=len(self._about), name=ROSBAG2)
         return [
             (Opcode.SCHEMA, b''.join(map(bytes_of, self.schemas))),
             (Opcode.CHANNEL, b''.join(map(bytes_of, self.channels))),
             (Opcode.STATISTICS, bytes_of(statistics)),
             (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.METADATA_INDEX, bytes_of(about) if self._about else b''),
         ]
 
 

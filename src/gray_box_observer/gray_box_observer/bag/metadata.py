@@ -11,12 +11,16 @@ from typing import Any
 
 import yaml
 
+from gray_box_observer.bag import packed
 from gray_box_observer.bounded_yaml import parse_yaml, read_yaml
 from gray_box_observer.errors import BagError, InputError, brief
 
 METADATA_NAME = 'metadata.yaml'
 METADATA_VERSION = 9
 """What rosbag2 of ROS 2 Jazzy writes."""
+
+ENDINGS = ('.mcap', f'.mcap{packed.SUFFIX}')
+"""Of the files of a bag."""
 
 _PLAIN_NAME = re.compile(r'[A-Za-z_][\w.-]*\.mcap', re.ASCII)
 _LARGEST_QOS_BYTES = 1 << 18
@@ -97,6 +101,12 @@ def list_files(path: Path) -> Listing:
         raise BagError(f'{path}: cannot be read: {_reason(error)}') from None
 
 
+def conversion(path: Path) -> str:
+    """The two lines that make a bag that is read of one that is not, on one."""
+    wanted = '{output_bags: [{uri: NEW, storage_id: mcap, all: true}]}'
+    return f"`echo '{wanted}' >to_mcap.yaml; ros2 bag convert -i {path} -o to_mcap.yaml`"
+
+
 class _MetadataError(BagError):
     """There is no metadata, or nothing can be learnt from it."""
 
@@ -136,7 +146,11 @@ def _names(information: Mapping[str, Any]) -> list[str]:
 
 def _found_files(folder: Path, complaint: str) -> Listing:
     """The MCAP files that lie in a folder, by the numbers in their names."""
-    paths = sorted((p for p in folder.glob('*.mcap') if p.is_file() and not leads_out(p)), key=_by_number)
+    plain = {path.name for path in folder.glob('*.mcap')}
+    found = [path for ending in ENDINGS for path in folder.glob(f'*{ending}')]
+    # Whoever has unpacked a file may have kept the packed one.
+    found = [p for p in found if p.name in plain or p.name.removesuffix(packed.SUFFIX) not in plain]
+    paths = sorted((p for p in found if p.is_file() and not leads_out(p)), key=_by_number)
     if not paths:
         raise BagError(f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an .mcap file')
     return Listing(
@@ -146,21 +160,26 @@ def _found_files(folder: Path, complaint: str) -> Listing:
 
 
 def _by_number(path: Path) -> tuple[str, int, str]:
-    stem, _, number = path.stem.rpartition('_')
+    whole = path.name.removesuffix(packed.SUFFIX).removesuffix('.mcap')
+    stem, _, number = whole.rpartition('_')
     is_number = number.isdecimal() and len(number) < 19
-    return (stem, int(number), path.name) if is_number else (path.stem, -1, path.name)
+    return (stem, int(number), path.name) if is_number else (whole, -1, path.name)
 
 
 def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     storage = information.get('storage_identifier')
     if storage != 'mcap':
-        raise BagError(f"{folder} is stored as {_word(storage)}, expected 'mcap'; convert it with 'ros2 bag convert'")
+        raise BagError(f"{folder} is stored as {_word(storage)}, expected 'mcap'; {conversion(folder)} makes one")
     mode = _word(information.get('compression_mode') or '').lower()
-    if mode not in ("''", "'none'"):
-        raise BagError(f"{folder} is compressed by {mode}; expected none or compressed chunks; use 'ros2 bag convert'")
+    form = _word(information.get('compression_format') or '').lower()
+    if mode not in ("''", "'none'") and (mode not in ("'file'", "'message'") or form != "'zstd'"):
+        raise BagError(
+            f'{folder} is compressed by {mode}, {form}; expected none, or files or messages packed by zstd; '
+            f'{conversion(folder)} makes one'
+        )
     told = _told_of_files(information)
     # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the bag.
-    paths = [folder / PurePosixPath(name).name for name in dict.fromkeys(_names(information))]
+    paths = [_as_it_lies(folder / PurePosixPath(name).name) for name in dict.fromkeys(_names(information))]
     missing = [path.name for path in paths if not path.is_file() or leads_out(path)]
     complaint = ''
     if missing:
@@ -170,11 +189,18 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
         complaint += f', and {len(missing) - 1} more'
     if len(missing) == len(paths):
         raise BagError(complaint)
-    files = tuple(ListedFile(path, *told.get(path.name, (None, None))) for path in paths if path.name not in missing)
+    names = {path: path.name.removesuffix(packed.SUFFIX) for path in paths if path.name not in missing}
+    files = tuple(ListedFile(path, *told.get(name, (None, None))) for path, name in names.items())
     custom = information.get('custom_data')
     texts = custom.items() if isinstance(custom, dict) else ()
     custom_data = {key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)}
     return Listing(files, (complaint,) if missing else (), custom_data)
+
+
+def _as_it_lies(path: Path) -> Path:
+    """The path of a listed file, or that of what it was unpacked to where only that is left."""
+    unpacked = path.with_name(path.name.removesuffix(packed.SUFFIX))
+    return path if path.is_file() or not unpacked.is_file() else unpacked
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
@@ -185,7 +211,8 @@ def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None
         if isinstance(entry, dict) and isinstance(entry.get('path'), str):
             start = entry.get('starting_time')
             start_ns = start.get('nanoseconds_since_epoch') if isinstance(start, dict) else None
-            told[PurePosixPath(entry['path']).name] = (_whole(entry.get('message_count')), _whole(start_ns))
+            name = PurePosixPath(entry['path']).name.removesuffix(packed.SUFFIX)
+            told[name] = (_whole(entry.get('message_count')), _whole(start_ns))
     return told
 
 
@@ -213,10 +240,43 @@ def metadata_text(
         ros_distro: Such as ``jazzy``.
         custom_data: Free texts that travel with the bag.
     """
+    information = _information(topics, files, ros_distro, custom_data)
+    text = _dump({'rosbag2_bagfile_information': information})
+    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
+    names = [_scalar(file.path) for file in files]
+    lists = {
+        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
+        'files': ''.join(map(_file_text, names, files)),
+    }
+    for key, items in lists.items():
+        if items:
+            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
+    return text
+
+
+def storage_text(ros_distro: str, custom_data: Mapping[str, str] | None = None) -> str:
+    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the file itself tells.
+
+    ``ros2 bag info`` and ``ros2 bag reindex`` read it where there is no ``metadata.yaml``.
+
+    Args:
+        ros_distro: Such as ``jazzy``.
+        custom_data: Free texts that travel with the bag.
+    """
+    return _dump(_information((), (), ros_distro, custom_data))
+
+
+def _information(
+    topics: Sequence[TopicRecord],
+    files: Sequence[FileRecord],
+    ros_distro: str,
+    custom_data: Mapping[str, str] | None,
+) -> dict[str, Any]:
+    """What the metadata say, without the lists of files."""
     filled = [file for file in files if file.message_count]
     start_ns = min((file.start_ns for file in filled), default=_NEVER_NS)
     end_ns = max((file.end_ns for file in filled), default=_NEVER_NS)
-    information = {
+    return {
         'version': METADATA_VERSION,
         'storage_identifier': 'mcap',
         **_span(start_ns, end_ns),
@@ -241,17 +301,6 @@ def metadata_text(
         'custom_data': dict(custom_data) if custom_data else None,
         'ros_distro': ros_distro,
     }
-    text = _dump({'rosbag2_bagfile_information': information})
-    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
-    names = [_scalar(file.path) for file in files]
-    lists = {
-        'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
-        'files': ''.join(map(_file_text, names, files)),
-    }
-    for key, items in lists.items():
-        if items:
-            text = text.replace(f'\n  {key}: []\n', f'\n  {key}:\n{items}', 1)
-    return text
 
 
 def _file_text(name: str, file: FileRecord) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 
 from gray_box_observer.atomic_write import atomic_write
 from gray_box_observer.bag.mcap_file import McapFile
-from gray_box_observer.bag.metadata import METADATA_NAME, FileRecord, TopicRecord, metadata_text, qos_text
+from gray_box_observer.bag.metadata import METADATA_NAME, FileRecord, TopicRecord, metadata_text, qos_text, storage_text
 from gray_box_observer.bag.options import BagOptions
 from gray_box_observer.errors import BagError
 
@@ -207,8 +207,14 @@ class BagWriter:
 
     def _next_file(self) -> McapFile:
         path = self.folder / f'{self.folder.resolve().name}_{self._files_made}.mcap'
-        library = _library() if self.options.library is None else self.options.library
-        file = McapFile(path, library=library, compression=self.options.compression)
+        options = self.options
+        file = McapFile(
+            path,
+            library=_library() if options.library is None else options.library,
+            compression=options.compression,
+            level=options.compression_level,
+            about=storage_text(options.ros_distro, options.custom_data),
+        )
         self._files_made += 1
         self._flushed_s = self._clock()
         self._metadata_is_stale = True

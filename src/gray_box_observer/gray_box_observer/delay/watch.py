@@ -76,6 +76,15 @@ class DelayEstimate:
     std_s: float = math.nan
     verdict: DelayVerdict = DelayVerdict.UNKNOWN
 
+    @property
+    def words(self) -> str:
+        """Which of the two is which, in one line: what the data say, and what is taken off."""
+        found = 'the data do not tell'
+        if math.isfinite(self.value_s):
+            found = f'found in the data: {self.value_s:.6g} +- {self.std_s:.2g} s'
+        origin = 'estimated' if self.asked else 'declared'
+        return f'{found}; applied: {self.applied_s:.6g} s, as {origin}'
+
     def complaint(self, motor: str) -> str | None:
         """Say what is wrong and what to do about it, in one line; None where nothing is."""
         if self.verdict is not DelayVerdict.UNDECLARED:

@@ -12,10 +12,10 @@ from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
 from gray_box_observer.printable import printable
 from gray_box_observer.ros import topics
-from gray_box_observer.ros.diagnostics import Situation, idle_status, status_of
+from gray_box_observer.ros.diagnostics import NAMESAKE, Situation, idle_status, status_of
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.qos import advertise
-from gray_box_observer.ros.traffic import TrafficMeter
+from gray_box_observer.ros.traffic import Traffic, TrafficMeter
 
 AT_ONCE = 100
 """Motors, at least, that one message tells of."""
@@ -42,27 +42,30 @@ class Diagnoser:
         self._meter = meter
         self._keeper = keeper
         self._has_warned_of_strangers = False
+        self._has_warned_of_namesake = False
         self._turn = 0
         topic = topics.DIAGNOSTICS
         self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
 
-    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> None:
-        """Publish one round.
+    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> Traffic | None:
+        """Publish one round; return what has come since the last one, where the node is configured.
 
         Args:
             state: of the node's life cycle.
             observer: of the node; None where it is not configured.
             intake: likewise.
         """
-        array = DiagnosticArray()
+        array, traffic = DiagnosticArray(), None
         clock = self._node.get_clock()
         now = clock.now()
         array.header.stamp = now.to_msg()
         name = self._node.get_fully_qualified_name()
+        has_namesake = self._has_namesake(name)
         if observer is None or intake is None:
             array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
         else:
             self._warn_of_strangers(observer, intake)
+            traffic = self._meter.read(observer, intake)
             situation = Situation(
                 name,
                 state,
@@ -70,20 +73,31 @@ class Diagnoser:
                 intake,
                 self._inputs,
                 self._meter,
-                self._meter.read(observer, intake),
+                traffic,
                 self._keeper.failure,
                 self._keeper.age_s,
                 now.nanoseconds,
                 simulated=clock.ros_time_is_active,
+                has_namesake=has_namesake,
             )
             array.status = [_contained_status(motor, situation) for motor in self._next()]
         self._publisher.publish(array)
+        return traffic
 
     def _next(self) -> list[str]:
         """Motors that are told of in this round: all of few, in turn those of many."""
         share = max(AT_ONCE, -(-len(self._motors) // ROUNDS))
         first, self._turn = self._turn, (self._turn + share if self._turn + share < len(self._motors) else 0)
         return self._motors[first : first + share]
+
+    def _has_namesake(self, name: str) -> bool:
+        """Whether another node has our name, which is said once while it lasts: nobody can tell the two apart."""
+        found = [f'{space.rstrip("/")}/{own}' for own, space in self._node.get_node_names_and_namespaces()]
+        has_namesake = found.count(name) > 1
+        if has_namesake and not self._has_warned_of_namesake:
+            self._node.get_logger().warning(NAMESAKE.format(name))
+        self._has_warned_of_namesake = has_namesake
+        return has_namesake
 
     def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
         """Say once where messages speak of other motors while a configured one is never spoken of."""

@@ -25,6 +25,7 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
     assumed = assumptions(now.observer.configuration.motors[motor], seen.white_box)
     values['assumptions'] = '; '.join(assumed.values()) or 'none'
     delay = seen.delay
+    values['delay in words'] = delay.words
     values['delay [s]'] = _text(delay.value_s)
     values['delay std [s]'] = _text(delay.std_s)
     values['delay applied [s]'] = f'{delay.applied_s:.6g}'

@@ -1,7 +1,7 @@
 """Diagnostics of every motor in the shape operators know: level, one line of advice, key-value pairs.
 
-As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware. OK: nothing to do. WARN: estimates come, and
-something spoils them. ERROR: it will not mend by itself. STALE: nothing comes.
+As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware, both with their namespace. OK: nothing to do.
+WARN: estimates come, and something spoils them. ERROR: it will not mend by itself. STALE: nothing comes.
 """
 
 from __future__ import annotations
@@ -37,6 +37,9 @@ ADVICE = {
 }
 
 
+NAMESAKE = 'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r __node:=NAME'
+"""What is wrong where somebody has started a second observer of the same name."""
+
 DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
 """Suspects that say more than a bound that is met."""
 
@@ -68,6 +71,7 @@ class Situation:
         checkpoint_age_s: time since one was taken; None where none was.
         now_ns: the node's clock.
         simulated: whether that is ``/clock``.
+        has_namesake: whether another node has the same name.
     """
 
     node: str
@@ -81,13 +85,14 @@ class Situation:
     checkpoint_age_s: float | None
     now_ns: int
     simulated: bool
+    has_namesake: bool
 
 
 def status_of(motor: str, situation: Situation) -> DiagnosticStatus:
     """Describe one motor."""
     if situation.state != 'active':
         return idle_status(motor, situation.node, situation.state, values_of(motor, situation))
-    return _status(motor, _judge(motor, situation), values_of(motor, situation))
+    return _status(motor, situation.node, _judge(motor, situation), values_of(motor, situation))
 
 
 def idle_status(motor: str, node: str, state: str, values: dict[str, str]) -> DiagnosticStatus:
@@ -101,15 +106,16 @@ def idle_status(motor: str, node: str, state: str, values: dict[str, str]) -> Di
     """
     verb = {'unconfigured': 'configure', 'inactive': 'activate'}.get(state)
     remedy = f'{verb} the node (ros2 lifecycle set {node} {verb})' if verb else 'start the node anew'
-    return _status(motor, (DiagnosticStatus.STALE, f'{state}: {remedy}'), values)
+    return _status(motor, node, (DiagnosticStatus.STALE, f'{state}: {remedy}'), values)
 
 
-def _status(motor: str, judgement: Judgement, values: dict[str, str]) -> DiagnosticStatus:
+def _status(motor: str, node: str, judgement: Judgement, values: dict[str, str]) -> DiagnosticStatus:
+    name = node.lstrip('/')  # /diagnostics is one topic for every robot: what stands on it must tell them apart
     return DiagnosticStatus(
         level=judgement[0],
-        name=f'gray_box_observer: {motor}',
+        name=f'{name}: {motor}',
         message=judgement[1],
-        hardware_id=motor,
+        hardware_id=''.join(name.rpartition('/')[:2]) + motor,
         values=[KeyValue(key=key, value=value) for key, value in values.items()],
     )
 
@@ -118,6 +124,7 @@ def _judge(motor: str, now: Situation) -> Judgement:
     """Find the first thing that an operator has to know."""
     return (
         _stopped(motor, now)
+        or _namesake(now)
         or _nothing_yet(motor, now)
         or _failed_training(motor, now)
         or _nothing_new(motor, now)
@@ -133,6 +140,11 @@ def _stopped(motor: str, now: Situation) -> Judgement | None:
         return None
     remedy = f'call {now.node}/reset to start anew, and report it: the log says more'
     return DiagnosticStatus.ERROR, f'stopped by a defect: {incident.reason}; {remedy}'
+
+
+def _namesake(now: Situation) -> Judgement | None:
+    """Whether what is read here may be of another node."""
+    return (DiagnosticStatus.WARN, NAMESAKE.format(now.node)) if now.has_namesake else None
 
 
 def _nothing_yet(motor: str, now: Situation) -> Judgement | None:

@@ -19,12 +19,13 @@ from rclpy.timer import Timer
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 
+from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
 from gray_box_observer.parameters import SIGNALS
 from gray_box_observer.ros import topics
-from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.ros.message_types import message_class, missing_field
 from gray_box_observer.ros.qos import subscribe
 from gray_box_observer.ros.receive_memory import ReceiveMemory
 from gray_box_observer.ros.receive_queue import ReceiveQueue
@@ -69,7 +70,7 @@ class Inputs:
         refuse: told of every message whose bytes make no sense, or are too many.
 
     Raises:
-        ConfigurationError: a message type that this environment does not have.
+        ConfigurationError: a message type that this environment does not have, or a field that the type has not.
     """
 
     def __init__(self, node: Node, configuration: Configuration, take: Take, refuse: Refuse) -> None:
@@ -79,6 +80,11 @@ class Inputs:
         self._topics = {name: configuration[f'{name}.topic'] for name in SIGNALS if configuration[f'{name}.topic']}
         self._types = {name: _message_type(name, configuration[f'{name}.type']) for name in SIGNALS}
         self._fields = {name: re.split(r'\W', configuration[f'{name}.field'])[0] for name in SIGNALS}
+        for name, topic in self._topics.items():
+            path = FieldPath(configuration[f'{name}.field'])
+            complaint = missing_field(self._types[name], path.steps)
+            if complaint:  # said now, and not when the first message comes
+                raise ConfigurationError(f'{name}.field {path.text!r} on {topic}: {complaint}')
         self._max_message_bytes = round(configuration['max_message_mb'] * 1e6)
         self._queues: dict[str, ReceiveQueue] = {}
         self._memory = ReceiveMemory()

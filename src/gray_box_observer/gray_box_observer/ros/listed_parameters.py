@@ -11,6 +11,7 @@ from rclpy.node import Node
 
 from gray_box_observer.parameters import ParameterSpec
 from gray_box_observer.ros.parameters import describe
+from gray_box_observer.ros.unknown_parameters import settle
 
 
 def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -22,17 +23,19 @@ def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, 
         preceding: Values that precede the given ones, such as those of the command line.
 
     Raises:
-        ConfigurationError: a value of the wrong type or out of its range.
+        ConfigurationError: a value of the wrong type or out of its range, or a name that nobody declared.
     """
     given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
     given.update(preceding or {})
     values = {spec.name: spec.check(given.get(spec.name, spec.default)) for spec in specs}
     for spec in specs:  # rclpy refuses 1 for 1.0, so what was checked is declared
         node.declare_parameter(spec.name, values[spec.name], describe(spec), ignore_override=True)
+    unknown = sorted(name for name in given if not node.has_parameter(name))
+    settle(node, unknown, lambda _: values)
     return values
 
 
-def help_text(specs: Sequence[ParameterSpec]) -> str:
+def help_text(specs: Sequence[ParameterSpec], heading: str = 'parameters (--ros-args -p NAME:=VALUE)') -> str:
     """What ``--help`` says of the parameters, their defaults as YAML takes them."""
     width = max(len(spec.name) for spec in specs) + 4
     lines = [
@@ -44,4 +47,4 @@ def help_text(specs: Sequence[ParameterSpec]) -> str:
         )
         for spec in specs
     ]
-    return 'parameters (--ros-args -p NAME:=VALUE):\n' + '\n'.join(lines)
+    return '\n'.join([f'{heading}:', *lines])

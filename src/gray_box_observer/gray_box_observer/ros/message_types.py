@@ -1,12 +1,15 @@
-"""Message classes by their names, without rosidl_runtime_py, which has no wheel."""
+"""Message classes by their names, without rosidl_runtime_py, which has no wheel, and what fields they have."""
 
 from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Sequence
 from typing import Any
 
 _TYPE_NAME = re.compile(r'([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)\Z')
+_ARRAY = re.compile(r'sequence<(?P<held>[^,>]+)(?:, *(?P<most>\d+))?>|(?P<kind>[^<\[]+)\[(?P<count>\d+)\]')
+_TEXT = re.compile(r'w?string(<\d+>)?')
 
 
 def message_class(type_name: str) -> Any | None:
@@ -18,3 +21,43 @@ def message_class(type_name: str) -> Any | None:
         return getattr(importlib.import_module(f'{found[1]}.msg'), found[2], None)
     except ImportError:
         return None
+
+
+def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
+    """Say where a path leaves a message type, without a message; empty where it leads to numbers.
+
+    Args:
+        kind: message class.
+        steps: names of fields, and indices.
+    """
+    walked, held = kind.__name__, kind
+    for step in steps:
+        array = _ARRAY.fullmatch(held) if isinstance(held, str) else None
+        if isinstance(step, int):
+            if array is None:
+                return f'{walked} is no array, so there is no [{step}]'
+            most = array['count'] or array['most']
+            if most is not None and step >= int(most):
+                return f'{walked} has at most {most} values, so there is no [{step}]'
+            held = _known(array['held'] or array['kind'])
+            walked += f'[{step}]'
+            continue
+        if array is not None:
+            return f'{walked} is an array, so there is no field {step!r}: add an index'
+        if isinstance(held, str):
+            return f'{walked} is a single value, so there is no field {step!r}'
+        fields = held.get_fields_and_field_types()
+        if step not in fields:
+            return f'{walked} has no field {step!r}; there are: {", ".join(fields)}'
+        held = _known(fields[step])
+        walked += f'.{step}'
+    array = _ARRAY.fullmatch(held) if isinstance(held, str) else None
+    last = held if array is None else _known(array['held'] or array['kind'])
+    if not isinstance(last, str):
+        return f'{walked} holds no numbers; it has: {", ".join(last.get_fields_and_field_types())}'
+    return f'{walked} holds text, no numbers' if _TEXT.fullmatch(last) else ''
+
+
+def _known(type_name: str) -> Any:
+    """The class of a message type, or the name of anything else."""
+    return message_class(type_name) or type_name

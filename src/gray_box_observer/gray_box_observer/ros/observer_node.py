@@ -6,7 +6,7 @@ import argparse
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -26,11 +26,15 @@ from gray_box_observer.group import Group, GroupResult
 from gray_box_observer.incident import in_words
 from gray_box_observer.intake import Intake
 from gray_box_observer.observer import Observer
+from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 from gray_box_observer.predictor import ProcessTraining
+from gray_box_observer.printable import printable
 from gray_box_observer.ros.chore import Chore
+from gray_box_observer.ros.commentary import Commentary
 from gray_box_observer.ros.diagnoser import Diagnoser
 from gray_box_observer.ros.inputs import Inputs
 from gray_box_observer.ros.life_cycle import survive_impossible_transitions
+from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.ros.outputs import Outputs
 from gray_box_observer.ros.parameters import LiveParameters, declare
 from gray_box_observer.ros.qos import unused_overrides
@@ -42,6 +46,17 @@ DIAGNOSTICS_PERIOD_S = 1.0
 
 MOST_NAMED = 10
 """Motors named in a line of the log."""
+
+ARRIVED = {
+    'configure': 'ready to be activated',
+    'deactivate': 'listening no more; what was learnt stays',
+    'clean up': 'what was learnt is forgotten',
+    'shut down': 'the end',
+}
+"""What a transition has led to, as the log says it; activation says what it listens to."""
+
+OF_EACH_MOTOR = 'parameters of each motor, below its name (-p motor.delay:=0.05), or below defaults for all'
+"""What ``--help`` calls them."""
 
 Transition = TransitionCallbackReturn
 
@@ -72,6 +87,13 @@ class ObserverNode(LifecycleNode):
         self._checkpoint_timer: Timer | None = None
         motors = list(self._configuration.motors)
         self._diagnoser = Diagnoser(self, motors, self._inputs, self._meter, self._keeper)
+        self._commentary = Commentary(
+            motors,
+            lambda line: self.get_logger().info(printable(line)),
+            lambda line: self.get_logger().warning(printable(line)),
+            self._why_silent,
+            speed_has_topic=bool(self._configuration['speed.topic']),
+        )
         self._chores: dict[str, Chore] = {}
         self._time('diagnostics', DIAGNOSTICS_PERIOD_S, self._tell)
         if self._configuration['estimates_period_s'] > 0.0:
@@ -130,6 +152,7 @@ class ObserverNode(LifecycleNode):
     def close(self) -> None:
         """Write the last checkpoint and end the training processes before the node goes."""
         self._inputs.close()
+        self._sum_up()
         failure = self._keeper.close(self._observer)
         if failure is not None:
             self.get_logger().error(failure)
@@ -148,7 +171,7 @@ class ObserverNode(LifecycleNode):
             action()
             result = entities()
             self._state = state
-            self._arrived()
+            self._arrived(verb)
         except GrayBoxError as error:
             self._reason = f'could not {verb}: {error}'
             self.get_logger().error(self._reason)
@@ -159,11 +182,14 @@ class ObserverNode(LifecycleNode):
             return Transition.ERROR
         return result
 
-    def _arrived(self) -> None:
+    def _arrived(self, verb: str) -> None:
         """Do what a state of the life cycle begins with."""
         self._time_checkpoints()
         if self._state != 'active':
+            if verb != 'configure' or not self._configuration['autostart']:
+                self.get_logger().info(f'{self._state}: {ARRIVED[verb]}')
             return
+        self._commentary.listen()
         self._announce()
         names = _in_words(list(self._configuration.motors))
         self.get_logger().info(f'active: listening for {names} on {self._inputs.in_words}')
@@ -191,8 +217,19 @@ class ObserverNode(LifecycleNode):
         self._keep()
 
     def _end(self) -> None:
+        self._sum_up()
         self._rest()
         self._forget()
+
+    def _sum_up(self) -> None:
+        """Tell what came of it all, once the end has come."""
+        if self._observer is not None:
+            self.get_logger().info(printable(self._commentary.summary(self._observer)))
+
+    def _why_silent(self, signals: Iterable[str]) -> str:
+        """Say why nothing comes of these signals; empty where the graph does not tell."""
+        trouble = self._inputs.trouble(signals)
+        return '' if trouble is None else trouble.message
 
     def _forget(self) -> None:
         self._drop_observer()
@@ -271,7 +308,9 @@ class ObserverNode(LifecycleNode):
     def _tell(self) -> None:
         """Publish diagnostics, and alarms that no further message has led to."""
         self._settle()
-        self._diagnoser.tell(self._state, self._observer, self._intake)
+        traffic = self._diagnoser.tell(self._state, self._observer, self._intake)
+        if traffic is not None and self._observer is not None and self._state == 'active':
+            self._commentary.look(self._observer, traffic)
         self._report_incidents()
 
     def _report_incidents(self) -> None:
@@ -300,6 +339,7 @@ class ObserverNode(LifecycleNode):
         kept = '' if aside is None else f'; the checkpoint is kept as {aside}'
         response.success = True
         response.message = f'everything learnt is forgotten; starting from the initial values{kept}'
+        self.get_logger().info(f'~/reset: {response.message}')
         return response
 
     def _save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -319,9 +359,11 @@ class ObserverNode(LifecycleNode):
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
+            self.get_logger().warning(f'not {words.partition(" ")[0]}: {printable(response.message)}')
             return response
         self._announce(is_new=action == self._keeper.load)
         response.success, response.message = True, f'{words} {path}'
+        self.get_logger().info(response.message)
         return response
 
     def _freeze(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
@@ -336,6 +378,8 @@ class ObserverNode(LifecycleNode):
 
     def _reconfigure(self, configuration: Configuration) -> None:
         """Let changed parameters take effect; what was learnt stays."""
+        if configuration['freeze'] != self._configuration['freeze']:
+            self.get_logger().info('frozen: nothing is learnt' if configuration['freeze'] else 'learning again')
         self._configuration = configuration
         self._keeper.path = configuration['checkpoint.path']
         self._time_checkpoints()
@@ -374,6 +418,7 @@ class ObserverNode(LifecycleNode):
         self._reported = set()
         self._intake = Intake(self._observer, self._configuration)
         self._meter.forget()
+        self._commentary.forget()
 
     def _announce(self, *, is_new: bool = False) -> None:
         """Publish what is known now: latched topics must not go on telling what was forgotten.
@@ -438,8 +483,10 @@ def main(args: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog='observer',
         description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
-        'predicts their torque. Parameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
-        epilog='share/gray_box_observer/config/observer.yaml lists every parameter with its default and meaning.',
+        'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p NAME:=VALUE.',
+        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}\n\n'
+        'share/gray_box_observer/config/observer.yaml holds them all, to begin with.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parse_arguments(parser, args)
     nodes: list[ObserverNode] = []

@@ -9,16 +9,17 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.errors import ConfigurationError, brief
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
-from gray_box_observer.printable import printable
+from gray_box_observer.ros.unknown_parameters import settle
 
 
 def declare(node: Node) -> Configuration:
     """Declare every parameter on the node, with description, range and read-only flag, and check them as a set.
 
     Raises:
-        ConfigurationError: a value of the wrong type or out of its range, or values that do not fit together.
+        ConfigurationError: a value of the wrong type or out of its range, values that do not fit together, or a name
+            that nobody declared.
     """
     given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
     configuration = Configuration.from_flat(given)
@@ -28,9 +29,7 @@ def declare(node: Node) -> Configuration:
         declared += [(f'{name}.{own}', motor.values[own], descriptor) for own, descriptor in described.items()]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared as it was understood
     node.declare_parameters('', declared, ignore_override=True)
-    if configuration.unknown:
-        names = printable(brief(list(configuration.unknown))[1:-1])
-        node.get_logger().warning(f'not a parameter of the observer, ignored: {names}; a slip of the pen?')
+    settle(node, configuration.unknown, configuration.alike)
     return configuration
 
 

@@ -1,15 +1,40 @@
-"""The command line and the parameters of the ``player``, each declared once."""
+"""The command line and the parameters of the ``player``, each declared once.
+
+Where ``ros2 bag play`` has an option, it has the same name here.
+"""
 
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from gray_box_observer.bag.limits import DEFAULT_CHUNK_MB
 from gray_box_observer.parameters import ParameterSpec
+from gray_box_observer.plain_number import parse_float
+from gray_box_observer.ros import foreign_options
 from gray_box_observer.ros.listed_parameters import help_text
 
 _DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
-was recorded with. Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
+was recorded with, once voltage and torque have a reader. What an observer published is left out.
+Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
+
+_REFUSED = {
+    ('-d', '--delay'): 'it waits for readers: --ros-args -p wait_for_subscribers:=2 waits for two of them',
+    ('-m', '--remap'): 'rename topics by --ros-args -r /motor/torque:=/other',
+    ('-e', '--regex', '-x', '--exclude-regex', '--exclude-topics'): 'name what is wanted: --topics /a /b',
+    ('--services', '--exclude-services', '--publish-service-requests'): 'only topics are replayed',
+    ('--qos-profile-overrides-path',): 'topics are replayed with the quality of service that they were recorded with',
+    ('--playback-duration', '--playback-until-sec', '--playback-until-nsec'): 'end it by Ctrl-C',
+    ('--clock-topics', '--clock-topics-all'): '--clock ticks with every message, and between them',
+    ('-i', '--input'): 'name one bag without an option',
+    ('--read-ahead-queue-size', '--storage-config-file'): 'leave it out: chunks are read when they are due',
+    ('--wait-for-all-acked',): 'leave it out: it waits for acknowledgements',
+    ('--disable-keyboard-controls', '--disable-loan-message'): 'leave it out: there are none',
+}
+"""Options of ``ros2 bag play``, and what serves instead."""
+
+OWN_WAIT = -1
+"""Of ``wait_for_subscribers``: one reader, without which the replay begins all the same."""
 
 PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('bag', '', 'Rosbag2 folder or .mcap file, if BAG is not given.'),
@@ -28,16 +53,24 @@ PLAYER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('loop', False, 'Begin again at the end.'),
     ParameterSpec('start_offset_s', 0.0, 'Leave out the first seconds.', 0.0, 1e9),
     ParameterSpec('paused', False, 'Begin paused.'),
-    ParameterSpec('topics', [''], 'Replay only these, as [/a, /b]; empty: all.'),
+    ParameterSpec('topics', [''], 'Replay only these, as [/a, /b]; empty: all but what an observer published.'),
+    ParameterSpec(
+        'observer_outputs',
+        False,
+        'Replay what an observer published too: topics of gray_box_observer, and /diagnostics of a bag that has such. '
+        'A live observer publishes them itself.',
+    ),
     ParameterSpec('clock', False, 'Publish /clock with the recorded time; it jumps back when a loop begins again.'),
     ParameterSpec(
         'wait_for_subscribers',
-        0,
-        'Begin when voltage and torque (if replayed, else every topic) have so many readers.',
-        0,
+        OWN_WAIT,
+        'Begin when voltage and torque (if replayed, else every topic) have so many readers, or end with an error. '
+        '-1: wait for one of them (if neither is replayed, for one of any topic), and begin without in the end; '
+        '0: begin at once.',
+        OWN_WAIT,
         1000,
     ),
-    ParameterSpec('wait_timeout_s', 10.0, 'Give up waiting for readers after this time.', 0.0, 1e9),
+    ParameterSpec('wait_timeout_s', 10.0, 'Wait for readers no longer than this.', 0.0, 1e9),
     ParameterSpec(
         'max_chunk_mb',
         0,
@@ -61,4 +94,24 @@ def make_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument('bag', nargs='?', default='', metavar='BAG', help='rosbag2 folder or .mcap file')
+    parser.add_argument('-r', '--rate', type=parse_float, metavar='RATE', help='recorded seconds per second')
+    parser.add_argument('-l', '--loop', action='store_const', const=True, help='begin again at the end')
+    parser.add_argument(*('-p', '--start-paused'), dest='paused', action='store_const', const=True, help='begin paused')
+    parser.add_argument(
+        '--start-offset',
+        dest='start_offset_s',
+        type=parse_float,
+        metavar='SECONDS',
+        help='leave out the first seconds',
+    )
+    parser.add_argument('--clock', action='store_const', const=True, help='publish /clock with the recorded time')
+    parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='replay only these')
+    foreign_options.add_storage(parser)
+    foreign_options.refuse(parser, _REFUSED)
     return parser
+
+
+def by_command_line(options: argparse.Namespace) -> dict[str, Any]:
+    """What the command line says, by the names of the parameters that it precedes."""
+    names = ('rate', 'loop', 'paused', 'start_offset_s', 'clock', 'topics')
+    return {name: getattr(options, name) for name in names if getattr(options, name) is not None}

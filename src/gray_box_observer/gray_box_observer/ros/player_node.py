@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -29,10 +29,11 @@ from gray_box_observer.ros import topics as observed
 from gray_box_observer.ros.bag_qos import publisher_profile
 from gray_box_observer.ros.listed_parameters import declare
 from gray_box_observer.ros.message_types import message_class
-from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS, make_parser
+from gray_box_observer.ros.player_arguments import OWN_WAIT, PLAYER_PARAMETERS, by_command_line, make_parser
 from gray_box_observer.ros.running import Stop, parse_arguments, run_node
 
 NODE_NAME = 'bag_player'
+OBSERVER_NAME = 'gray_box_observer'
 _DEPTH = 1000
 _BURST = 100
 """Messages of a topic between two waits for its acknowledgements, when nothing else holds the player back.
@@ -41,6 +42,8 @@ It is also the depth of the publishers then: Fast DDS asks its readers for ackno
 writer's history is full, and otherwise every three seconds.
 """
 _ACK_PATIENCE_S = 5.0
+_WAIT_TOLD_S = 1.0
+"""A wait for readers that is longer is told of: discovery takes a second."""
 _SETTLE_S = 0.25
 """A reader matched here may not have matched us yet: one topic's first messages would come after another's."""
 _LATEST_CLOCK_NS = 2**31 * 10**9
@@ -72,16 +75,18 @@ class BagPlayer(Node):
     Args:
         stop: Ends the node, at the end of the bag or with an error.
         bag: Path of the bag; empty for the parameter ``bag``.
+        preceding: What the command line says, by the names of the parameters that it precedes.
 
     Raises:
         BagError: The bag cannot be read or has none of the wanted topics.
         ConfigurationError: A parameter is out of its range.
     """
 
-    def __init__(self, stop: Stop, bag: str = '') -> None:
+    def __init__(self, stop: Stop, bag: str = '', preceding: Mapping[str, Any] | None = None) -> None:
         super().__init__(NODE_NAME)
         self._stop = stop
-        given = declare(self, PLAYER_PARAMETERS)
+        self._is_closing = False
+        given = declare(self, PLAYER_PARAMETERS, preceding)
         path, is_paused = given['bag'], given['paused']
         topics = [name for name in given['topics'] if name]
         self._plan = _Plan(**{field.name: given[field.name] for field in fields(_Plan)})
@@ -90,6 +95,12 @@ class BagPlayer(Node):
         limits = ReadLimits.from_mb(given['max_chunk_mb'] or None, '-p max_chunk_mb:={}')
         self._reader = BagReader(bag or path, limits)
         end_ns = self._reader.start_ns + self._reader.duration_ns
+        if self._plan.start_offset_s * 1e9 > self._reader.duration_ns:
+            self._reader.close()
+            raise ConfigurationError(
+                f'start_offset_s is {self._plan.start_offset_s:g}, but the bag lasts only '
+                f'{self._reader.duration_ns * 1e-9:.3f} s'
+            )
         if self._plan.clock and end_ns >= _LATEST_CLOCK_NS:
             self._reader.close()
             raise ConfigurationError(
@@ -101,7 +112,7 @@ class BagPlayer(Node):
             is_paused=is_paused,
             max_messages_per_s=self._limit_per_s(self._plan.max_messages_per_s),
         )
-        self._publishers_by_topic = self._advertise(topics)
+        self._publishers_by_topic = self._advertise(topics, with_outputs=given['observer_outputs'])
         self._clock_publisher = self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
         self._count = 0
         self._position_ns = self._reader.start_ns
@@ -118,7 +129,8 @@ class BagPlayer(Node):
         self._thread.start()
 
     def close(self) -> None:
-        """Stop replaying and close the bag."""
+        """Stop waiting or replaying, and close the bag."""
+        self._is_closing = True
         self._pacer.stop()
         self._thread.join(timeout=2 * _ACK_PATIENCE_S)
         if sys.stderr.isatty():
@@ -134,7 +146,7 @@ class BagPlayer(Node):
         recorded_per_s = self._reader.message_count / duration_s if duration_s > 0 else 0.0
         return max(wanted_per_s, recorded_per_s) if wanted_per_s > 0 else 0.0
 
-    def _advertise(self, wanted: Sequence[str]) -> dict[str, Publisher]:
+    def _advertise(self, wanted: Sequence[str], *, with_outputs: bool) -> dict[str, Publisher]:
         """A publisher for each topic that is wanted, in the bag, and of a type that is installed."""
         there = self._reader.topics
         names = [self.resolve_topic_name(name, only_expand=True) for name in wanted]
@@ -142,7 +154,7 @@ class BagPlayer(Node):
         if missing:
             raise BagError(f'{self._reader.path} has no {", ".join(missing)}; there are: {name_list(there)}')
         publishers: dict[str, Publisher] = {}
-        for name in names or sorted(there):
+        for name in names or self._replayed(there, with_outputs=with_outputs):
             message_type = message_class(there[name].type_name)
             if there[name].encoding != 'cdr' or message_type is None:
                 reason = f'{there[name].type_name} is not installed here'
@@ -158,6 +170,24 @@ class BagPlayer(Node):
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers
 
+    def _replayed(self, there: Collection[str], *, with_outputs: bool) -> list[str]:
+        """Topics that are replayed where nobody names any: a live observer publishes its own outputs itself."""
+        outputs = [] if with_outputs else [name for name in there if f'/{OBSERVER_NAME}/' in name]
+        if outputs:
+            outputs += [name for name in there if name == observed.DIAGNOSTICS.name]
+            self.get_logger().info(
+                printable(
+                    f'{len(outputs)} topics that an observer published are left out; '
+                    '--topics names what is wanted, -p observer_outputs:=true replays all'
+                )
+            )
+        rest = sorted(set(there) - set(outputs))
+        if not rest:
+            raise BagError(
+                f'{self._reader.path} holds only what an observer published; -p observer_outputs:=true replays it'
+            )
+        return rest
+
     def _run(self) -> None:
         try:
             if self._wait_for_readers():
@@ -171,32 +201,41 @@ class BagPlayer(Node):
 
     def _wait_for_readers(self) -> bool:
         """Wait until enough readers are matched; False if the end was asked for before."""
-        wanted, patience_s = self._plan.wait_for_subscribers, self._plan.wait_timeout_s
+        is_own_wait = self._plan.wait_for_subscribers == OWN_WAIT
+        wanted, patience_s = abs(self._plan.wait_for_subscribers), self._plan.wait_timeout_s
         signals = {self.resolve_topic_name(t.name, only_expand=True) for t in (observed.VOLTAGE, observed.TORQUE)}
         watched = [p for name, p in self._publishers_by_topic.items() if name in signals]
+        enough = any if is_own_wait and not watched else all
         watched = watched or list(self._publishers_by_topic.values())
-        until_s = time.monotonic() + patience_s
-        while not self._stop.requested:
+        began_s, is_told = time.monotonic(), False
+        while not (self._stop.requested or self._is_closing):
             counts = {publisher.topic_name: publisher.get_subscription_count() for publisher in watched}
-            if all(count >= wanted for count in counts.values()):
+            if enough(count >= wanted for count in counts.values()):
                 time.sleep(_SETTLE_S if wanted else 0.0)
                 return True
-            if time.monotonic() > until_s:
-                found = ', '.join(f'{count} of {name}' for name, count in counts.items())
+            waited_s = time.monotonic() - began_s
+            found = ', '.join(f'{count} of {name}' for name, count in counts.items())
+            if waited_s > patience_s and is_own_wait:
+                self.get_logger().warning(printable(f'no reader within {patience_s:g} s ({found}); going on without'))
+                return True
+            if waited_s > patience_s:
                 raise ConfigurationError(
                     f'waited {patience_s:g} s for {wanted} readers, found {found}; '
                     'start them first or lower wait_for_subscribers'
+                )
+            if waited_s > _WAIT_TOLD_S and not is_told:
+                is_told = True
+                self.get_logger().info(
+                    printable(
+                        f'waiting up to {patience_s:g} s for {wanted} readers, found {found}; '
+                        '-p wait_for_subscribers:=0 begins at once'
+                    )
                 )
             time.sleep(0.02)
         return False
 
     def _replay(self) -> None:
         start_ns = self._reader.start_ns + round(self._plan.start_offset_s * 1e9)
-        if start_ns > self._reader.start_ns + self._reader.duration_ns:
-            raise ConfigurationError(
-                f'start_offset_s is {self._plan.start_offset_s:g}, but the bag lasts only '
-                f'{self._reader.duration_ns * 1e-9:.3f} s'
-            )
         sent_before = -1
         while self._count > sent_before:  # a round that sends nothing would be repeated without end
             sent_before = self._count
@@ -266,7 +305,8 @@ def _answer(response: Any, success: bool, message: str) -> Any:
 def main(args: Sequence[str] | None = None) -> int:
     """Run the player; the result is the exit code."""
     options = parse_arguments(make_parser(), args)
-    return run_node(lambda stop: BagPlayer(stop, options.bag), args, name='player')
+    preceding = by_command_line(options)
+    return run_node(lambda stop: BagPlayer(stop, options.bag, preceding), args, name='player')
 
 
 if __name__ == '__main__':

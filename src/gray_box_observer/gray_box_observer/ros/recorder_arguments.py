@@ -12,11 +12,33 @@ from gray_box_observer.bag.mcap_file import COMPRESSIONS
 from gray_box_observer.bag.options import FLUSH_PERIOD_S, PRESETS
 from gray_box_observer.parameters import ParameterSpec
 from gray_box_observer.plain_number import parse_float, parse_int
+from gray_box_observer.ros import foreign_options
 from gray_box_observer.ros.listed_parameters import help_text
 
 _DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
 Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and /diagnostics.
 SIGINT and SIGTERM finish the bag."""
+
+_REFUSED = {
+    ('--compression-mode',): 'leave it out: --compression-format compresses the chunks inside a file',
+    ('--compression-queue-size', '--compression-threads'): 'leave it out: --compression-format alone serves',
+    ('-e', '--regex', '-x', '--exclude', '--exclude-regex', '--exclude-topics'): 'name what is wanted, or --all',
+    ('--services', '--all-services', '--exclude-services'): 'only topics are recorded',
+    ('--no-discovery', '--polling-interval'): 'leave it out: topics that appear later are recorded from then on',
+    ('--include-hidden-topics', '--include-unpublished-topics'): 'name the topics: those are recorded, hidden or not',
+    ('--qos-profile-overrides-path',): 'topics are recorded with the quality of service that is offered',
+    ('--use-sim-time',): 'say --ros-args -p use_sim_time:=true',
+    ('--node-name',): 'say --ros-args -r __node:=NAME',
+    (
+        '--max-cache-size',
+        '--snapshot-mode',
+        '--start-paused',
+    ): 'leave it out: what comes is written within half a second',
+    ('--storage-config-file',): '--storage-preset-profile chooses how to write',
+    ('-f', '--serialization-format'): 'leave it out: messages are recorded as they come',
+    ('--disable-keyboard-controls',): 'leave it out: there are none',
+}
+"""Options of ``ros2 bag record``, and what serves instead."""
 
 RECORDER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('topics', [''], 'Topics to record, as [/a, /b].'),
@@ -57,7 +79,10 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('topics', nargs='*', metavar='TOPIC', help='topic to record')
     parser.add_argument('-o', '--output', default='', metavar='FOLDER', help='folder to make')
-    parser.add_argument('-a', '--all', action='store_true', help='record every topic')
+    parser.add_argument('-a', '--all', '--all-topics', action='store_true', help='record every topic')
+    parser.add_argument(
+        '--topics', dest='more_topics', nargs='+', default=[], metavar='TOPIC', help='the same as TOPIC'
+    )
     parser.add_argument(
         *('-b', '--max-bag-size'),
         dest='max_file_bytes',
@@ -82,6 +107,8 @@ def make_parser() -> argparse.ArgumentParser:
     packing.add_argument(
         '--storage-preset-profile', choices=list(PRESETS), help="the same by the names of rosbag2's MCAP storage"
     )
+    foreign_options.add_storage(parser)
+    foreign_options.refuse(parser, _REFUSED)
     return parser
 
 

@@ -250,7 +250,9 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parse_arguments(make_parser(), args)
     # The events executor of rclpy 7.1 fails on callbacks that take the message info.
     return run_node(
-        lambda stop: BagRecorder(stop, options.topics, options.output, options.all, by_command_line(options)),
+        lambda stop: BagRecorder(
+            stop, [*options.topics, *options.more_topics], options.output, options.all, by_command_line(options)
+        ),
         args,
         name='recorder',
         executor_factory=SingleThreadedExecutor,

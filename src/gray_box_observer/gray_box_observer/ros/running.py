@@ -96,7 +96,7 @@ def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None)
     try:
         _check_parameter_files(sys.argv if args is None else args)
         own = remove_ros_args(list(args) if args is not None else None)
-    except (GrayBoxError, rclpy_implementation.RCLError) as error:
+    except (GrayBoxError, *_STARTUP_ERRORS) as error:
         parser.exit(EXIT_USER_ERROR, f'{parser.prog}: error: {_one_line(error)}\n')
     return parser.parse_args(own[1:])
 
@@ -221,6 +221,7 @@ def _signals_to(stop: Stop) -> Iterator[None]:
     Python runs its signal handlers only between byte codes of the main thread, which may sleep in C for long;
     the wake-up descriptor is written by the handler in C itself, so a thread that reads it hears of the
     signal at once. rclpy's own handlers shut the context down: the node could no longer publish and finish.
+    Afterwards signals are ignored: the process is about to end.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -231,15 +232,17 @@ def _signals_to(stop: Stop) -> Iterator[None]:
     signals = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup asked for that
         signals.append(signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: None) for number in signals}
+    for number in signals:
+        signal.signal(number, lambda *_: None)
     old_descriptor = signal.set_wakeup_fd(theirs.fileno(), warn_on_full_buffer=False)
     listener.start()
     try:
         yield
     finally:
+        # A second signal must not kill what has ended well: terminal and launch both send one.
+        for number in signals:
+            signal.signal(number, signal.SIG_IGN)
         signal.set_wakeup_fd(old_descriptor)
-        for number, handler in before.items():
-            signal.signal(number, handler)
         theirs.close()
         listener.join(timeout=1.0)
         ours.close()

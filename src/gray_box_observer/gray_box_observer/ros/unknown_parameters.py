@@ -1,0 +1,53 @@
+"""Parameters that were given to a node and that it does not have: refused before anything runs, or passed over.
+
+A name on the command line is meant for this node and has to be one of its own. A parameter file may serve several
+nodes: of its names, slips of the node's own are refused, and of others the log warns.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from itertools import pairwise
+
+from rclpy.node import Node
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.parameter_names import in_words, nearest, slip_of
+from gray_box_observer.printable import printable
+
+Known = Callable[[str], Iterable[str]]
+"""Gives the names that an unknown one may have been meant for."""
+
+_OPTIONS = ('-p', '--param')
+
+
+def settle(node: Node, unknown: Sequence[str], known: Known, args: Sequence[str] | None = None) -> None:
+    """Refuse unknown parameters, or warn of them.
+
+    Args:
+        node: to which they were given.
+        unknown: their names.
+        known: gives the names that each may have been meant for.
+        args: the command line; None for the process's own.
+
+    Raises:
+        ConfigurationError: one of them was meant for this node.
+    """
+    said = _on_command_line(sys.argv if args is None else args)
+    slips = {name: nearest(name, known(name)) for name in unknown if name in said or slip_of(name, known(name))}
+    if slips:
+        kind = 'parameters' if len(slips) > 1 else 'a parameter'
+        raise ConfigurationError(printable(f'not {kind} of this node: {in_words(slips)}; --help lists them'))
+    if unknown:
+        names = in_words(dict.fromkeys(unknown, ''))
+        node.get_logger().warning(printable(f'not of this node, ignored: {names}; --help lists its parameters'))
+
+
+def _on_command_line(args: Sequence[str]) -> set[str]:
+    """Names of parameters that a command line gives: of ``-p NODE:NAME:=VALUE`` the name."""
+    return {
+        text.partition(':=')[0].rpartition(':')[2]
+        for option, text in pairwise(args)
+        if option in _OPTIONS and ':=' in text
+    }

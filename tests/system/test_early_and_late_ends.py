@@ -1,0 +1,107 @@
+"""An executable that is asked to end does so quietly: while its modules are loaded, and once it is done."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+TIMEOUT_S = 60.0
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+LOADING = """
+import importlib, importlib.abc, sys, time
+
+class Slow(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, *_):
+        if name == sys.argv[2]:
+            print('loading', flush=True)
+            time.sleep(100.0)
+
+sys.meta_path.insert(0, Slow())
+package, _, name = sys.argv[1].partition(':')
+raise SystemExit(getattr(importlib.import_module(f'{package}.executables'), name)())
+"""
+
+DONE = """
+import importlib, os, signal, sys
+
+class Late:
+    '''Lives until modules are taken apart, when Python has restored what signals do by default.'''
+
+    def __init__(self):
+        self.kill, self.id, self.number = os.kill, os.getpid(), signal.Signals[sys.argv[2]]
+
+    def __del__(self):
+        self.kill(self.id, self.number)
+
+late = Late()
+package, _, name = sys.argv[1].partition(':')
+arguments = sys.argv[3:] if package == 'dc_motor_sim' else [name, *sys.argv[3:]]
+raise SystemExit(getattr(importlib.import_module(f'{package}.executables'), name)(arguments))
+"""
+
+LOADED = {
+    'dc_motor_sim:motor_sim': 'dc_motor_sim.ros.motor_sim',
+    'gray_box_observer:observer': 'gray_box_observer.ros.observer_node',
+    'gray_box_observer:recorder': 'gray_box_observer.ros.recorder_node',
+    'gray_box_observer:player': 'gray_box_observer.ros.player_node',
+}
+"""What each node loads."""
+
+REFUSED = {
+    'dc_motor_sim:motor_sim': ('--ros-args', '-p', 'sample_rate_hz:=fast'),
+    'gray_box_observer:observer': ('--ros-args', '-p', 'gap_s:=-1.0'),
+    'gray_box_observer:identify': ('nowhere',),
+}
+"""Arguments that each ends with once it has begun."""
+
+
+def start(script: str, *arguments: str) -> subprocess.Popen[str]:
+    """Start a script; what the signals do is not inherited from whoever runs the tests."""
+
+    def forget_inherited() -> None:
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_DFL)
+
+    return subprocess.Popen(
+        [sys.executable, '-c', script, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=forget_inherited,
+    )
+
+
+@pytest.mark.parametrize('name', LOADED)
+def test_a_signal_while_modules_are_loaded_ends_a_node_without_a_word(name: str) -> None:
+    processes = {number: start(LOADING, name, LOADED[name]) for number in SIGNALS}
+    for number, process in processes.items():
+        assert process.stdout.readline() == 'loading\n'
+        process.send_signal(number)
+    for process in processes.values():
+        out, err = process.communicate(timeout=TIMEOUT_S)
+        assert (process.returncode, out, err) == (0, '', '')
+
+
+def test_ctrl_c_while_modules_are_loaded_ends_the_command_in_one_line() -> None:
+    process = start(LOADING, 'gray_box_observer:identify', 'gray_box_observer.identify')
+    assert process.stdout.readline() == 'loading\n'
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=TIMEOUT_S)
+    assert (process.returncode, out, err) == (130, '', 'identify: interrupted; nothing was written\n')
+
+
+@pytest.mark.parametrize('name', REFUSED)
+def test_a_second_signal_once_it_is_done_does_not_change_its_exit_code(name: str) -> None:
+    """Terminal and launch both send one; the second must not kill what has just ended."""
+    numbers = SIGNALS if name in LOADED else SIGNALS[:1]
+    for process in [start(DONE, name, number.name, *REFUSED[name]) for number in numbers]:
+        _, err = process.communicate(timeout=TIMEOUT_S)
+        assert process.returncode == 2, err
+        assert 'Traceback' not in err
