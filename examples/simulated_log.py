@@ -11,9 +11,11 @@ from __future__ import annotations
 import argparse
 import csv
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dc_motor_sim.errors import SimulationError
 from dc_motor_sim.plant import PlantParameters
@@ -50,10 +52,39 @@ BATTERY_RAD_S = 0.7
 
 COLUMNS = ('t_s', 'duty', 'battery_V', 'i_A', 'speed_rpm')
 
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """How the board makes a speed of the encoder.
+
+    Attributes:
+        counts: edges in one turn of the motor; the speed is the edges of one sample. 0: no steps.
+        window: samples over which the board averages the speed, which makes it late.
+    """
+
+    counts: int = 0
+    window: int = 1
+
+    def step_rad_s(self, rate_hz: float) -> float:
+        """Return the smallest difference between two speeds in rad/s; 0 for none."""
+        return 2.0 * math.pi / self.counts * rate_hz if self.counts else 0.0
+
+    def averaged(self, speed_rad_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the mean of the newest samples, shape (sample,)."""
+        weights = np.full(self.window, 1.0 / self.window)
+        return np.convolve(speed_rad_s, weights)[: speed_rad_s.size]
+
+
 EXIT_USER_ERROR = 2
 
 
-def write_log(path: Path, duration_s: float, rate_hz: float, seed: int) -> int:
+def write_log(
+    path: Path,
+    duration_s: float = 20.0,
+    rate_hz: float = 1000.0,
+    seed: int = 1,
+    encoder: Encoder | None = None,
+) -> int:
     """Simulate the motor and write its log; return the number of rows.
 
     Args:
@@ -61,11 +92,13 @@ def write_log(path: Path, duration_s: float, rate_hz: float, seed: int) -> int:
         duration_s: of the log in s.
         rate_hz: rows a second.
         seed: of voltage and noise; the same seed gives the same file.
+        encoder: what makes the speed; None: one with fine steps.
 
     Raises:
         SimulationError: a number is out of range.
         OSError: the file cannot be written.
     """
+    encoder = encoder or Encoder()
     recording = Simulation(
         {'motor': TRUTH},
         EXCITATION,
@@ -75,12 +108,14 @@ def write_log(path: Path, duration_s: float, rate_hz: float, seed: int) -> int:
         torque_noise_std=CURRENT_NOISE_A * TRUTH.torque_constant,
         torque_quantisation=CURRENT_STEP_A * TRUTH.torque_constant,
         speed_noise_std=SPEED_NOISE_RAD_S,
+        speed_quantisation=encoder.step_rad_s(rate_hz),
     ).record(duration_s)
     time_s = recording.stamp_ns * 1e-9
     battery_v = BATTERY_V + BATTERY_SWING_V * np.sin(BATTERY_RAD_S * time_s)
     duty = recording.voltage_v[0] / battery_v
     current_a = recording.torque_nm[0] / TRUTH.torque_constant
-    output_rpm = recording.speed_rad_s[0] / GEAR_RATIO * 60.0 / (2.0 * math.pi)
+    motor_rad_s = encoder.averaged(recording.speed_rad_s[0])
+    output_rpm = motor_rad_s / GEAR_RATIO * 60.0 / (2.0 * math.pi)
     columns = (time_s, duty, battery_v, current_a, output_rpm)
     with path.open('w', newline='', encoding='utf-8') as file:
         table = csv.writer(file)
@@ -98,9 +133,20 @@ def main() -> int:
     parser.add_argument('--duration', type=float, default=20.0, help=f'in s ({default})')
     parser.add_argument('--rate', type=float, default=1000.0, help=f'rows a second ({default})')
     parser.add_argument('--seed', type=int, default=1, help=f'of voltage and noise ({default})')
+    parser.add_argument(
+        '--counts',
+        type=int,
+        default=0,
+        help='encoder edges in a turn of the motor, 0: no steps (%(default)s)',
+    )
+    parser.add_argument('--window', type=int, default=1, help=f'samples in a speed ({default})')
     options = parser.parse_args()
+    if options.counts < 0 or options.window < 1:
+        wrong = '--counts must not be negative and --window must be at least 1'
+        parser.exit(EXIT_USER_ERROR, f'{NAME}: error: {wrong}\n')
+    encoder = Encoder(options.counts, options.window)
     try:
-        rows = write_log(options.log, options.duration, options.rate, options.seed)
+        rows = write_log(options.log, options.duration, options.rate, options.seed, encoder)
     except (SimulationError, OSError) as error:
         parser.exit(EXIT_USER_ERROR, f'{NAME}: error: {error}\n')
     print(f'{rows} rows in {options.log}: {", ".join(COLUMNS)}')
