@@ -2,7 +2,7 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 RUN := ros_ws/run.sh
-SCRIPTS := bags/*.py docs/*.py ros_ws/*.py
+SCRIPTS := bags/*.py docs/*.py examples/*.py ros_ws/*.py
 PYTHON_SOURCES := src tests benchmarks $(SCRIPTS)
 CORES := src/dc_motor_sim/dc_motor_sim src/gray_box_observer/gray_box_observer
 
@@ -62,7 +62,7 @@ bench: setup  ## run one benchmark (NAME=identification QUICK=1)
 
 clean:  ## remove what was built and cached (recordings and .venv stay)
 	rm -rf ros_ws/build ros_ws/install ros_ws/log .pytest_cache .mypy_cache .ruff_cache
-	find src tests benchmarks ros_ws -name __pycache__ -prune -exec rm -rf {} +
+	find src tests benchmarks examples ros_ws -name __pycache__ -prune -exec rm -rf {} +
 	rm -f src/*/*/*/*.so
 
 distclean: clean  ## clean, and remove .venv too

@@ -62,8 +62,9 @@ class Peer:
         self._running: list[subprocess.Popen[str]] = []
 
     def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen[str]:
-        """Start an executable; ``motor__resistance=2.0`` sets its parameter ``motor.resistance``."""
-        command = [sys.executable, '-m', module, *arguments]
+        """Start a module or a script; ``motor__resistance=2.0`` sets its parameter ``motor.resistance``."""
+        program = [module] if module.endswith('.py') else ['-m', module]
+        command = [sys.executable, *program, *arguments]
         if parameters and '--ros-args' not in arguments:
             command += ['--ros-args']
         for name, value in parameters.items():

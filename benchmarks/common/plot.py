@@ -1,4 +1,4 @@
-"""The picture for the README: error against time with the Cramer-Rao bound drawn in."""
+"""The picture of docs/RESULTS.md: error against time with the Cramer-Rao bound drawn in."""
 
 from __future__ import annotations
 

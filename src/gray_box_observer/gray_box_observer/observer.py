@@ -86,11 +86,38 @@ class Observer:
         self.incidents: dict[str, Incident] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
-        """Take one armature voltage in V; return what the samples that it completes have led to."""
+        """Take one armature voltage; part of the Python API.
+
+        Args:
+            motor: its name, as configured.
+            stamp_ns: stamp in ns; the voltage holds from here to the stamp of the next one.
+            voltage_v: in V. One that is not finite, or late, is refused and counted (:meth:`counts`).
+
+        Returns:
+            One result for each sample that it completes; none while torque has still to come.
+
+        Raises:
+            KeyError: there is no motor of that name.
+            ConfigurationError: the device has failed.
+        """
         return self._flat(self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None))
 
     def torque(self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan) -> list[Result]:
-        """Take one torque in N m, with speed where measured; return what the samples that it completes have led to."""
+        """Take one torque, with the speed where it is measured; part of the Python API.
+
+        Args:
+            motor: its name, as configured.
+            stamp_ns: stamp in ns: the torque is that of this instant.
+            torque_nm: in N m. One that is not finite, or late, is refused and counted (:meth:`counts`).
+            speed_rad_s: in rad/s; NaN: not measured.
+
+        Returns:
+            One result for each sample that it completes. ``estimate`` in it is None where nothing has changed.
+
+        Raises:
+            KeyError: there is no motor of that name.
+            ConfigurationError: the device has failed, or a speed that must be measured is missing.
+        """
         return self._flat(self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s]))
 
     def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
@@ -264,7 +291,11 @@ class Observer:
         return found
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return the present estimate of every motor that has been seen."""
+        """Return the present estimate of every motor that has been seen, by its name; part of the Python API.
+
+        Each has a motor axis of one: ``value`` and ``std`` have shape (1, parameter), ``covariance`` has shape
+        (1, parameter, parameter), all in SI units. ``parameters`` names the columns, ``verdicts[0]`` judges them.
+        """
         return self._of_every_motor(lambda motor: motor.estimate)
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
