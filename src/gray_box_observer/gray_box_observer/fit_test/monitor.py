@@ -7,7 +7,7 @@ samples, so that every door leads to the same verdicts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
@@ -37,7 +37,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
-from gray_box_observer.fit_test.suspects import explanations, likeliest
+from gray_box_observer.fit_test.suspects import Explanation, explanations, likeliest
 from gray_box_observer.printable import printable
 from gray_box_observer.saved_state import (
     LARGEST,
@@ -207,14 +207,15 @@ class FitMonitor:
         samples = replay.newest(count, one)
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
         white_box = self._white_boxes[motor]
-        # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a whole transient counts.
-        tells = before is None and (estimate.identified(0) or (hopeful and white_box.speed_measured))
+        # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a transient counts.
+        tells = before is None and hopeful and (white_box.speed_measured or _knows_inductance(estimate))
         if _is_held(samples[1, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
         theta = estimate.value
         stretch = Stretch.newest(white_box, replay, count, one)
-        analysis = analyse(white_box, to_coordinates(theta), stretch, nodes.is_drifting(motor))
+        drifting = nodes.is_drifting(motor)
+        analysis = analyse(white_box, to_coordinates(theta), stretch, drifting)
         judgement = judge(
             analysis,
             estimate.std[0] / theta[0],
@@ -222,6 +223,7 @@ class FitMonitor:
             speed_measured=white_box.speed_measured,
             stamps_exact=bool(self._motors[motor].values['stamps_exact']),
             doubted=before is not None and before.misfits > PASSING,
+            drifting=drifting,
         )
         named = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         stored = replay.newest(min(replay.stored(motor), WINDOW), one)
@@ -232,7 +234,10 @@ class FitMonitor:
         if named or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         if judgement.verdict is not FitVerdict.OK:
-            named += self._suspects(analysis, Stretch.of_content(white_box, stored), motor)
+            explained = explanations(white_box, Stretch.of_content(white_box, stored))
+            if _clearest(explained) > VERY_CLEARLY:
+                judgement = replace(judgement, verdict=FitVerdict.MISFIT)
+            named += self._suspects(analysis, explained, motor)
         named = [late[0] if late and suspect.effect == 'delay' else suspect for suspect in named] + late
         assessment = FitAssessment(
             judgement.verdict,
@@ -281,16 +286,16 @@ class FitMonitor:
         evidence = 0.5 * (delay.value_s / max(delay.std_s, 1e-12)) ** 2
         return [Suspect('delay', evidence, f'{name}.delay: {delay.value_s:.3g}')]
 
-    def _suspects(self, analysis: ResidualAnalysis, stretch: Stretch, motor: int) -> list[Suspect]:
+    def _suspects(
+        self, analysis: ResidualAnalysis, explained: Mapping[str, Explanation], motor: int
+    ) -> list[Suspect]:  # fmt: skip
         """Name what is likely left out: from the voltage balance where much is wrong, else from the free run."""
         name = self._motors[motor].name
-        white_box = self._white_boxes[motor]
         scores = {score.effect.name: 0.5 * score.score for score in analysis.scores}
+        clearest = _clearest(explained)
         coloured = analysis.whiteness > WHITENESS_DOUBT and analysis.ratio < RATIO_MISFIT
-        if coloured and max(scores.values(), default=0.0) < 0.5 * SCORE_DOUBT:
+        if coloured and clearest < CLEARLY and max(scores.values(), default=0.0) < 0.5 * SCORE_DOUBT:
             return [Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])]
-        explained = explanations(white_box, stretch)
-        clearest = max((one.evidence for one in explained.values()), default=0.0)
         mild = analysis.ratio < MILD and clearest < VERY_CLEARLY
         if scores and (clearest < CLEARLY or mild):
             explained = {
@@ -298,7 +303,7 @@ class FitMonitor:
                 for effect, evidence in scores.items()
                 if effect in explained
             }
-        torque_constant = float(white_box.torque_constant)
+        torque_constant = float(self._white_boxes[motor].torque_constant)
         return [one.suspect(name, torque_constant) for one in likeliest(explained.values(), scores)]
 
     def judged(self, estimate: Estimate, motors: NDArray[np.intp], rules: VerdictRules) -> Estimate:
@@ -437,6 +442,17 @@ def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
         return np.array(entry(plain, name), dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise CheckpointError(f'fit.{name} is no list of numbers') from None
+
+
+def _clearest(explained: Mapping[str, Explanation]) -> float:
+    """Return the log-likelihood of the best explanation that can be."""
+    return max((one.evidence for one in explained.values() if one.is_credible), default=0.0)
+
+
+def _knows_inductance(estimate: Estimate) -> bool:
+    """Tell whether a motor's inductance is identified: its current was seen to rise or fall."""
+    known = zip(estimate.parameters, estimate.verdicts[0], strict=True)
+    return any(parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED for parameter, verdict in known)
 
 
 def _is_held(voltage_v: Array) -> bool:

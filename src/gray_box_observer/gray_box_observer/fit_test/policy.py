@@ -93,6 +93,7 @@ def judge(
     speed_measured: bool,
     stamps_exact: bool,
     doubted: bool = False,
+    drifting: bool = False,
 ) -> Judgement:
     """Judge one motor.
 
@@ -103,6 +104,7 @@ def judge(
         speed_measured: whether its speed is a signal.
         stamps_exact: whether the voltage acts at the very instant of its stamp.
         doubted: whether it did not fit so far: less is enough then to go on doubting.
+        drifting: whether it is followed as a winding that heats, which leaves a white residual.
     """
     limit = SCORE_MEASURED if speed_measured else SCORE_UNMEASURED
     coloured = analysis.whiteness > WHITENESS_DOUBT
@@ -115,6 +117,7 @@ def judge(
     material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
     best = analysis.scores[0].score if analysis.scores else 0.0
     doubtful = best > SCORE_DOUBT and (coloured or analysis.ratio > RATIO_DOUBT)
+    doubtful |= drifting and coloured
     if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
         verdict = FitVerdict.MISFIT
     elif strong or analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_WARNING:
