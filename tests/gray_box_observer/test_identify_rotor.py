@@ -12,8 +12,9 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
+from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.identify import main
-from gray_box_observer.observer import Observer
+from gray_box_observer.motor_view import MotorView
 
 GEAR_MOTOR = PlantParameters(
     inductance=2.67e-3,
@@ -70,15 +71,15 @@ def test_a_free_rotor_gives_valid_json_and_a_report(
 def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
     free_rotor: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    estimates = Observer.estimates
+    sound = MotorView.estimate.fget
+    assert sound is not None
 
-    def broken(observer: Observer) -> Any:
-        found = estimates(observer)
-        for estimate in found.values():
-            estimate.covariance[0, 0, :] = math.nan
+    def broken(motor: MotorView) -> Estimate:
+        found = sound(motor)
+        found.covariance[0, 0, :] = math.nan
         return found
 
-    monkeypatch.setattr(Observer, 'estimates', broken)
+    monkeypatch.setattr(MotorView, 'estimate', property(broken))
     assert main(['identify', str(free_rotor), '--skip-predictor', '--json', '-']) == 0
     motor = json.loads(capsys.readouterr().out)['motors']['motor']
     assert motor['parameters']['inductance']['std'] is None
