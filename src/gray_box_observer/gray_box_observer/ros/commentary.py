@@ -121,7 +121,7 @@ class Commentary:
         used, refused = sum(c.used for c in counts), sum(c.rejected.total() for c in counts)
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
-        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} refused'
+        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} rejected'
         estimates = [(name, e.of(k)) for names, e in observer.group_estimates() for k, name in enumerate(names)]
         if len(estimates) > MOST_DESCRIBED:
             known = sum(estimate.identified(0) for _, estimate in estimates)
