@@ -1,7 +1,7 @@
-"""What the node's log tells while it runs: motors that are found, verdicts that change, signals that are missing.
+"""What the node's log tells while it runs: motors found, verdicts that change, signals that miss.
 
-It is looked at with every round of diagnostics, outside the way of samples, and speaks once in five seconds at most:
-what has come together since then is one line.
+It looks round with every round of diagnostics, outside the way of samples, and speaks once in five
+seconds at most: what has come together since then is one line.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class Commentary:
         return [f'found {_motors_in_words(found)}: samples come'] if found else []
 
     def _changed(self, observer: Observer) -> tuple[list[str], bool]:
-        """Motors whose verdicts are others than those that were told, and whether one of them is in doubt now."""
+        """Motors whose verdicts are others than were told, and whether one is in doubt now."""
         changed: list[tuple[str, Estimate, list[int]]] = []
         for names, estimate in observer.group_estimates():
             unknown = (Verdict.UNEXCITED,) * len(estimate.parameters)
@@ -173,7 +173,7 @@ class Commentary:
         return [f'{"; ".join(said)}: {why}' if why else '; '.join(said)]
 
     def _back(self, now_s: float) -> list[str]:
-        """Signals that were told to be missing and have come again; of motors that are found now, that says enough."""
+        """Signals that were told to be missing and have come again; not of motors found just now."""
         back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
         self._missing.difference_update(back)
         told = [(signal, motor) for signal, motor in back if motor in self._found or not motor]
@@ -185,7 +185,7 @@ class Commentary:
 
 
 def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[str]]:
-    """Names of signals by the motors that they are of: those of the same motors are told together."""
+    """Names of signals by their motors: those of the same motors are told together."""
     motors: dict[str, list[str]] = {}
     for signal, motor in keys:
         motors.setdefault(signal, []).append(motor)
