@@ -1,4 +1,4 @@
-"""An executable that is asked to end does so quietly: while its modules are loaded, and once it is done."""
+"""An executable that is asked to end does so quietly: while it loads, and once it is done."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``ros2 run`` starts: asked to end, it does so from the first moment, also while modules are being loaded."""
+"""What ``ros2 run`` starts: asked to end, it does so also while its modules are being loaded."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ def motor_sim(args: Sequence[str] | None = None) -> int:
     """Start the simulator; the result is the exit code."""
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:  # nohup asked for that
-            signal.signal(number, lambda *_: os._exit(0))  # nothing has begun that would have to be finished
+            # Nothing has begun that would have to be finished.
+            signal.signal(number, lambda *_: os._exit(0))
     from dc_motor_sim.ros import motor_sim as node
 
     return node.main(args)

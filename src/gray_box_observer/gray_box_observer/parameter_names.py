@@ -8,7 +8,7 @@ from difflib import SequenceMatcher, get_close_matches
 from gray_box_observer.errors import brief
 
 ALIKE = 0.7
-"""Share of the letters that two parts of a name have in common where the one may be a slip of the other."""
+"""Share of letters that two parts of a name have in common where one may be a slip of the other."""
 
 SUGGESTED = 0.5
 """The same of whole names, where there is none of which it may be a slip."""
@@ -17,7 +17,7 @@ MOST_TOLD = 8
 
 
 def slip_of(name: str, known: Iterable[str]) -> str:
-    """Return the known name that a name is a slip of: all parts but one are the same, and that one is alike.
+    """Return the known name that a name is a slip of: all parts but one are the same, one is alike.
 
     Args:
         name: parts joined by dots.

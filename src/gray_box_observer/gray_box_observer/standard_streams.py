@@ -1,4 +1,4 @@
-"""Standard output and error whose readers may leave early, as ``head`` does: the work goes on, and nobody is told."""
+"""Standard output and error whose readers may leave early, as ``head`` does: the work goes on."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TextIO
 
 @contextmanager
 def readers_may_leave(stream: TextIO) -> Iterator[None]:
-    """Let what is written meanwhile, and everything after it, get lost once nobody reads it any more."""
+    """Let what is written meanwhile, and ever after, get lost once nobody reads it any more."""
     try:
         yield
         stream.flush()

@@ -25,7 +25,7 @@ NAMES = [f'motor_{k}' for k in range(20)]
 
 
 def pack_files(folder: Path) -> list[Path]:
-    """Pack the files of a folder as rosbag2 does: each replaced by a frame, the metadata true of neither name."""
+    """Pack the files of a folder as rosbag2 does: the metadata list the old name beside the new."""
     made = []
     for path in sorted(folder.glob('*.mcap')):
         made.append(path.with_name(f'{path.name}.zstd'))

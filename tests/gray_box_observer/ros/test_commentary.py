@@ -82,7 +82,7 @@ def test_a_motor_that_is_found_and_what_is_learnt_of_it_are_told(record):
         assert f' {unit} identified' in told[told.index(name) :]
     assert len(run.lines) < 5, 'a verdict that stands is not repeated'
     summary = run.commentary.summary(run.observer)
-    assert summary.startswith('3000 samples of motor in 30.0 s, none refused; motor: inductance 0.')
+    assert summary.startswith('3000 samples of motor in 30.0 s, none rejected; motor: inductance 0.')
     assert summary.count('identified') == 3
     assert '\n' not in summary
 

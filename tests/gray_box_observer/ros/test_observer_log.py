@@ -43,7 +43,7 @@ def test_a_missing_signal_a_motor_that_is_found_its_verdicts_and_the_end_are_tol
     assert all(later - earlier > 4.9 for earlier, later in pairwise(times))
     assert 'resistance' in ' '.join(line['text'] for line in told)
     (summary,) = [line['text'] for line in lines if line['text'].startswith('1500 samples of motor in ')]
-    assert re.search(r'none refused; motor: inductance 0\.\d+ \+- \S+ H identified, resistance ', summary)
+    assert re.search(r'none rejected; motor: inductance 0\.\d+ \+- \S+ H identified, resistance ', summary)
     assert lines[-1]['text'] == summary
 
 

@@ -1,7 +1,7 @@
 """Texts of launch arguments, checked by name before anything starts.
 
-``launch`` itself only warns of a parameter file that is missing, and ends with the words of ``float`` where a number
-is none.
+``launch`` itself only warns of a parameter file that is missing, and ends with the words of
+``float`` where a number is none.
 """
 
 from __future__ import annotations

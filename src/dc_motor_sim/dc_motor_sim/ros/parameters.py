@@ -26,7 +26,7 @@ MOST_MOTORS = 10_000
 """Of a whole list, ranges written out; each declares a dozen parameters."""
 
 _ALIKE = 0.7
-"""Share of the letters that two parts of a name have in common where the one may be a slip of the other."""
+"""Share of letters that two parts of a name have in common where one may be a slip of the other."""
 
 _SUGGESTED = 0.5
 """The same of whole names, where there is none of which it may be a slip."""
@@ -272,10 +272,10 @@ def _check_names(motors: tuple[str, ...]) -> None:
 
 
 def settle_unread(node: Node, said: Container[str]) -> None:
-    """Refuse parameters that were given and that nothing has asked for, once everything has been declared.
+    """Refuse parameters that nothing has asked for, once everything has been declared.
 
-    A name on the command line is meant for this node. A parameter file may serve several nodes: of its names only slips
-    of our own are refused, and of others the log warns.
+    A name on the command line is meant for this node. A parameter file may serve several nodes: of
+    its names only slips of our own are refused, and of others the log warns.
 
     Args:
         node: To which they were given.
@@ -287,7 +287,7 @@ def settle_unread(node: Node, said: Container[str]) -> None:
     given = getattr(node, '_parameter_overrides', {})
     unread = sorted(name for name in given if not node.has_parameter(name))
     declared = list(getattr(node, '_parameters', {}))
-    # A motor that is not listed may be one of another node: only one of which nothing is given can be meant.
+    # A motor that is not listed may be one of another node: only one that is bare can be meant.
     stated = {name.partition('.')[0] for name in given}
     bare = {name.partition('.')[0] for name in declared} - stated
     slips: list[str] = []
@@ -308,7 +308,7 @@ def settle_unread(node: Node, said: Container[str]) -> None:
 
 
 def _slip_of(name: str, known: Sequence[str]) -> str:
-    """Return the known name of which another is a slip: all parts but one are the same, and that one is alike."""
+    """Return the known name that a name is a slip of: all parts but one are the same, one is alike."""
     parts = name.split('.')
     found, alike = '', _ALIKE
     for other in known:

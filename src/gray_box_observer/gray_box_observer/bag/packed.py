@@ -1,7 +1,8 @@
-"""What ``ros2 bag record --compression-mode`` packs by zstd: whole files, or the bytes of every message.
+"""What ``ros2 bag record --compression-mode`` packs by zstd: whole files, or single messages.
 
-Chunks that are packed inside an MCAP file are the format's own affair (`gray_box_observer.bag.mcap_content`). Here too
-the sizes that a head claims are held against the limits before anything is unpacked.
+Chunks that are packed inside an MCAP file are the format's own affair
+(`gray_box_observer.bag.mcap_content`). Here too the sizes that a head claims are held against the
+limits before anything is unpacked.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What the node's log tells while it runs: motors that are found, verdicts that change, signals that are missing.
+"""What the node's log tells while it runs: motors found, verdicts that change, signals that miss.
 
-It is looked at with every round of diagnostics, outside the way of samples, and speaks once in five seconds at most:
-what has come together since then is one line.
+It looks round with every round of diagnostics, outside the way of samples, and speaks once in five
+seconds at most: what has come together since then is one line.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ class Commentary:
         used, refused = sum(c.used for c in counts), sum(c.rejected.total() for c in counts)
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
-        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} refused'
+        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} rejected'
         estimates = [(name, e.of(k)) for names, e in observer.group_estimates() for k, name in enumerate(names)]
         if len(estimates) > MOST_DESCRIBED:
             known = sum(estimate.identified(0) for _, estimate in estimates)
@@ -136,7 +136,7 @@ class Commentary:
         return [f'found {_motors_in_words(found)}: samples come'] if found else []
 
     def _changed(self, observer: Observer) -> tuple[list[str], bool]:
-        """Motors whose verdicts are others than those that were told, and whether one of them is in doubt now."""
+        """Motors whose verdicts are others than were told, and whether one is in doubt now."""
         changed: list[tuple[str, Estimate, list[int]]] = []
         for names, estimate in observer.group_estimates():
             unknown = (Verdict.UNEXCITED,) * len(estimate.parameters)
@@ -173,7 +173,7 @@ class Commentary:
         return [f'{"; ".join(said)}: {why}' if why else '; '.join(said)]
 
     def _back(self, now_s: float) -> list[str]:
-        """Signals that were told to be missing and have come again; of motors that are found now, that says enough."""
+        """Signals that were told to be missing and have come again; not of motors found just now."""
         back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
         self._missing.difference_update(back)
         told = [(signal, motor) for signal, motor in back if motor in self._found or not motor]
@@ -185,7 +185,7 @@ class Commentary:
 
 
 def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[str]]:
-    """Names of signals by the motors that they are of: those of the same motors are told together."""
+    """Names of signals by their motors: those of the same motors are told together."""
     motors: dict[str, list[str]] = {}
     for signal, motor in keys:
         motors.setdefault(signal, []).append(motor)

@@ -1,4 +1,4 @@
-"""Options of ``ros2 bag`` that our commands do not have: each is refused with the word that serves instead."""
+"""Options of ``ros2 bag`` that our commands do not have: refused with the word that serves."""
 
 from __future__ import annotations
 

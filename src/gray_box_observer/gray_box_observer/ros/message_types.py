@@ -1,4 +1,4 @@
-"""Message classes by their names, without rosidl_runtime_py, which has no wheel, and what fields they have."""
+"""Message classes by their names, without rosidl_runtime_py, which has no wheel; their fields."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Parameters that were given to a node and that it does not have: refused before anything runs, or passed over.
+"""Parameters that were given to a node and that it does not have: refused, or passed over.
 
-A name on the command line is meant for this node and has to be one of its own. A parameter file may serve several
-nodes: of its names, slips of the node's own are refused, and of others the log warns.
+A name on the command line is meant for this node and has to be one of its own. A parameter file
+may serve several nodes: of its names, slips of the node's own are refused, and of others the log
+warns.
 """
 
 from __future__ import annotations
