@@ -22,6 +22,7 @@ from gray_box_observer.white_box import MotorWhiteBox
 
 RULES = TrainingRules(replay_capacity=3 * SEGMENT, segments=3)
 TRUTH = np.array([[0.5, 1.0, 10.0]])
+SHARP = np.zeros((1, 3, 3))
 
 
 def told_by(number: Any, voltage_v: Any) -> Any:
@@ -34,7 +35,7 @@ class Run:
 
     def __init__(self, rules: TrainingRules = RULES) -> None:
         self.replay, self.schedule = ReplayBuffer(1, rules.replay_capacity), ResidualSchedule(1, rules)
-        self.schedule.moved(TRUTH)
+        self.schedule.moved(TRUTH, SHARP)
 
     def on(self, count: int, voltage_v: float = 5.0, restart: bool = False) -> Run:
         """Go on with samples whose torque tells their number."""
@@ -91,8 +92,10 @@ def test_no_sample_ever_both_teaches_and_judges() -> None:
 
 def test_parameters_that_moved_make_what_was_kept_worthless() -> None:
     run = Run().on(9 * SEGMENT, 9.0)
-    assert not run.schedule.moved(1.04 * TRUTH)
-    assert run.schedule.moved(1.06 * TRUTH)
+    assert not run.schedule.moved(1.04 * TRUTH, SHARP)
+    vague = np.diag([0.0, 0.0, (0.5 * TRUTH[0, 2]) ** 2])[None]
+    assert not run.schedule.moved(TRUTH * [1.0, 1.0, 2.0], vague)  # noise of what is hardly known
+    assert run.schedule.moved(1.06 * TRUTH, SHARP)
     run.schedule.begin_anew(run.replay.total)
     moved = run.replay.total
     for count in (100, 4 * SEGMENT, 700, 8 * SEGMENT):

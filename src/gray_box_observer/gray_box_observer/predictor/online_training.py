@@ -12,7 +12,7 @@ from gray_box_observer.predictor.forecaster import Forecaster
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
 from gray_box_observer.predictor.residual import ResidualForecaster
-from gray_box_observer.predictor.residual_schedule import MOVED, ResidualSchedule, newest
+from gray_box_observer.predictor.residual_schedule import ResidualSchedule, have_moved, newest
 from gray_box_observer.predictor.rules import TrainingRules
 from gray_box_observer.predictor.saved_training import check_job, check_learning
 from gray_box_observer.predictor.segments import SEGMENT, SIGNALS
@@ -212,12 +212,12 @@ class OnlineTraining:
                 self.jobs_late += 1
                 return
             self._adopt(result)
-        if self._schedule.moved(theta):  # what was learnt of other parameters is worth nothing now
+        if self._schedule.moved(theta, covariance):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
         residual = self._schedule.due(self.replay)
         turn, which = self._turn, slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
-        idle = self._nothing_to_gain(turn, theta[which]) and not residual
+        idle = self._nothing_to_gain(turn, theta[which], covariance[which]) and not residual
         remembered = int(self.replay.remembered(which)[0])
         if self._training.resting or idle or remembered < self._rules.length:
             return
@@ -245,11 +245,11 @@ class OnlineTraining:
         self._training.submit({**job, **self._start_from})
         self._start_from = {}
 
-    def _nothing_to_gain(self, motor: int, theta: Array) -> bool:
+    def _nothing_to_gain(self, motor: int, theta: Array, covariance: Array) -> bool:
         if motor not in self._settled:
             return False
         settled, seen = self._settled[motor]
-        return seen == self._seen and bool(np.all(np.abs(theta - settled) <= MOVED * settled))
+        return seen == self._seen and not have_moved(theta, settled, covariance)
 
     def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1

@@ -21,6 +21,21 @@ PERIOD = 1000
 MOVED = 0.05
 """Change of a parameter, as a fraction, after which what was settled is looked at again."""
 
+SURE = 3.0
+"""Its standard deviations that the change must reach too: a parameter that is negligible moves by its noise alone."""
+
+
+def have_moved(theta: Array, before: Array, covariance: Array) -> bool:
+    """Tell whether parameters are others than before, and not only known better.
+
+    Args:
+        theta: shape (motor, parameter): now.
+        before: the same then.
+        covariance: shape (motor, parameter, parameter): of what is known now.
+    """
+    std = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+    return bool(np.any(np.abs(theta - before) > np.maximum(MOVED * before, SURE * std)))
+
 
 class ResidualSchedule:
     """Follows the samples that a residual may be learnt from.
@@ -65,10 +80,10 @@ class ResidualSchedule:
         signals = np.stack([getattr(replay, name)(back * SEGMENT)[:, :SEGMENT] for name in SIGNALS])
         self._store.add(Segment(first, signals, self._starts[-back]))
 
-    def moved(self, theta: Array) -> bool:
+    def moved(self, theta: Array, covariance: Array) -> bool:
         """Whether the parameters have moved since the residual began anew: older samples are of another motor then."""
         before = self._theta
-        if before.shape == theta.shape and np.all(np.abs(theta - before) <= MOVED * before):
+        if before.shape == theta.shape and not have_moved(theta, before, covariance):
             return False
         self._theta = theta.copy()
         return True
