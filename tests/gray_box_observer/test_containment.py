@@ -252,6 +252,18 @@ def test_an_observer_that_cannot_even_tell_its_state_is_reported_all_the_same(fa
     assert incident.write(tmp_path / 'new folder' / 'state.safetensors').exists()
 
 
+def test_a_checkpoint_is_not_overwritten_by_one_without_any_motor(fault, tmp_path):
+    path = tmp_path / 'state.safetensors'
+    observer = observer_of(('motor',))
+    feed(observer, ('motor',), range(FAILS_AT))
+    checkpoint.save(observer, path)
+    before = path.read_bytes()
+    fault(observer, 'motor', 'state')
+    with pytest.raises(GrayBoxError, match='every motor has stopped'):
+        checkpoint.save(observer, path)
+    assert path.read_bytes() == before
+
+
 def test_an_incident_file_that_the_disk_has_no_room_for_leaves_nothing(stopped, tmp_path, monkeypatch):
     target = tmp_path / 'state.safetensors'
 

@@ -84,6 +84,8 @@ def capture(observer: Observer) -> Snapshot:
             continue
         plain['motors'][name], own = state
         arrays.update({f'{name}/{key}': np.array(array) for key, array in own.items()})
+    if not plain['motors']:  # all have stopped just now: what was saved before is worth more
+        raise GrayBoxError('nothing to save: every motor has stopped')
     return Snapshot(json.dumps(plain), arrays)
 
 

@@ -77,6 +77,7 @@ class MotorObserver:
         self.delay = delay
         self._fit = fit
         self._tests: list[int] = []
+        self._retested: set[int] = set()
         self._alarm = alarm
         self._aftermath: Aftermath | None = None
         self._frozen = False
@@ -134,7 +135,7 @@ class MotorObserver:
         Returns:
             What is left to be done, the prediction among it, and, where they have changed, the estimates.
         """
-        if self._aftermath is not None:
+        if self._aftermath is not None or self._tests:
             self.settle()
         prediction = None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
         left = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
@@ -144,9 +145,11 @@ class MotorObserver:
 
     def settle(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        for motor in self._tests:
+        tests, self._tests = self._tests, []
+        for motor in tests:
             self._test(motor)
-        self._tests = []
+            one = slice(motor, motor + 1)
+            self._know(self._fit.judged(self.context_nodes, self.context_nodes.estimate(one), self._places[one]), one)
         left = self._aftermath
         if left is None:
             return
@@ -204,7 +207,7 @@ class MotorObserver:
         """Return the present values of all motors or of some, believed as far as the fit lets them be."""
         self.settle()
         estimate = self.context_nodes.estimate(which)
-        return self._fit.judged(estimate, self._places[which], self.context_nodes.verdict_rules)
+        return self._fit.judged(self.context_nodes, estimate, self._places[which])
 
     def _tested(self, estimate: Estimate) -> Estimate:
         """Test the fit of motors whose estimates have changed; return these as far as they may be believed.
@@ -216,9 +219,16 @@ class MotorObserver:
                 self._test(motor)
             else:
                 self._tests.append(motor)
-        return self._fit.judged(estimate, self.changed, self.context_nodes.verdict_rules)
+        return self._fit.judged(self.context_nodes, estimate, self.changed)
+
+    def retested(self) -> list[int]:
+        """Return whose fit was tested since this was asked last: what is believed of them may be another."""
+        self.settle()
+        motors, self._retested = sorted(self._retested), set()
+        return motors
 
     def _test(self, motor: int) -> None:
+        self._retested.add(motor)
         estimate = self.context_nodes.estimate(slice(motor, motor + 1))
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
 
@@ -303,6 +313,7 @@ class MotorObserver:
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
         self._fit.forget()
+        self._retested.update(range(self.motors))
         self._know(self.estimate(), slice(None))
         self._foreseen = None
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -188,7 +189,18 @@ def validate(
                 f'--validate {bag}: {len(record.rows)} usable samples of motor {name}{rejected}, expected {FEWEST} at '
                 'least: it must hold the signals that the training bags hold'
             )
-    return {name: _judge(name, bag, outcome, record.rows, training.maps[name]) for name, record in records.items()}
+        if name not in training.maps:
+            raise BagError(
+                f'--validate {bag}: no two training samples of motor {name} follow each other within gap_s: '
+                'are the stamps in another unit?'
+            )
+    judged = {
+        name: observer.contain(
+            observer.group_of(name), partial(_judge, name, bag, outcome, record.rows, training.maps[name])
+        )
+        for name, record in records.items()
+    }
+    return {name: validation for name, validation in judged.items() if validation is not None}
 
 
 def _judge(

@@ -21,6 +21,7 @@ from linear_motor_records import (
 from gray_box_observer import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.policy import Judgement
 from gray_box_observer.observer import Observer
 
 SAMPLES = 3000
@@ -119,6 +120,22 @@ def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
     settled = Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
     assert settled.estimate.std[0, 1] < 0.01 * settled.estimate.value[0, 1]  # sharp, and ten times too large
     assert Verdict.IDENTIFIED not in settled.estimate.verdicts[0]
+
+
+def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estimate(monkeypatch) -> None:
+    record = _healthy(samples=6000)
+    first = Record(record.voltage_v[:3000], record.current_a[:3000]).observed()
+    motor = first.motors['motor']
+    assert motor.identified
+    misfit = Judgement(FitVerdict.MISFIT, np.ones(2), np.zeros((2, 2)))
+    monkeypatch.setattr('gray_box_observer.fit_test.monitor.judge', lambda *_, **__: misfit)
+    for sample in range(3000, 6000):
+        _feed(first, Record(record.voltage_v[: sample + 1], record.current_a[: sample + 1]), sample)
+        if motor.fit.verdict is FitVerdict.MISFIT:
+            break
+    assert motor.fit.verdict is FitVerdict.MISFIT
+    assert not motor.identified
+    assert motor.parameters_identified == (False, False)
 
 
 def test_readings_that_end_at_one_value_are_a_sensor_at_the_end_of_its_range() -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
 
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.policy import judge
 from gray_box_observer.fit_test.residual_analysis import analyse, ljung_box, long_run_covariance
 
 SAMPLES = 4000
@@ -32,6 +36,21 @@ def test_errors_in_time_show_where_the_current_is_steep() -> None:
     late = np.random.default_rng(2).normal(0.0, 0.1, SAMPLES)
     scattered = Record(record.voltage_v, record.current_a - late * np.gradient(current_of(record.voltage_v)))
     assert analyse(WHITE_BOX, TRUTH, scattered.stretch).jitter == pytest.approx(0.1, rel=0.4)
+
+
+@pytest.mark.parametrize('samples', [64, 79, 80, 81, 82, 100, 128])
+def test_few_samples_are_analysed_in_numbers(samples: int) -> None:
+    whole = _record(3)
+    analysis = analyse(WHITE_BOX, TRUTH, Record(whole.voltage_v[:samples], whole.current_a[:samples]).stretch)
+    assert np.isfinite([analysis.ratio, analysis.whiteness, analysis.jitter, analysis.moving_noise_a]).all()
+
+
+def test_what_is_no_number_is_no_fit() -> None:
+    analysis = analyse(WHITE_BOX, TRUTH, _record(1).stretch)
+    for part in ('ratio', 'whiteness', 'jitter'):
+        unknown = replace(analysis, **{part: np.nan})
+        verdict = judge(unknown, np.full(2, 0.01), SAMPLES, speed_measured=False, stamps_exact=True).verdict
+        assert verdict is FitVerdict.MISFIT, part
 
 
 def test_an_offset_of_the_current_stands_out_though_the_residual_stays_small() -> None:

@@ -1,7 +1,14 @@
-"""The observer's executable with a defect: a torque beyond 900 N m breaks the observer of its motor."""
+"""The observer's executable with a defect.
+
+A torque beyond 900 N m breaks the observer of its motor; with ``FAULT=fit`` every test of the fit of the motor called
+right does.
+"""
 
 from __future__ import annotations
 
+import os
+
+from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.motor_observer import MotorObserver
 from gray_box_observer.ros import observer_node
 
@@ -17,6 +24,18 @@ def faulty_step(self, sample):
     return healthy_step(self, sample)
 
 
+healthy_test = FitMonitor.test
+
+
+def faulty_test(self, nodes, estimate, motor, delay):
+    """Test a motor, unless it is the one that the defect is about."""
+    if self._motors[motor].name == 'right':
+        raise ZeroDivisionError('a defect of the test')
+    healthy_test(self, nodes, estimate, motor, delay)
+
+
 if __name__ == '__main__':
     MotorObserver.step = faulty_step
+    if os.environ.get('FAULT') == 'fit':
+        FitMonitor.test = faulty_test
     raise SystemExit(observer_node.main())

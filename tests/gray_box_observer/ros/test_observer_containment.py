@@ -96,6 +96,16 @@ def test_the_motor_stops_and_says_so_the_other_goes_on_and_a_reset_starts_it_ane
     assert f'what led there is in {file}' in said
 
 
+def test_a_defect_in_what_is_left_for_later_stops_its_motor_and_no_other(faulty, monkeypatch):
+    monkeypatch.setenv('FAULT', 'fit')
+    rig = faulty()
+    send(rig, range(600))
+    rig.wait_for_level(DiagnosticStatus.ERROR, 'stopped by a defect: ZeroDivisionError')
+    rig.wait_for('left', samples_used=600)
+    assert rig.status('left').level != DiagnosticStatus.ERROR
+    assert 'motor right stopped by a defect' in end(rig)
+
+
 def test_without_a_folder_for_checkpoints_the_log_alone_tells(faulty, tmp_path):
     rig = faulty(checkpoint__path=tmp_path / 'nowhere' / 'state.safetensors')
     send(rig, range(5))

@@ -155,7 +155,7 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     told: list[bool] = []
     monkeypatch.setitem(one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data))
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
-    one._unsettled = [SimpleNamespace(group=SimpleNamespace(names=('motor',)), alarm=np.array([True]))]
+    one._unsettled = [SimpleNamespace(group=SimpleNamespace(names=('motor',), observer=None), alarm=np.array([True]))]
     assert one._load(Trigger.Request(), Trigger.Response()).success
     one._tell()
     assert told == [True, False], 'latched: what stands after loading'

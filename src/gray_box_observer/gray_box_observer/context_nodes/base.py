@@ -48,5 +48,11 @@ class ContextUpdate(Protocol):
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift."""
 
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return of one motor the share of the voltage that a unit of each parameter takes, and its 3-sigma bound.
+
+        Shape (parameter,) each; a share of 0 is one that is not known.
+        """
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""

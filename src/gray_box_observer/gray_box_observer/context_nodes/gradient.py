@@ -131,6 +131,11 @@ class GradientUpdate:
         """Tell whether one motor is known to drift: this rule never asks."""
         return False
 
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return that no share of the voltage is known: the rule calls nothing negligible."""
+        nothing = np.zeros(len(self._white_box.parameters))
+        return nothing, nothing
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
         if frozen == self._frozen:

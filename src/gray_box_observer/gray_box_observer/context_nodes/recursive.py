@@ -144,6 +144,10 @@ class RecursiveUpdate:
         """Tell whether one motor is known to drift."""
         return bool(self._learnt.walk_rate[motor] > 0.0)
 
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return of one motor the share of the voltage that a unit of each parameter takes, and its 3-sigma bound."""
+        return self._learnt.share[motor], self._learnt.reach[motor]
+
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
         if frozen == self._frozen:

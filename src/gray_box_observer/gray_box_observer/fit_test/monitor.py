@@ -17,12 +17,8 @@ from numpy.typing import NDArray
 
 from gray_box_observer.configuration import MotorConfiguration
 from gray_box_observer.context_nodes.base import ContextUpdate
-from gray_box_observer.context_nodes.estimate import (
-    COUNTS_AS_KNOWN,
-    Estimate,
-    Verdict,
-    VerdictRules,
-)
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
+from gray_box_observer.context_nodes.negligible import SIGMAS
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
@@ -306,13 +302,13 @@ class FitMonitor:
         torque_constant = float(self._white_boxes[motor].torque_constant)
         return [one.suspect(name, torque_constant) for one in likeliest(explained.values(), scores)]
 
-    def judged(self, estimate: Estimate, motors: NDArray[np.intp], rules: VerdictRules) -> Estimate:
+    def judged(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> Estimate:
         """Return an estimate as far as the fit lets it be believed.
 
         Args:
-            estimate: as the rule gives it, one row for each of some motors.
+            nodes: the rule that has learnt them.
+            estimate: as it gives it, one row for each of some motors.
             motors: their places on the motor axis.
-            rules: when a parameter counts as identified.
         """
         limited = np.flatnonzero(self._limits[motors])
         if limited.size == 0:
@@ -331,11 +327,9 @@ class FitMonitor:
                 covariance[row] = widened
                 std = np.sqrt(np.diagonal(widened))[None]
                 frozen = Verdict.FROZEN in verdicts[row]
-                judged = rules.judge(estimate.parameters, estimate.value[row : row + 1], std, frozen=frozen)
-                verdicts[row] = tuple(
-                    before if before is Verdict.NEGLIGIBLE else after
-                    for before, after in zip(verdicts[row], judged[0], strict=True)
-                )
+                value = estimate.value[row : row + 1]
+                most = _largest_shares(nodes, motor, value[0], tested.judgement)[None]
+                verdicts[row] = nodes.verdict_rules.judge(estimate.parameters, value, std, frozen=frozen, most=most)[0]
             if tested.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(_misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
@@ -442,6 +436,14 @@ def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
         return np.array(entry(plain, name), dtype=float)
     except (TypeError, ValueError, OverflowError):
         raise CheckpointError(f'fit.{name} is no list of numbers') from None
+
+
+def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
+    """Share of the voltage that each parameter takes at most, shape (parameter,), as much wider as its estimate."""
+    share, reach = nodes.voltage_shares(motor)
+    shift = SIGMAS * np.sqrt(np.diagonal(judgement.spread))
+    wider: Array = (1.0 + shift) * value * share + reach * judgement.factor
+    return np.where(share > 0.0, wider, np.inf)
 
 
 def _clearest(explained: Mapping[str, Explanation]) -> float:

@@ -138,4 +138,7 @@ def judge(
         late += share * UNIFORM_STD
     moved = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(moved, moved)
-    return Judgement(verdict, np.nan_to_num(factor, nan=1.0), np.nan_to_num(spread))
+    told = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
+    if not np.isfinite(told).all():  # what is no number says nothing, and nothing is believed
+        return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
+    return Judgement(verdict, factor, spread)

@@ -177,7 +177,7 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     """Return by how much stamps scatter, in sample intervals: errors in time show where the current is steep."""
     slope = np.abs(np.gradient(run.current_a))
     count = max(FEWEST_STEEP, int(STEEPEST * slope.size))
-    if count > slope.size // 4:
+    if 4 * count >= slope.size:  # there is no rest to compare with
         return 0.0
     order = np.argsort(slope)
     steep, rest = order[-count:], order[: -4 * count]

@@ -308,6 +308,9 @@ class ObserverNode(LifecycleNode):
     def _tell(self) -> None:
         """Publish diagnostics, and alarms that no further message has led to."""
         self._settle()
+        if self._observer is not None and self._outputs is not None:
+            for group in self._observer.every_group:
+                self._observer.contain(group, partial(self._outputs.tested, group))
         traffic = self._diagnoser.tell(self._state, self._observer, self._intake)
         if traffic is not None and self._observer is not None and self._state == 'active':
             self._commentary.look(self._observer, traffic)

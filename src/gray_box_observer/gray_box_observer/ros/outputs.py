@@ -90,6 +90,18 @@ class Outputs:
             raised = result.alarm
             if self._alarm:
                 self._alarms(result.group.names, raised)
+                self.tested(result.group)
+
+    def tested(self, group: Group) -> None:
+        """Publish what is believed of those motors of a group whose fit was tested since, and the fit."""
+        observer = group.observer
+        if observer is None or not self._fit:
+            return
+        for motor in observer.retested():
+            name, estimate = group.names[motor], observer.estimate(slice(motor, motor + 1))
+            self.fit(name, observer.fit_of(motor))
+            self.estimate(name, estimate, observer.identified_of(motor))
+            self.parameters_identified(name, estimate.parameters, observer.parameters_identified_of(motor))
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
         """Publish the torques predicted of motors that come together for a stamp still without torque, once."""
@@ -123,7 +135,6 @@ class Outputs:
             name = group.names[motor]
             self.estimate(name, estimate if len(changed) == 1 else estimate.of(row))
             if group.observer is not None:
-                self.fit(name, group.observer.fit_of(motor))
                 self.parameters_identified(name, estimate.parameters, group.observer.parameters_identified_of(motor))
 
     def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
