@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.normal_equations import OUTLIER
 from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.torch_ops import TorchOps
+from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import flow, is_stiff
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
@@ -101,15 +102,16 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
     """
     start, measured, speed = about[:, :-1], given.measured, given.speed
     voltage, interval, box = given.voltage[:, 1:], given.interval[:, 1:], given.box
-    moved: Any = flow(box, given.p, start, voltage, speed[:, :-1], speed[:, 1:], interval, ops)  # type: ignore[arg-type]
-    stiff: Any = is_stiff(box, given.p, start, voltage, speed[:, :-1], interval, ops)  # type: ignore[arg-type]
+    moved = flow(box, given.p, [start], voltage, speed[:, :-1], speed[:, 1:], interval, ops)  # type: ignore[arg-type, list-item]
+    end, by_state, forced = moved.of_state(State.CURRENT)
+    stiff: Any = is_stiff(box, given.p, [start], voltage, speed[:, :-1], interval, ops)  # type: ignore[arg-type, list-item]
     limit = FAR * (measured.abs().amax(dim=1, keepdim=True) + 1e-9)
-    decay, gain = moved.by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
+    decay, gain = by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
     if near is not None:
         gain = torch.cat([gain[:, :1], torch.where(near[:, :-1], gain[:, 1:], 0.0)], dim=1)
     factor = decay * (1.0 - gain)
-    offset = moved.end - decay * start + decay * gain * measured[:, :-1]
-    rows = _recurrence(factor, offset, moved.by_coordinate, given.state)
+    offset = end - decay * start + decay * gain * measured[:, :-1]
+    rows = _recurrence(factor, offset, forced, given.state)
     units = torch.cat([given.current_a[:, None], given.p], dim=1)
     jacobian = (rows[1:] * units.T[..., None]).permute(1, 2, 0)
     error = measured[:, 1:] - rows[0]
@@ -117,7 +119,7 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
     kept = error**2 <= (OUTLIER * given.noise)[:, None] ** 2 * spread
     counts = torch.where(kept[..., None], jacobian, 0.0).transpose(1, 2)
     return Predicted(
-        sound=(moved.end.abs() <= limit).all(dim=1) & ~stiff,
+        sound=(end.abs() <= limit).all(dim=1) & ~stiff,
         state=rows[0],
         factor=factor,
         error=error,

@@ -61,8 +61,8 @@ typedef struct {
     Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
     Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
-    Rate here[MOST_SAMPLES]; /* where an interval begins */
-    Moved to[MOST_SAMPLES]; /* and where it leads */
+    Linear here[MOST_SAMPLES]; /* where an interval begins */
+    Linear to[MOST_SAMPLES]; /* and where it leads */
     Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
     Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
@@ -210,7 +210,7 @@ CLONES void set_out(const Update *u, Tile *t)
 {
     const Real reach = u->credible * t->size;
     for (int j = 0; j <= t->k; j++) {
-        t->measured[j] /= t->box.torque_constant;
+        t->measured[j] = current_of_torque(t->measured[j], t->box.torque_constant);
         t->about[j] = j > 0 ? between(t->measured[j], -reach, reach) : t->state;
         t->near[j] = everywhere();
         if (j > 0) t->fine &= t->interval[j] > 0.0;
@@ -223,8 +223,8 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 {
     Real stiffness = all(0.0);
     for (int j = 0; j < t->k; j++) {
-        t->here[j] = rate_of(&t->box, of, t->about[j], t->voltage[j + 1], t->speed[j]);
-        const Real stiff = absolute(t->here[j].slope) * t->interval[j + 1];
+        t->here[j] = rate_of(&t->box, of, &t->about[j], t->voltage[j + 1], t->speed[j]);
+        const Real stiff = absolute(t->here[j].by_state[CURRENT][CURRENT]) * t->interval[j + 1];
         t->fine &= stiff < INFINITY;
         stiffness = larger(stiffness, stiff);
     }
@@ -258,22 +258,22 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     }
     for (int j = 0; j < k; j++) { /* a loop of its own: intervals overlap in the processor */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
-        t->to[j] = t->most == 1 ? runge_kutta(&t->box, of, &t->here[j], t->about[j], &over)
-                                : in_steps(&t->box, of, t->about[j], &over, t->steps, t->most);
+        t->to[j] = t->most == 1 ? runge_kutta_step(&t->box, of, &t->about[j], &t->here[j], &over)
+                                : in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most);
     }
     for (int j = 0; j < k; j++) {
-        const Moved to = t->to[j];
-        const Real about = t->about[j];
-        fine &= absolute(to.state) <= limit;
-        const Real decay = between(to.by_state, all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
+        const Linear to = t->to[j];
+        const Real about = t->about[j], end = to.value[CURRENT];
+        fine &= absolute(end) <= limit;
+        const Real decay = between(to.by_state[CURRENT][CURRENT], all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
         const Real factor = decay * (1.0 - gain);
         t->factor[j] = factor;
-        t->path[j + 1] = x = factor * x + (to.state - decay * about + decay * gain * t->measured[j]);
+        t->path[j + 1] = x = factor * x + (end - decay * about + decay * gain * t->measured[j]);
         by_start = factor * by_start;
         Real row[MOST_UNKNOWNS], variance = all(0.0);
         row[0] = by_start * t->size;
         UNROLL for (int i = 0; i < n; i++) {
-            by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[i];
+            by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[CURRENT][i];
             row[i + 1] = by_coordinate[i] * t->box.p[i];
         }
         UNROLL for (int i = 0; i < m; i++)
@@ -308,7 +308,7 @@ INLINE void follow_of(const Update *u, Tile *t, const Terms of) { count_steps(u,
     }
 FOLLOW(1) FOLLOW(2) FOLLOW(3) FOLLOW(4) FOLLOW(5)
 
-static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF};
+static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT};
 
 CLONES void follow_usual(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 0, USUAL}); }
 CLONES void follow_usual_with_speed(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 1, USUAL}); }
@@ -652,12 +652,15 @@ int64_t learn_due(
     return count;
 }
 
-/* Basis function of a term and its derivatives, of one motor; for a test. Returns whether there is such a term here. */
-int64_t term_values(int64_t code, double current, double speed, double *values)
+/* By which Python tells that this was built of the forms that it has itself. */
+int64_t forms_fingerprint(void) { return FORMS_FINGERPRINT; }
+
+/* A term for a coefficient of one, and its derivative by the current, of one motor. Returns whether there is such. */
+int64_t term_values(
+    int64_t code, int64_t speed_measured, double current, double speed, double torque_constant, double *values)
 {
-    const Term found = term(code, all(current), all(speed));
+    const Term found = term(code, (int)speed_measured, all(current), all(speed), all(torque_constant));
     values[0] = found.value[0];
-    values[1] = found.by_current[0];
-    values[2] = found.by_speed[0];
+    values[1] = found.slope[CURRENT][0];
     return term_known(code);
 }
