@@ -6,6 +6,7 @@ Names are those of ROS parameters; each motor has a group of its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -256,33 +257,31 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
 )
 """Parameters of the node as a whole."""
 
-KNOWN_PARAMETERS = {
-    'back_emf_constant': 'back_emf_constant',
-    'brush_drop': 'brush_drop',
-    'resistance': 'known.resistance',
-    'hysteresis': 'known.hysteresis',
-}
+_EFFECTS = sorted((term for term in TERMS.values() if term.formula), key=lambda term: term.stated is None)
+"""What has a place of its own among the parameters of a motor first."""
+
+KNOWN_PARAMETERS = {term.parameter.name: term.known.parameter for term in _EFFECTS}
 """Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
+
+
+def _known_values(*, stated: bool) -> Iterator[ParameterSpec]:
+    """Yield the parameters that are known unless they are identified: with a place of their own, or the others."""
+    for term in _EFFECTS:
+        if (term.stated is not None) is stated:
+            what = f'{term.parameter.description.partition(",")[0]} in {term.parameter.unit}'
+            description = f'{what}; known unless among context_nodes.'
+            yield ParameterSpec(term.known.parameter, term.known.default, description, 0.0, term.known.upper)
+
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
-    ParameterSpec(
-        'back_emf_constant',
-        0.01,
-        'Back-EMF constant Kb in V s/rad; known unless among context_nodes.',
-        0.0,
-        1e6,
-    ),
-    ParameterSpec('brush_drop', 0.0, 'Brush drop V_b in V; known unless among context_nodes.', 0.0, 1e3),
+    *_known_values(stated=True),
     ParameterSpec(
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first.',
     ),
-    ParameterSpec('known.resistance', 0.0, 'Resistance R in ohm where it is not among context_nodes.', 0.0, 1e4),
-    ParameterSpec(
-        'known.hysteresis', 0.0, 'Hysteresis K_HS in V s/(rad A) where it is not among context_nodes.', 0.0, 1e6
-    ),
+    *_known_values(stated=False),
     ParameterSpec(
         'speed_source',
         'auto',
