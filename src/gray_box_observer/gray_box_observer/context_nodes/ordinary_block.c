@@ -10,13 +10,16 @@
 
 #include "white_box/flow.h"
 
-#define MOST_UNKNOWNS (MOST_COORDINATES + 1)
+#define MOST_UNKNOWNS (MOST_COORDINATES + STATES)
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
 #define ROUNDING 1e-12 /* of a bound: more than its arithmetic, which is some 1e-16 off */
 
 /* What is told of a motor: nothing where its block was not ordinary. */
 enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
+
+/* Places of the signals in a replay buffer: replay_buffer.py. */
+enum { INTERVAL_S, VOLTAGE_V, TORQUE_NM, SPEED_RAD_S };
 
 /* Everything a call needs; ordinary_block.py holds the same list. Arrays are contiguous, the motor axis first. */
 typedef struct {
@@ -159,7 +162,7 @@ INLINE void store_matrix(
 /* Bring samples and belief of the motors in, lane by lane. */
 INLINE void gather(const Update *u, Tile *t, const int n)
 {
-    const int k = t->k, m = n + 1, memories = (int)u->memories;
+    const int k = t->k, m = n + STATES, memories = (int)u->memories;
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
     int64_t column[LANES];
@@ -177,15 +180,15 @@ INLINE void gather(const Update *u, Tile *t, const int n)
         const double *first = u->data + t->motor[l] + column[l] * u->column_stride;
         for (int j = 0; j <= k; j++, first += u->column_stride)
             if (even) {
-                memcpy(&t->interval[j], first, sizeof(Real));
-                memcpy(&t->voltage[j], first + stride, sizeof(Real));
-                memcpy(&t->measured[j], first + 2 * stride, sizeof(Real));
-                if (u->speed_measured) memcpy(&t->speed[j], first + 3 * stride, sizeof(Real));
+                memcpy(&t->interval[j], first + INTERVAL_S * stride, sizeof(Real));
+                memcpy(&t->voltage[j], first + VOLTAGE_V * stride, sizeof(Real));
+                memcpy(&t->measured[j], first + TORQUE_NM * stride, sizeof(Real));
+                if (u->speed_measured) memcpy(&t->speed[j], first + SPEED_RAD_S * stride, sizeof(Real));
             } else {
-                t->interval[j][l] = first[0];
-                t->voltage[j][l] = first[stride];
-                t->measured[j][l] = first[2 * stride];
-                t->speed[j][l] = first[3 * stride];
+                t->interval[j][l] = first[INTERVAL_S * stride];
+                t->voltage[j][l] = first[VOLTAGE_V * stride];
+                t->measured[j][l] = first[TORQUE_NM * stride];
+                t->speed[j][l] = first[SPEED_RAD_S * stride];
             }
     }
     if (!u->speed_measured) /* nothing is known of it, perhaps not even a number */
@@ -240,7 +243,7 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 /* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, _from. */
 INLINE void follow(const Update *u, Tile *t, const Terms of)
 {
-    const int k = t->k, n = of.coordinates, m = n + 1;
+    const int k = t->k, n = of.coordinates, m = n + STATES;
     const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
     Real largest = all(0.0), x = t->state, by_start = all(1.0), by_coordinate[MOST_COORDINATES];
     Real squares = all(0.0), used = all(0.0);
@@ -271,10 +274,10 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
         t->path[j + 1] = x = factor * x + (end - decay * about + decay * gain * t->measured[j]);
         by_start = factor * by_start;
         Real row[MOST_UNKNOWNS], variance = all(0.0);
-        row[0] = by_start * t->size;
+        row[CURRENT] = by_start * t->size;
         UNROLL for (int i = 0; i < n; i++) {
             by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[CURRENT][i];
-            row[i + 1] = by_coordinate[i] * t->box.p[i];
+            row[i + STATES] = by_coordinate[i] * t->box.p[i];
         }
         UNROLL for (int i = 0; i < m; i++)
             UNROLL for (int h = i; h < m; h++) variance += twice[i][h] * (row[i] * row[h]);
@@ -386,7 +389,7 @@ CLONES void predict(const Update *u, Tile *t)
 /* Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take. */
 INLINE void examine(const Update *u, Tile *t, const int n)
 {
-    const int m = n + 1, memories = (int)u->memories;
+    const int m = n + STATES, memories = (int)u->memories;
     const Real unit = 1.0 / (t->noise * t->noise);
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], reached[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     for (int i = 0; i < m; i++) {
@@ -403,11 +406,12 @@ INLINE void examine(const Update *u, Tile *t, const int n)
     for (int q = 0; q < memories; q++) {
         Real trace = all(0.0), statistic = all(0.0), solution[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
         for (int i = 0; i < n; i++) {
-            const Real share = t->sensitivity[i], turned = share * reached[0][0] + reached[i + 1][0];
-            const Real score = (share * reached[0][m] + reached[i + 1][m]) * unit;
+            const Real share = t->sensitivity[i], turned = share * reached[CURRENT][CURRENT] + reached[i + STATES][CURRENT];
+            const Real score = (share * reached[CURRENT][m] + reached[i + STATES][m]) * unit;
             t->scores[q][i] = u->keep[q] * t->scores[q][i] + score;
             for (int j = 0; j < n; j++) {
-                const Real told = turned * t->sensitivity[j] + (share * reached[0][j + 1] + reached[i + 1][j + 1]);
+                const Real own = share * reached[CURRENT][j + STATES] + reached[i + STATES][j + STATES];
+                const Real told = turned * t->sensitivity[j] + own;
                 matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * t->tested[q][i][j] + told * unit;
             }
             solution[i][0] = t->scores[q][i];
@@ -475,7 +479,7 @@ static uint8_t reckon(const Update *u, int64_t motor)
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
 INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
 {
-    const int k = t->k, m = n + 1, memories = (int)u->memories;
+    const int k = t->k, m = n + STATES, memories = (int)u->memories;
     const Real noise = t->noise, unit = 1.0 / (noise * noise), *before = t->box.p;
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], posterior[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     Real step[MOST_UNKNOWNS], moved[MOST_UNKNOWNS][MOST_UNKNOWNS];
@@ -492,7 +496,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     for (int i = 0; i < m; i++) {
         step[i] = all(0.0);
         for (int j = 0; j < m; j++) step[i] += posterior[i][j] * t->right[j];
-        if (i > 0) step[i] = between(step[i], all(-0.5), all(1.0));
+        if (i >= STATES) step[i] = between(step[i], all(-0.5), all(1.0));
     }
     for (int i = 0; i < m; i++) { /* normal_equations.py, is_sound */
         t->fine &= posterior[i][i] > 0.0;
@@ -503,15 +507,15 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     }
 
     Real p[MOST_COORDINATES], ratio[MOST_UNKNOWNS], transfer[MOST_UNKNOWNS];
-    const Real first = before[0] * (1.0 + step[1]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
+    const Real first = before[0] * (1.0 + step[STATES]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
     p[0] = 1.0 / leading;
     for (int i = 1; i < n; i++)
-        p[i] = between(before[i] * (1.0 + step[i + 1]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
-    ratio[0] = all(1.0);
-    transfer[0] = t->by_start;
+        p[i] = between(before[i] * (1.0 + step[i + STATES]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
+    ratio[CURRENT] = all(1.0);
+    transfer[CURRENT] = t->by_start;
     for (int i = 0; i < n; i++) {
-        ratio[i + 1] = before[i] / p[i];
-        transfer[i + 1] = t->by_coordinate[i] * before[i] / t->size;
+        ratio[i + STATES] = before[i] / p[i];
+        transfer[i + STATES] = t->by_coordinate[i] * before[i] / t->size;
     }
     Real shift = all(0.0), passed = all(0.0);
     for (int j = 1; j <= k; j++) passed += t->interval[j];
@@ -520,14 +524,14 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
         Real sum = all(0.0);
         for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
-        moved[0][i] = sum;
+        moved[CURRENT][i] = sum;
     }
     Real corner = all(0.0), whole = state;
-    for (int h = 0; h < m; h++) corner += moved[0][h] * transfer[h];
-    moved[0][0] = corner;
-    for (int i = 1; i < m; i++) {
-        for (int j = 0; j < m; j++) moved[i][j] = j == 0 ? moved[0][i] : posterior[i][j];
-        moved[i][i] += u->heats[i - 1] * (walk * walk * passed * unit);
+    for (int h = 0; h < m; h++) corner += moved[CURRENT][h] * transfer[h];
+    moved[CURRENT][CURRENT] = corner;
+    for (int i = STATES; i < m; i++) {
+        for (int j = 0; j < m; j++) moved[i][j] = j == CURRENT ? moved[CURRENT][i] : posterior[i][j];
+        moved[i][i] += u->heats[i - STATES] * (walk * walk * passed * unit);
     }
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++) {
@@ -585,7 +589,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
             for (int i = 0; i < n; i++) {
                 u->hold_p[motor * n + i] = p[i][l];
                 for (int j = 0; j < n; j++)
-                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + 1][j + 1][l] * followed[l] * followed[l];
+                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + STATES][j + STATES][l] * followed[l] * followed[l];
             }
         u->hold_settled_now[motor] = settled[l] != 0;
         told[l] = reckon(u, motor);

@@ -18,8 +18,20 @@ from numpy.typing import NDArray
 
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.declaration import COMPILED, State
 from gray_box_observer.white_box.flow import flow
+
+STATES = len(COMPILED)
+"""How many states are learnt; they stand before the coordinates among the unknowns."""
+
+CURRENT = int(State.CURRENT)
+"""Place of the current among the states, and so among the unknowns."""
+
+COORDINATES = slice(STATES, None)
+"""Places of the coordinates among the unknowns."""
+
+STATE_ROW, START_ROW, COORDINATE_ROWS = 0, 1, slice(2, None)
+"""Rows of a trajectory: the state, its derivative by the first state, and those by the coordinates."""
 
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
@@ -162,7 +174,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     """
     speed, start = stretch.speed_rad_s, about[:, :-1]
     moved = flow(white_box, p, [start], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
-    end, by_state, forced = moved.of_state(State.CURRENT)
+    end, by_state, forced = moved.of_state(CURRENT)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
     if not (np.abs(end) <= limit).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
         end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
@@ -189,9 +201,9 @@ def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Tra
     offset = maps.offset + maps.decay * gain[:, :-1] * stretch.state[:, :-1]
     inputs = np.concatenate([offset[None], np.zeros_like(offset)[None], maps.by_coordinate])
     first = np.zeros((inputs.shape[0], start.size))
-    first[0], first[1] = start, 1.0
+    first[STATE_ROW], first[START_ROW] = start, 1.0
     rows = recurrence(factor, inputs, first)
-    return Trajectory(rows[0], rows[1], rows[2:], factor)
+    return Trajectory(rows[STATE_ROW], rows[START_ROW], rows[COORDINATE_ROWS], factor)
 
 
 def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
