@@ -125,10 +125,9 @@ def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
     head = f'lambda {", ".join(arguments)}: '
     value = in_python(expression)
     value += f' + 0.0 * {CURRENT}' if expression.is_number else ''  # one for every sample
-    slopes = [f'            {head}{in_python(derivative(expression, signal))},' for signal in SIGNALS]
+    slopes = ',\n         '.join(head + in_python(derivative(expression, signal)) for signal in SIGNALS)
     total = in_python(following(expression))
-    lines = [f'    {key}: Form(', f'        {head}{value},', '        (', *slopes, '        ),']
-    return [*lines, f'        {head}{total},', '    ),']
+    return [f'    {key}: Form(', f'        {head}{value},', f'        ({slopes}),', f'        {head}{total},', '    ),']
 
 
 # --- for compiled code
@@ -212,8 +211,8 @@ def c_forms() -> str:
     lines += ['static inline int term_known(int64_t code)']
     lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
     for name, argument, expression, description in relations():
-        lines += [f'/* {description} */', f'INLINE Real {name}(Real {argument}, Real torque_constant)']
-        lines += [*braces([f'return {in_c(expression)};']), '']
+        lines += [f'/* {description} */']
+        lines += [f'INLINE Real {name}(Real {argument}, Real torque_constant) {{ return {in_c(expression)}; }}', '']
     lines += ['/* A term for a coefficient of one, and its derivatives. */']
     lines += [f'INLINE Term term(int64_t code, int speed_measured, {", ".join(f"Real {name}" for name in ARGUMENTS)})']
     cases = [line for name, effect in effects.items() for line in _case(name, effect)]

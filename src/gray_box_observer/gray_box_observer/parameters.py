@@ -257,31 +257,32 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
 )
 """Parameters of the node as a whole."""
 
-_EFFECTS = sorted((term for term in TERMS.values() if term.formula), key=lambda term: term.stated is None)
+_EFFECTS = sorted((term for term in TERMS.values() if term.formula), key=lambda term: not term.known_as)
 """What has a place of its own among the parameters of a motor first."""
 
-KNOWN_PARAMETERS = {term.parameter.name: term.known.parameter for term in _EFFECTS}
+KNOWN_PARAMETERS = {term.parameter.name: term.known_as or f'known.{term.parameter.name}' for term in _EFFECTS}
 """Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
 
 
-def _known_values(*, stated: bool) -> Iterator[ParameterSpec]:
+def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
     """Yield the parameters that are known unless they are identified: with a place of their own, or the others."""
     for term in _EFFECTS:
-        if (term.stated is not None) is stated:
-            what = f'{term.parameter.description.partition(",")[0]} in {term.parameter.unit}'
-            description = f'{what}; known unless among context_nodes.'
-            yield ParameterSpec(term.known.parameter, term.known.default, description, 0.0, term.known.upper)
+        parameter = term.parameter
+        if bool(term.known_as) is own:
+            what = f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless among context_nodes.'
+            name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
+            yield ParameterSpec(name, term.known_value, what, 0.0, upper)
 
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
-    *_known_values(stated=True),
+    *_known_values(own=True),
     ParameterSpec(
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first.',
     ),
-    *_known_values(stated=False),
+    *_known_values(own=False),
     ParameterSpec(
         'speed_source',
         'auto',

@@ -92,6 +92,11 @@ def test_the_committed_forms_are_those_of_the_declaration() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_nothing_that_runs_needs_sympy(tmp_path: Path) -> None:
+    used = 'import sys, gray_box_observer.identify, gray_box_observer.observer; assert "sympy" not in sys.modules'
+    run(tmp_path, '-c', used)
+
+
 def test_forms_that_are_out_of_date_are_told(copy: Path) -> None:
     path = copy / 'gray_box_observer' / 'white_box' / 'forms.h'
     path.write_text(path.read_text(encoding='utf-8').replace('0.5 *', '0.25 *'), encoding='utf-8')

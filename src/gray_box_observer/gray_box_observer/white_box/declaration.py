@@ -43,21 +43,6 @@ DRIVES = {State.CURRENT: 'voltage'}
 
 
 @dataclass(frozen=True, slots=True)
-class KnownValue:
-    """Where the value of a parameter stands that is known instead of identified.
-
-    Attributes:
-        parameter: its name among the parameters of a motor.
-        default: the value where nothing is said; 0 leaves the effect out.
-        upper: the largest value.
-    """
-
-    parameter: str
-    default: float
-    upper: float
-
-
-@dataclass(frozen=True, slots=True)
 class Term:
     """One effect: coefficient times ``formula``, or the storage of a state, coefficient of its derivative.
 
@@ -66,19 +51,18 @@ class Term:
         formula: of the signals; empty for a storage.
         state: in whose balance it is.
         needs_speed: whether the coefficient can be told from the others only where speed is measured.
-        stated: where a known value stands; ``None``: at ``known.NAME``, 0 unless stated.
+        known_as: the parameter of a motor that holds the value where it is known; empty: ``known.NAME``.
+        known_value: what that is unless it is stated; 0 leaves the effect out.
+        known_upper: the largest that it may be; ``None``: as for the coefficient.
     """
 
     parameter: Parameter
     formula: str = ''
     state: State = State.CURRENT
     needs_speed: bool = False
-    stated: KnownValue | None = None
-
-    @property
-    def known(self) -> KnownValue:
-        """Where its value stands where it is known instead of identified."""
-        return self.stated or KnownValue(f'known.{self.parameter.name}', 0.0, self.parameter.upper)
+    known_as: str = ''
+    known_value: float = 0.0
+    known_upper: float | None = None
 
 
 _DECLARED = (
@@ -97,12 +81,15 @@ _DECLARED = (
         Parameter('back_emf_constant', 'V s/rad', 0.01, 1e-7, 1e2, 'Back-EMF constant Kb, coefficient of w.'),
         'speed',
         needs_speed=True,
-        stated=KnownValue('back_emf_constant', 0.01, 1e6),
+        known_as='back_emf_constant',
+        known_value=0.01,
+        known_upper=1e6,
     ),
     Term(
         Parameter('brush_drop', 'V', 0.2, 1e-4, 1e1, 'Voltage drop V_b of the brushes, coefficient of sign(i).'),
         'current / (abs(current) + 0.02)',  # half of it is there at 0.02 A
-        stated=KnownValue('brush_drop', 0.0, 1e3),
+        known_as='brush_drop',
+        known_upper=1e3,
     ),
 )
 

@@ -11,40 +11,32 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 403868967632922446
+FINGERPRINT = 465306474820139386
 """Of the compiled forms that were written with these."""
 
 EFFECTS: dict[str, Form] = {
     'resistance': Form(
         lambda current, speed, torque_constant: current,
-        (
-            lambda current, speed, torque_constant: 1.0,
-            lambda current, speed, torque_constant: 0.0,
-        ),
+        (lambda current, speed, torque_constant: 1.0,
+         lambda current, speed, torque_constant: 0.0),
         lambda current, speed, torque_constant: 1.0,
     ),
     'hysteresis': Form(
         lambda current, speed, torque_constant: current*abs(speed),
-        (
-            lambda current, speed, torque_constant: abs(speed),
-            lambda current, speed, torque_constant: current*sign(speed),
-        ),
+        (lambda current, speed, torque_constant: abs(speed),
+         lambda current, speed, torque_constant: current*sign(speed)),
         lambda current, speed, torque_constant: current*torque_constant*sign(speed) + abs(speed),
     ),
     'back_emf_constant': Form(
         lambda current, speed, torque_constant: speed,
-        (
-            lambda current, speed, torque_constant: 0.0,
-            lambda current, speed, torque_constant: 1.0,
-        ),
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: 1.0),
         lambda current, speed, torque_constant: torque_constant,
     ),
     'brush_drop': Form(
         lambda current, speed, torque_constant: current/(0.02 + abs(current)),
-        (
-            lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
-            lambda current, speed, torque_constant: 0.0,
-        ),
+        (lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+         lambda current, speed, torque_constant: 0.0),
         lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
     ),
 }
