@@ -22,7 +22,7 @@ WORKERS ?= 4
 NAME ?=
 QUICK ?=
 
-.PHONY: help setup demo test lint format docs bench clean distclean
+.PHONY: help setup demo test lint format physics docs bench clean distclean
 
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 format: setup  ## let ruff format the code and mend what it can
 	$(RUN) python -m ruff check --fix $(wildcard $(PYTHON_SOURCES))
 	$(RUN) python -m ruff format $(wildcard $(PYTHON_SOURCES))
+
+physics: setup  ## write the forms of the motor for numpy, torch and C from white_box/declaration.py
+	$(RUN) python ros_ws/make_forms.py
 
 docs: setup  ## write docs/API.md from the code
 	$(RUN) python docs/make_api.py

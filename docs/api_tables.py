@@ -14,8 +14,10 @@ from api_sources import Seen, type_name
 
 from dc_motor_sim.quantity import quantity_of
 from gray_box_observer.parameters import ParameterSpec
+from gray_box_observer.white_box import TERMS
 
-UNITS = re.compile(r'\bin (N m/A|V s/rad|V s/\(rad A\)|rad/s|N m|ohm|bytes|Hz|ms|s|V|A|H)(?![\w/])')
+_UNITS = {'N m/A', 'rad/s', 'N m', 'bytes', 'Hz', 'ms', 's', 'V', 'A', *(t.parameter.unit for t in TERMS.values())}
+UNITS = re.compile(rf'\bin ({"|".join(map(re.escape, sorted(_UNITS, key=len, reverse=True)))})(?![\w/^])')
 """Where a description says its unit."""
 
 UNIT_OF_SUFFIX = {'_s': 's', '_hz': 'Hz', '_bytes': 'bytes', '_per_s': '1/s'}

@@ -8,6 +8,7 @@ from common.cases import CASES, Case, simulate
 from common.motion import Form, Inputs, solve, step_all
 
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import flow, to_coordinates
 
 THESIS = Form(('inductance', 'resistance', 'hysteresis'), 0.01, 0.01, speed_measured=False)
@@ -64,16 +65,15 @@ def test_one_step_agrees_with_the_package_that_works_in_other_coordinates(case: 
     white_box = MotorWhiteBox(case.parameters, case.plant.torque_constant, known, speed_measured=case.rotor)
     p = to_coordinates(case.truth[None, :])
     speed = inputs.speed_rad_s
-    theirs = flow(
-        white_box, p, start[None], inputs.voltage_v[None], speed[None, :-1], speed[None, 1:], inputs.interval_s[None]
-    )
+    signals = inputs.voltage_v[None], speed[None, :-1], speed[None, 1:], inputs.interval_s[None]
+    theirs, slope, forced = flow(white_box, p, [start[None]], *signals).of_state(State.CURRENT)
     by_p = by_theta / p[0, 0]  # theta_0 = 1 / p_0, theta_j = p_j / p_0
     by_p[0] = -(by_theta[0] + p[0, 1:] @ by_theta[1:]) / p[0, 0] ** 2
     # One step of theirs is enough for the estimate; ours is cut finer, which shows at the fast motor.
-    np.testing.assert_allclose(theirs.end[0], end, rtol=3e-5)
-    np.testing.assert_allclose(theirs.by_state[0], by_start, rtol=1e-3)
+    np.testing.assert_allclose(theirs[0], end, rtol=3e-5)
+    np.testing.assert_allclose(slope[0], by_start, rtol=1e-3)
     scale = np.abs(by_p).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(theirs.by_coordinate[:, 0] / scale, by_p / scale, atol=1e-3)
+    np.testing.assert_allclose(forced[:, 0] / scale, by_p / scale, atol=1e-3)
 
 
 def test_parameters_without_a_motion_are_refused_in_one_line() -> None:

@@ -11,21 +11,23 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.predictor.relaxation import course
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import advance
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import flow, to_coordinates
 
 NAMES = ('inductance', 'resistance', 'hysteresis')
 
 
 def roll_out(box: MotorWhiteBox, theta: np.ndarray, recording: Recording) -> np.ndarray:
     """Torque that the white box expects from the voltages (and, where measured, the speeds) alone."""
-    state = box.state(recording.torque_nm[:, 0])
-    torque = [recording.torque_nm[:, 0]]
+    states = [box.state(recording.torque_nm[:, :1])]
+    torque = [recording.torque_nm[:, :1]]
     for k in range(1, recording.stamp_ns.size):
-        interval = np.full(len(recording.motors), (recording.stamp_ns[k] - recording.stamp_ns[k - 1]) / 1e9)
-        speed, next_speed = recording.speed_rad_s[:, k - 1], recording.speed_rad_s[:, k]
-        state = advance(box, theta, state, recording.voltage_v[:, k - 1], speed, next_speed, interval)
-        torque.append(box.output(state))
-    return np.array(torque).T
+        interval = np.full((len(recording.motors), 1), (recording.stamp_ns[k] - recording.stamp_ns[k - 1]) / 1e9)
+        speed, next_speed = recording.speed_rad_s[:, k - 1 : k], recording.speed_rad_s[:, k : k + 1]
+        voltage = recording.voltage_v[:, k - 1 : k]
+        states = flow(box, to_coordinates(theta), states, voltage, speed, next_speed, interval).value
+        torque.append(box.output(states[State.CURRENT]))
+    return np.concatenate(torque, axis=1)
 
 
 @pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[0,33]D[1,20]', 'R[5,15]D[0.001,2]', 'R[-15,15]D[0.1,1]'])

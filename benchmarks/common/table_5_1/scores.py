@@ -9,7 +9,8 @@ import numpy as np
 from common.table_5_1.recordings import Series
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
-from gray_box_observer.white_box.dynamics import advance, decay_rate
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import flow, to_coordinates
 
 WARM_UP = 65
 """Leading samples that nobody is scored on: one that starts the signal history, and 64 voltages of context."""
@@ -56,13 +57,13 @@ def rollout(white_box: MotorWhiteBox, theta: Array, series: Series) -> Array:
         series: what is predicted; of its torque only the first sample is used.
     """
     count = len(series.names)
-    values, interval = np.tile(theta, (count, 1)), np.full(count, series.interval_s)
-    no_speed = np.zeros(count)
-    fastest = float(np.max(decay_rate(white_box, values, white_box.state(series.torque_nm).max(axis=1), no_speed)))
-    state = white_box.state(series.torque_nm[:, 0])
+    p, interval = to_coordinates(np.tile(theta, (count, 1))), np.full((count, 1), series.interval_s)
+    no_speed = np.zeros((count, 1))
+    states = [white_box.state(series.torque_nm[:, :1])]
     torque = np.empty_like(series.torque_nm)
     torque[:, 0] = series.torque_nm[:, 0]
     for k in range(1, torque.shape[1]):
-        state = advance(white_box, values, state, series.voltage_v[:, k], no_speed, no_speed, interval, 2.0 * fastest)
-        torque[:, k] = white_box.output(state)
+        voltage = series.voltage_v[:, k : k + 1]
+        states = list(flow(white_box, p, states, voltage, no_speed, no_speed, interval).value)
+        torque[:, k] = white_box.output(states[State.CURRENT])[:, 0]
     return torque

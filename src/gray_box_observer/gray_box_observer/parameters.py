@@ -6,6 +6,7 @@ Names are those of ROS parameters; each motor has a group of its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -261,33 +262,32 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
 )
 """Parameters of the node as a whole."""
 
-KNOWN_PARAMETERS = {
-    'back_emf_constant': 'back_emf_constant',
-    'brush_drop': 'brush_drop',
-    'resistance': 'known.resistance',
-    'hysteresis': 'known.hysteresis',
-}
+_EFFECTS = sorted((term for term in TERMS.values() if term.formula), key=lambda term: not term.known_as)
+"""What has a place of its own among the parameters of a motor first."""
+
+KNOWN_PARAMETERS = {term.parameter.name: term.known_as or f'known.{term.parameter.name}' for term in _EFFECTS}
 """Where the value of a term stands that is not among the context nodes, by the term's name; all but the inductance."""
+
+
+def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
+    """Yield the parameters that are known unless they are identified: with a place of their own, or the others."""
+    for term in _EFFECTS:
+        parameter = term.parameter
+        if bool(term.known_as) is own:
+            what = f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless among context_nodes.'
+            name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
+            yield ParameterSpec(name, term.known_value, what, 0.0, upper)
+
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
-    ParameterSpec(
-        'back_emf_constant',
-        0.01,
-        'Back-EMF constant Kb in V s/rad; known unless among context_nodes.',
-        0.0,
-        1e6,
-    ),
-    ParameterSpec('brush_drop', 0.0, 'Brush drop V_b in V; known unless among context_nodes.', 0.0, 1e3),
+    *_known_values(own=True),
     ParameterSpec(
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first.',
     ),
-    ParameterSpec('known.resistance', 0.0, 'Resistance R in ohm where it is not among context_nodes.', 0.0, 1e4),
-    ParameterSpec(
-        'known.hysteresis', 0.0, 'Hysteresis K_HS in V s/(rad A) where it is not among context_nodes.', 0.0, 1e6
-    ),
+    *_known_values(own=False),
     ParameterSpec(
         'speed_source',
         'auto',

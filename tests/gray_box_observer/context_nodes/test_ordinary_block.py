@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 from collections.abc import Callable
+from itertools import product
 from operator import attrgetter
 
 import numpy as np
@@ -19,9 +20,11 @@ from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
 from gray_box_observer.context_nodes.rules import RecursiveRules
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
-from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box import MotorWhiteBox, forms
+from gray_box_observer.white_box.balance import Form
 from gray_box_observer.white_box.base import Parameter
-from gray_box_observer.white_box.terms import TERMS, Term
+from gray_box_observer.white_box.declaration import TERMS, State, Term
+from gray_box_observer.white_box.forms import EFFECTS
 
 START = np.array([[1.5, 3.0, 30.0]])
 THESIS = ('inductance', 'resistance', 'hysteresis')
@@ -111,23 +114,31 @@ def test_where_there_is_a_compiler_there_is_compiled_code() -> None:
 def test_every_term_is_compiled_as_it_is_declared() -> None:
     library = ordinary_block.library()
     assert library is not None
-    values = (ctypes.c_double * 3)()
-    for code, (name, term) in enumerate(TERMS.items()):
-        assert bool(library.term_values(code, 1.0, 1.0, values)) == (term.value is not None), name
-        if term.value is None or term.by_current is None or term.by_speed is None:
+    values, constant = (ctypes.c_double * 2)(), 0.3
+    for code, name in enumerate(TERMS):
+        form = EFFECTS.get(name)
+        assert bool(library.term_values(code, 0, 1.0, 1.0, constant, values)) == (form is not None), name
+        if form is None:
             continue
-        for current in (-3.0, -0.01, 0.0, 0.5):
-            for speed in (-20.0, 0.0, 7.0):
-                library.term_values(code, current, speed, values)
-                declared = [f(current, speed) for f in (term.value, term.by_current, term.by_speed)]
+        for current, speed in product((-3.0, -0.01, 0.0, 0.5), (-20.0, 0.0, 7.0)):
+            for measured, slope in enumerate((form.following, form.partial[State.CURRENT])):
+                library.term_values(code, measured, current, speed, constant, values)
+                declared = [function(current, speed, constant) for function in (form.value, slope)]
                 np.testing.assert_allclose(list(values), declared, rtol=1e-15, err_msg=name)
+
+
+@needs_it
+def test_what_was_compiled_of_another_motor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, 'FINGERPRINT', forms.FINGERPRINT + 1)
+    assert ordinary_block.library() is None
 
 
 @needs_it
 def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     declared = Parameter('eddy', 'V/A^3', 1e-3, 1e-9, 1e3, 'A term that compiled code has never heard of.')
-    term = Term(declared, lambda i, w: i**3, lambda i, w: 3.0 * i**2, lambda i, w: 0.0)
-    monkeypatch.setitem(TERMS, 'eddy', term)
+    slope, none = lambda i, w, c: 3.0 * i**2, lambda i, w, c: 0.0
+    monkeypatch.setitem(TERMS, 'eddy', Term(declared, 'current**3'))
+    monkeypatch.setitem(EFFECTS, 'eddy', Form(lambda i, w, c: i**3, (slope, none), slope))
     replay = ReplayBuffer(1, 128)
     assert OrdinaryBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(), replay).compiled
     for box in (MotorWhiteBox((*THESIS, 'eddy'), 0.01, KNOWN), MotorWhiteBox(THESIS, 0.01, {'eddy': 1e-3})):

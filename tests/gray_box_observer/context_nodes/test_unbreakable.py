@@ -14,7 +14,7 @@ import pytest
 from gray_box_observer.context_nodes import RecursiveUpdate
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.terms import TERMS
+from gray_box_observer.white_box.declaration import TERMS
 
 CASES = int(os.environ.get('DRAWN_MOTORS', '200'))
 PARTS = 10

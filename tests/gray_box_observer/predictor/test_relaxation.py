@@ -23,7 +23,10 @@ from gray_box_observer.predictor.relaxation import (
 )
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import decay_rate, rate
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.dynamics import rate
+from gray_box_observer.white_box.flow import rate as flow_rate
+from gray_box_observer.white_box.flow import to_coordinates
 
 CASES = [(12.0, 0.0), (-7.0, 3.0), (0.0, 5.0), (0.3, -2.0), (24.0, 23.0)]
 """Held voltage and the current at the start."""
@@ -46,17 +49,26 @@ def integrated(box: MotorWhiteBox, theta: list[float], voltage_v: float, start_a
     return float(solved.y[0, -1])
 
 
+def gap(box: MotorWhiteBox, theta: list[float], voltage_v: Any, state: Any) -> Any:
+    balance = box.balances(state)[State.CURRENT]
+    return gap_v(balance, theta, voltage_v, balance.signals([state], SPEED))
+
+
 def test_gap_and_slope_are_those_of_the_white_box(box: MotorWhiteBox, theta: list[float]) -> None:
     for voltage, state in CASES:
         arrays = np.array([theta]), np.array([voltage]), np.array([state]), np.array([SPEED])
-        assert gap_v(box, theta, voltage, state, SPEED) == pytest.approx(rate(box, *arrays)[0] * theta[0], abs=1e-7)
-        expected = decay_rate(box, arrays[0], arrays[2], arrays[3])[0] * theta[0]
-        assert slope_ohm(box, theta, state, SPEED) == pytest.approx(expected, abs=1e-8)
+        assert gap(box, theta, voltage, state) == pytest.approx(rate(box, *arrays)[0] * theta[0], abs=1e-7)
+        p = dict(enumerate(to_coordinates(arrays[0]).T[..., None]))
+        slope = flow_rate(np, box, p, [arrays[2][None]], arrays[1][None], arrays[3][None]).by_state
+        expected = -slope[State.CURRENT][State.CURRENT].item() * theta[0]
+        balance = box.balances(state)[State.CURRENT]
+        signals = balance.signals([state], SPEED)
+        assert slope_ohm(balance, theta, voltage, signals) == pytest.approx(expected, abs=1e-8)
 
 
 def test_the_steady_state_is_where_bisection_finds_it(box: MotorWhiteBox, theta: list[float]) -> None:
     for voltage, _ in CASES:
-        expected = brentq(lambda i, v=voltage: gap_v(box, theta, v, i, SPEED), -1e12, 1e12, xtol=1e-14)
+        expected = brentq(lambda i, v=voltage: gap(box, theta, v, i), -1e12, 1e12, xtol=1e-14)
         assert lead(box, theta, voltage).steady_a == pytest.approx(expected, rel=1e-9, abs=1e-8)
 
 
@@ -65,13 +77,13 @@ def test_the_steady_state_is_where_bisection_finds_it(box: MotorWhiteBox, theta:
 def test_brushes_do_not_trap_newton(guess: float, voltage: float) -> None:
     box, theta = MotorWhiteBox(('inductance', 'resistance', 'brush_drop'), 0.01), [0.5, 0.01, 0.4]
     way = course(Floats, box, theta, voltage, 0.0, guess)
-    assert abs(gap_v(box, theta, voltage, way.steady_a, 0.0)) < 1e-9 * abs(voltage)
+    assert abs(gap(box, theta, voltage, way.steady_a)) < 1e-9 * abs(voltage)
 
 
 def test_the_chord_becomes_the_slope_where_it_ends(box: MotorWhiteBox, theta: list[float]) -> None:
     for voltage, state in CASES:
         way = lead(box, theta, voltage)
-        far = gap_v(box, theta, voltage, state, SPEED) / theta[0] / (way.steady_a - state)
+        far = gap(box, theta, voltage, state) / theta[0] / (way.steady_a - state)
         assert chord(Floats, box, way, state) == pytest.approx(max(far, 1e-12), rel=1e-9)
         near = way.steady_a * (1.0 + 1e-5) + 1e-9
         assert chord(Floats, box, way, near) == pytest.approx(way.settling, rel=1e-2, abs=1e-8)
@@ -107,7 +119,7 @@ def test_whatever_the_network_says_both_limits_are_those_of_the_physics(
             continue  # without resistance it settles nowhere, or never
         distance = start - way.steady_a
         short = relaxation(Floats, box, way, start, 1e-6)
-        slope = gap_v(box, theta, voltage, start, SPEED) / theta[0]
+        slope = gap(box, theta, voltage, start) / theta[0]
         assert (after(Floats, short, readout) - start) / 1e-6 == pytest.approx(slope, rel=2e-3, abs=1e-6)
         long = relaxation(Floats, box, way, start, 1e6)
         assert after(Floats, long, readout) == pytest.approx(way.steady_a, rel=1e-9, abs=1e-9)

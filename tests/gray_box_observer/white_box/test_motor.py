@@ -9,27 +9,37 @@ import torch
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
+from gray_box_observer.white_box.balance import Balance
+from gray_box_observer.white_box.declaration import State
 
 ALL = ('inductance', 'resistance', 'hysteresis', 'back_emf_constant', 'brush_drop')
 CURRENTS = np.array([-9.0, -1.0, -0.05, 0.03, 0.7, 12.0])
 SPEEDS = np.array([0.5, -3.0, 2.0, -0.2, 7.0, 100.0])
 
 
-@pytest.mark.parametrize('name', [n for n, term in TERMS.items() if term.value is not None])
+def electrical(box: MotorWhiteBox, current: Any, speed: Any) -> tuple[Balance, tuple[Any, ...]]:
+    """The balance of the current, and its signals."""
+    balance = box.balances(current)[State.CURRENT]
+    return balance, balance.signals([current], speed)
+
+
+@pytest.mark.parametrize('name', [n for n, term in TERMS.items() if term.formula])
 @pytest.mark.parametrize('speed_measured', [True, False])
 def test_the_slope_of_every_term_is_its_finite_difference(name: str, speed_measured: bool) -> None:
-    if TERMS[name].needs_speed and not speed_measured:
-        box = MotorWhiteBox(('inductance',), 0.3, {name: 1.0})  # known, it enters through the drive
-        value, slope = (
-            lambda i: -box.drive(0.0 * i, i, box.speed(i, SPEEDS)),
-            -box.drive_slope(CURRENTS, 0.3 * CURRENTS),
-        )
-    else:
-        box = MotorWhiteBox(('inductance', name), 0.3, {}, speed_measured)
-        value = lambda i: box.basis(i, box.speed(i, SPEEDS))[0]  # noqa: E731
-        slope = box.basis_slope(CURRENTS, box.speed(CURRENTS, SPEEDS))[0]
+    is_known = TERMS[name].needs_speed and not speed_measured  # known, it enters through the drive
+    nodes, known = (('inductance',), {name: 1.0}) if is_known else (('inductance', name), {})
+    box = MotorWhiteBox(nodes, 0.3, known, speed_measured)
+
+    def value(current: np.ndarray) -> Any:
+        balance, signals = electrical(box, current, SPEEDS)
+        return -balance.drive(0.0 * current, signals) if is_known else balance.basis(signals)[0]
+
+    balance, signals = electrical(box, CURRENTS, SPEEDS)
+    drop = -balance.drive_slope(State.CURRENT, 0.0 * CURRENTS, signals)
+    slope = drop if is_known else balance.basis_slope(State.CURRENT, signals)[0]
     h = 1e-6
-    np.testing.assert_allclose(slope, (value(CURRENTS + h) - value(CURRENTS - h)) / (2 * h), rtol=1e-5, atol=1e-7)
+    expected = (value(CURRENTS + h) - value(CURRENTS - h)) / (2 * h)
+    np.testing.assert_allclose(np.broadcast_to(slope, CURRENTS.shape), expected, rtol=1e-5, atol=1e-7)
 
 
 def test_a_known_term_moves_from_the_unknowns_to_the_drive() -> None:
@@ -118,11 +128,12 @@ def test_tensors_give_what_arrays_give(measured: bool) -> None:
     twin = MotorWhiteBox.from_dict(box.to_dict(), lambda v: torch.as_tensor(v, dtype=torch.float64))
     i, w = np.stack([CURRENTS, -CURRENTS]), np.stack([SPEEDS, SPEEDS])
     ti, tw = torch.as_tensor(i), torch.as_tensor(w)
+    (balance, signals), (tensors, of_twin) = electrical(box, i, w), electrical(twin, ti, tw)
     pairs = [
         *zip(box.basis(i, w), twin.basis(ti, tw), strict=True),
-        *zip(box.basis_slope(i, w), twin.basis_slope(ti, tw), strict=True),
+        *zip(balance.basis_slope(State.CURRENT, signals), tensors.basis_slope(State.CURRENT, of_twin), strict=True),
         (box.drive(i, i, w), twin.drive(ti, ti, tw)),
-        (box.drive_slope(i, w), twin.drive_slope(ti, tw)),
+        (balance.drive_slope(State.CURRENT, i, signals), tensors.drive_slope(State.CURRENT, ti, of_twin)),
         (box.state(i), twin.state(ti)),
         (box.speed(i, w), twin.speed(ti, tw)),
     ]

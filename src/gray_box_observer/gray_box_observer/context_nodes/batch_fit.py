@@ -24,6 +24,9 @@ from gray_box_observer.context_nodes.normal_equations import (
     weighted,
 )
 from gray_box_observer.context_nodes.trajectory import (
+    COORDINATES,
+    CURRENT,
+    STATES,
     Linearised,
     Stretch,
     find_kicks,
@@ -146,7 +149,8 @@ class _Search:
         self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = Frame(self._size, self._p), prior.covariance  # until the first step
-        self._information = np.zeros((start.shape[0], start.shape[1] + 1, start.shape[1] + 1))
+        unknowns = start.shape[1] + STATES
+        self._information = np.zeros((start.shape[0], unknowns, unknowns))
         self._begin()
 
     def _begin(self) -> None:
@@ -253,15 +257,16 @@ class _Search:
         spread = np.sqrt(np.sum(self._weights * self._residual**2, axis=1) / freedom)
         noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
-        pull[:, 1:, 1:] = self._precision * noise[:, None, None] ** 2
-        pull[:, 0, 0] = 1e-12 * np.maximum(information[:, 0, 0], self._size**2) + 1e-300
+        pull[:, COORDINATES, COORDINATES] = self._precision * noise[:, None, None] ** 2
+        known = np.maximum(information[:, CURRENT, CURRENT], self._size**2)
+        pull[:, CURRENT, CURRENT] = 1e-12 * known + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
         covariance = inverted(information + pull)
         step = self._damping[:, None] * (covariance @ (right[..., None] + pull @ towards[..., None]))[..., 0]
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
-        step[:, 1:] = np.clip(step[:, 1:], -0.5, 1.0)
+        step[:, COORDINATES] = np.clip(step[:, COORDINATES], -0.5, 1.0)
         about = self._path.state + (jacobian @ step[..., None])[..., 0]
-        moved = within_bounds(self._white_box, p * (1.0 + step[:, 1:]))
+        moved = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
         if not np.all(which):
             one, two = which[:, None], which[:, None, None]
             frame = Frame(self._size, np.where(one, p, self._frame.p))
@@ -298,7 +303,7 @@ class _Search:
         """Return where the search has ended."""
         transfer = self._frame.transfer(self._path)
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
-        covariance[:, 0, 0] += taken_over(self._loose[:, -1]) / self._size**2
+        covariance[:, CURRENT, CURRENT] += taken_over(self._loose[:, -1]) / self._size**2
         if (short := np.abs(self._p / self._frame.p - 1.0).max(axis=1) > ARRIVED).any():
             there = self._frame.moved(covariance, Frame(self._size, self._p))
             covariance = np.where(short[:, None, None], there, covariance)

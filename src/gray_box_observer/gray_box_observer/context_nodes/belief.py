@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.normal_equations import Frame
+from gray_box_observer.context_nodes.trajectory import COORDINATES, CURRENT, STATES
 from gray_box_observer.saved_state import ArrayRule, check_arrays, check_covariance, positive
 from gray_box_observer.white_box.base import Array
 
@@ -82,9 +83,9 @@ class Belief:
     def before_data(cls, prior: Prior) -> Belief:
         """Return what is believed when nothing has been seen: the prior alone."""
         motors, n = prior.p.shape
-        covariance = np.zeros((motors, n + 1, n + 1))
-        covariance[:, 0, 0] = 1.0
-        covariance[:, 1:, 1:] = prior.covariance
+        covariance = np.zeros((motors, n + STATES, n + STATES))
+        covariance[:, CURRENT, CURRENT] = 1.0
+        covariance[:, COORDINATES, COORDINATES] = prior.covariance
         ones = np.ones(motors)
         return cls(ones, prior.p, 0.0 * ones, covariance, ones, 0.0 * ones, np.zeros((motors, n)))
 
@@ -100,7 +101,7 @@ class Belief:
     @property
     def posterior(self) -> Array:
         """Covariance of the coordinates' logarithms, shape (motor, coordinate, coordinate)."""
-        posterior: Array = self.covariance[:, 1:, 1:] * self.noise[:, None, None] ** 2
+        posterior: Array = self.covariance[:, COORDINATES, COORDINATES] * self.noise[:, None, None] ** 2
         return posterior
 
     @property
@@ -124,14 +125,14 @@ class Belief:
     def loosened(self, directions: Array) -> Belief:
         """Return the belief with further freedom of the coordinates' logarithms, shape (coordinate, k)."""
         covariance = self.covariance.copy()
-        covariance[:, 1:, 1:] += directions @ directions.T / self.noise[:, None, None] ** 2
+        covariance[:, COORDINATES, COORDINATES] += directions @ directions.T / self.noise[:, None, None] ** 2
         return replace(self, covariance=covariance)
 
     def restarted_at(self, state: Array) -> Belief:
         """Return the belief with a state that was just measured, as uncertain as one sample leaves it."""
         covariance = self.covariance.copy()
-        covariance[:, 0, :] = covariance[:, :, 0] = 0.0
-        covariance[:, 0, 0] = self.current_a**-2.0
+        covariance[:, CURRENT, :] = covariance[:, :, CURRENT] = 0.0
+        covariance[:, CURRENT, CURRENT] = self.current_a**-2.0
         return replace(self, state=state, covariance=covariance, sensitivity=np.zeros_like(self.sensitivity))
 
     def arrays(self) -> dict[str, Array]:
@@ -158,7 +159,7 @@ def check_belief(name: str, arrays: Mapping[str, Array], coordinates: int) -> No
         'current_a': positive(1),
         'p': positive(1, n),
         'state': ArrayRule((1,)),
-        'covariance': ArrayRule((1, n + 1, n + 1)),
+        'covariance': ArrayRule((1, n + STATES, n + STATES)),
         'noise': positive(1),
         'gain': ArrayRule((1,), 0.0, 1.0),
         'sensitivity': ArrayRule((1, n)),

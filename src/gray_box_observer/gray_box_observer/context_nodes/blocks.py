@@ -24,6 +24,9 @@ from gray_box_observer.context_nodes.normal_equations import (
     weighted,
 )
 from gray_box_observer.context_nodes.trajectory import (
+    COORDINATES,
+    CURRENT,
+    STATES,
     Stretch,
     Trajectory,
     find_kicks,
@@ -156,20 +159,20 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | Non
             None: none.
     """
     n = belief.p.shape[1]
-    posterior = solved(np.eye(n + 1) + belief.covariance @ block.information, belief.covariance)
+    posterior = solved(np.eye(n + STATES) + belief.covariance @ block.information, belief.covariance)
     posterior = 0.5 * (posterior + posterior.swapaxes(1, 2))
     if not (sound := is_sound(posterior)).all():  # rounding has made it indefinite
         ones = np.ones(posterior.shape[:2])
         posterior = np.where(sound[:, None, None], posterior, definite(np.nan_to_num(posterior), ones))
     step = (posterior @ block.right[..., None])[..., 0]
-    step[:, 1:] = step[:, 1:].clip(-0.5, 1.0)
-    p = within_bounds(white_box, belief.p * (1.0 + step[:, 1:]))
+    step[:, COORDINATES] = step[:, COORDINATES].clip(-0.5, 1.0)
+    p = within_bounds(white_box, belief.p * (1.0 + step[:, COORDINATES]))
     transfer = belief.frame.transfer(block.path)
     moved = transfer @ posterior @ transfer.swapaxes(1, 2)
-    moved[:, 0, 0] += block.left / belief.current_a**2
-    state = block.path.state[:, -1] + (transfer @ step[..., None])[:, 0, 0] * belief.current_a
+    moved[:, CURRENT, CURRENT] += block.left / belief.current_a**2
+    state = block.path.state[:, -1] + (transfer @ step[..., None])[:, CURRENT, 0] * belief.current_a
     if walked is not None:
-        moved[:, 1:, 1:] += walked / (belief.noise**2)[:, None, None]
+        moved[:, COORDINATES, COORDINATES] += walked / (belief.noise**2)[:, None, None]
     covariance = belief.frame.moved(moved, Frame(belief.current_a, p))
     after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
@@ -190,17 +193,17 @@ def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
         Shapes (motor, coordinate) and (motor, coordinate, coordinate).
     """
     n = belief.p.shape[1]
-    both = np.empty((*block.right.shape, n + 2))
+    both = np.empty((*block.right.shape, n + STATES + 1))
     both[..., :-1], both[..., -1] = block.information, block.right
-    reached = solved(np.eye(n + 1) + block.information @ belief.covariance, both)
+    reached = solved(np.eye(n + STATES) + block.information @ belief.covariance, both)
     sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
     if not sound.all():  # rounding has made the covariance indefinite: mend it
         mended = semidefinite(belief.covariance)
-        again = solved(np.eye(n + 1) + block.information @ mended, both)
+        again = solved(np.eye(n + STATES) + block.information @ mended, both)
         reached = np.where(sound[:, None, None], reached, again)
         sound = ~block.kicked & (np.diagonal(reached, axis1=1, axis2=2) >= 0.0).all(axis=1)
-    turned = belief.sensitivity[:, :, None] * reached[:, :1, :] + reached[:, 1:, :]
-    information = turned[:, :, :1] * belief.sensitivity[:, None, :] + turned[:, :, 1:-1]
+    turned = belief.sensitivity[:, :, None] * reached[:, CURRENT, None] + reached[:, COORDINATES]
+    information = turned[:, :, CURRENT, None] * belief.sensitivity[:, None, :] + turned[:, :, STATES:-1]
     unit = sound / belief.noise**2
     return _cleared(turned[:, :, -1], unit), _cleared(information, unit)
 
@@ -224,7 +227,7 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
         many samples: none where the state was kicked or nothing can be said.
     """
     n = belief.p.shape[1]
-    gram = np.eye(n + 1) + block.information @ belief.covariance
+    gram = np.eye(n + STATES) + block.information @ belief.covariance
     sign, logarithm = np.linalg.slogdet(gram)
     explained = np.sum(block.right * (belief.covariance @ solved(gram, block.right[..., None]))[..., 0], axis=1)
     squares = (np.sum(block.weights * block.residual**2, axis=1) - explained) / belief.noise**2

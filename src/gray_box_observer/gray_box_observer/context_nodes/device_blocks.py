@@ -27,6 +27,7 @@ from gray_box_observer.context_nodes.learnt import Learnt, copied
 from gray_box_observer.context_nodes.normal_equations import CORRELATION_SLACK
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, READ, WRITTEN
 from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.trajectory import COORDINATES, CURRENT, STATES
 from gray_box_observer.context_nodes.walk import heating
 from gray_box_observer.device import DEVICE_TURN, watched
 from gray_box_observer.fit_test.noise_floor import STILL
@@ -143,8 +144,8 @@ class DeviceBlocks:
             _plus_unit(path.info @ given.covariance), torch.cat([path.info, path.right[..., None]], dim=2), fine
         )
         fine &= (reached.diagonal(dim1=1, dim2=2) >= 0.0).all(dim=1)
-        turned = shares[:, :, None] * reached[:, :1] + reached[:, 1:]
-        told = (turned[:, :, :1] * shares[:, None, :] + turned[:, :, 1:-1]) * unit[..., None]
+        turned = shares[:, :, None] * reached[:, CURRENT, None] + reached[:, COORDINATES]
+        told = (turned[:, :, CURRENT, None] * shares[:, None, :] + turned[:, :, STATES:-1]) * unit[..., None]
         score = self._keep * before['score'] + (turned[:, :, -1] * unit)[:, None]
         information = self._keep[..., None] ** 2 * before['information'] + told[:, None]
         ridge = 1e-6 * information.diagonal(dim1=2, dim2=3).sum(dim=2)[..., None, None] / n + 1e-300
@@ -162,20 +163,20 @@ class DeviceBlocks:
         posterior = _solved(_plus_unit(given.covariance @ path.info), given.covariance, fine)
         posterior = 0.5 * (posterior + posterior.transpose(1, 2))
         step = (posterior @ path.right[..., None])[..., 0]
-        step[:, 1:] = step[:, 1:].clamp(-0.5, 1.0)
+        step[:, COORDINATES] = step[:, COORDINATES].clamp(-0.5, 1.0)
         spread = posterior.diagonal(dim1=1, dim2=2)
         most = spread[:, :, None] * spread[:, None, :] * (1.0 + CORRELATION_SLACK)
         fine &= (spread > 0.0).all(dim=1) & (posterior**2 <= most).all(dim=2).all(dim=1)
-        found = p * (1.0 + step[:, 1:])
+        found = p * (1.0 + step[:, COORDINATES])
         theta = torch.cat([torch.ones_like(size), found[:, 1:]], dim=1) / found[:, :1]
         theta = torch.minimum(torch.maximum(theta, self._lower), self._upper)
         found = torch.cat([torch.ones_like(size), theta[:, 1:]], dim=1) / theta[:, :1]
-        transfer = torch.eye(p.shape[1] + 1, dtype=p.dtype, device=p.device).repeat(p.shape[0], 1, 1)
-        transfer[:, 0] = torch.cat([path.by_start[:, None], path.by_coordinate * p / size], dim=1)
-        state = path.state[:, -1] + (transfer[:, 0] * step).sum(dim=1) * given.current_a
+        transfer = torch.eye(p.shape[1] + STATES, dtype=p.dtype, device=p.device).repeat(p.shape[0], 1, 1)
+        transfer[:, CURRENT] = torch.cat([path.by_start[:, None], path.by_coordinate * p / size], dim=1)
+        state = path.state[:, -1] + (transfer[:, CURRENT] * step).sum(dim=1) * given.current_a
         moved = transfer @ posterior @ transfer.transpose(1, 2)
         walked = before['walk_rate'] ** 2 * given.interval[:, 1:].sum(dim=1) / variance
-        moved.diagonal(dim1=1, dim2=2)[:, 1:] += walked[:, None] * self._heats
+        moved.diagonal(dim1=1, dim2=2)[:, COORDINATES] += walked[:, None] * self._heats
         ratio = torch.cat([torch.ones_like(size), p / found], dim=1)
         covariance = moved * ratio[:, :, None] * ratio[:, None, :]
         samples = path.kept.shape[1]

@@ -12,7 +12,7 @@ import torch
 
 from gray_box_observer.context_nodes.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.normal_equations import OUTLIER
-from gray_box_observer.context_nodes.trajectory import FAR, KICK
+from gray_box_observer.context_nodes.trajectory import COORDINATE_ROWS, CURRENT, FAR, KICK, START_ROW, STATE_ROW
 from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box.flow import flow, is_stiff
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -101,29 +101,30 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
     """
     start, measured, speed = about[:, :-1], given.measured, given.speed
     voltage, interval, box = given.voltage[:, 1:], given.interval[:, 1:], given.box
-    moved: Any = flow(box, given.p, start, voltage, speed[:, :-1], speed[:, 1:], interval, ops)  # type: ignore[arg-type]
-    stiff: Any = is_stiff(box, given.p, start, voltage, speed[:, :-1], interval, ops)  # type: ignore[arg-type]
+    moved = flow(box, given.p, [start], voltage, speed[:, :-1], speed[:, 1:], interval, ops)  # type: ignore[arg-type, list-item]
+    end, by_state, forced = moved.of_state(CURRENT)
+    stiff: Any = is_stiff(box, given.p, [start], voltage, speed[:, :-1], interval, ops)  # type: ignore[arg-type, list-item]
     limit = FAR * (measured.abs().amax(dim=1, keepdim=True) + 1e-9)
-    decay, gain = moved.by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
+    decay, gain = by_state.clamp(-1.0, 1.0), given.gain[:, None].expand(start.shape)
     if near is not None:
         gain = torch.cat([gain[:, :1], torch.where(near[:, :-1], gain[:, 1:], 0.0)], dim=1)
     factor = decay * (1.0 - gain)
-    offset = moved.end - decay * start + decay * gain * measured[:, :-1]
-    rows = _recurrence(factor, offset, moved.by_coordinate, given.state)
+    offset = end - decay * start + decay * gain * measured[:, :-1]
+    rows = _recurrence(factor, offset, forced, given.state)
     units = torch.cat([given.current_a[:, None], given.p], dim=1)
-    jacobian = (rows[1:] * units.T[..., None]).permute(1, 2, 0)
-    error = measured[:, 1:] - rows[0]
+    jacobian = (rows[START_ROW:] * units.T[..., None]).permute(1, 2, 0)
+    error = measured[:, 1:] - rows[STATE_ROW]
     spread = 1.0 + ((jacobian @ given.covariance) * jacobian).sum(dim=2).clamp_min(0.0)
     kept = error**2 <= (OUTLIER * given.noise)[:, None] ** 2 * spread
     counts = torch.where(kept[..., None], jacobian, 0.0).transpose(1, 2)
     return Predicted(
-        sound=(moved.end.abs() <= limit).all(dim=1) & ~stiff,
-        state=rows[0],
+        sound=(end.abs() <= limit).all(dim=1) & ~stiff,
+        state=rows[STATE_ROW],
         factor=factor,
         error=error,
         kept=kept,
-        by_start=rows[1, :, -1].clone(),
-        by_coordinate=rows[2:, :, -1].T.clone(),
+        by_start=rows[START_ROW, :, -1].clone(),
+        by_coordinate=rows[COORDINATE_ROWS, :, -1].T.clone(),
         used=kept.sum(dim=1, dtype=error.dtype),
         squares=torch.where(kept, error**2 / spread, 0.0).sum(dim=1),
         info=counts @ jacobian,
@@ -135,7 +136,7 @@ def _recurrence(factor: Tensor, offset: Tensor, by_coordinate: Tensor, state: Te
     """States and their derivatives by the start and the coordinates, samples 1 ... k: shape (row, motor, k)."""
     inputs = torch.cat([offset[None], torch.zeros_like(offset)[None], by_coordinate])
     value = torch.zeros_like(inputs[..., 0])
-    value[0], value[1] = state, 1.0
+    value[STATE_ROW], value[START_ROW] = state, 1.0
     rows = []
     for left, added in zip(factor.T.contiguous(), inputs.permute(2, 0, 1).contiguous(), strict=True):
         value = left * value + added

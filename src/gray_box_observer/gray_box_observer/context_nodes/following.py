@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes.drift import CHANGE_EVIDENCE, UNCHANGED, ch
 from gray_box_observer.context_nodes.learnt import Learnt, copied, put
 from gray_box_observer.context_nodes.motors import Motors
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import CURRENT, Stretch
 from gray_box_observer.white_box.base import Parameter
 
 SOON = 1024
@@ -143,7 +143,7 @@ class Following:
         usable = which & held.finite
         units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
         covariance = belief.covariance.copy()
-        covariance[:, 0, 0] += np.where(usable, units * held.covariance[:, 0, 0], 0.0)
+        covariance[:, CURRENT, CURRENT] += np.where(usable, units * held.covariance[:, CURRENT, CURRENT], 0.0)
         return replace(belief, state=np.where(usable, held.state, belief.state), covariance=covariance)
 
     def _fit_from(self, motors: Motors, stretch: Stretch, prior: Prior) -> Fit:

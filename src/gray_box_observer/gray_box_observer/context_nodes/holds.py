@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.belief import Belief, Prior
 from gray_box_observer.context_nodes.normal_equations import solved
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import COORDINATES, CURRENT, STATES, Stretch
 from gray_box_observer.saved_state import (
     LARGEST_SIGNAL,
     ArrayRule,
@@ -116,7 +116,7 @@ class Holds:
 
     def __init__(self, parameters: tuple[Parameter, ...], long_s: float, *, speed_measured: bool = False) -> None:
         self._speed_measured = speed_measured
-        self._free = np.array([True, *(p.heats for p in parameters)])  # the state and what heats
+        self._free = np.array([*STATES * [True], *(p.heats for p in parameters)])  # the state and what heats
         self._long_s = long_s
 
     def take(self, held: HoldState, belief: Belief, stretch: Stretch, decay: Array) -> tuple[HoldState, Belief]:
@@ -156,7 +156,7 @@ class Holds:
         """
         first = np.where(np.isinf(held.level), stretch.voltage_v[:, 0], held.level)
         _, largest = self._same(first, held.largest, stretch)
-        variance = np.diagonal(belief.posterior, axis1=1, axis2=2)[:, ~self._free[1:]]
+        variance = np.diagonal(belief.posterior, axis1=1, axis2=2)[:, ~self._free[COORDINATES]]
         begun = held.begun | self._moved(first, largest, stretch) | np.all(variance <= VAGUE**2, axis=1)
         level, largest = np.where(begun, held.level, first), np.where(begun, held.largest, largest)
         return replace(held, level=level, largest=largest, begun=begun)
@@ -228,7 +228,7 @@ class Holds:
             return belief
         f = int(np.sum(self._free))
         order = np.argsort(~self._free, kind='stable')  # what is free first
-        back, kept = np.argsort(order), order[f:] - 1
+        back, kept = np.argsort(order), order[f:] - STATES
         covariance = belief.covariance[:, order][:, :, order]
         a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
         marginal = posterior[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
@@ -242,8 +242,8 @@ class Holds:
         joint = joint[:, back][:, :, back]
         restored = replace(
             belief,
-            state=belief.state + shift[:, 0] * belief.current_a,
-            p=belief.p * np.exp(shift[:, 1:]),
+            state=belief.state + shift[:, CURRENT] * belief.current_a,
+            p=belief.p * np.exp(shift[:, COORDINATES]),
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
         return belief.overwritten(restored, which & restored.finite)
@@ -252,8 +252,8 @@ class Holds:
 def _beside(covariance: Array, coordinates: Array) -> Array:
     """A covariance of the state as it was, and of coordinates that are independent of it."""
     joined = np.zeros_like(covariance)
-    joined[:, 0, 0] = covariance[:, 0, 0]
-    joined[:, 1:, 1:] = coordinates
+    joined[:, CURRENT, CURRENT] = covariance[:, CURRENT, CURRENT]
+    joined[:, COORDINATES, COORDINATES] = coordinates
     return joined
 
 

@@ -32,7 +32,7 @@ from gray_box_observer.context_nodes.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.normal_equations import solved
 from gray_box_observer.context_nodes.ordinary_block import ANCHOR_DUE, LEARNT, LONG_HOLD, OrdinaryBlocks, Turn
 from gray_box_observer.context_nodes.rules import RecursiveRules
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import COORDINATES, Stretch
 from gray_box_observer.device import DEVICE_FROM, DEVICE_TURN
 from gray_box_observer.fit_test.noise_floor import STEP_TO_STD, STILL, WITHIN_STEP, quantisation_step
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -190,7 +190,7 @@ class Learner:
         """What could be believed at the beginning of a stretch that has been fitted, were it not for the stretch."""
         loose = walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
         covariance = np.zeros_like(found.covariance)
-        covariance[:, 1:, 1:] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
+        covariance[:, COORDINATES, COORDINATES] = np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
     def learn_due(
@@ -267,7 +267,7 @@ class Learner:
         """How many of the newest samples to examine where the motor seems to have changed; 0 elsewhere."""
         belief = known.belief
         size = belief.current_a[:, None]
-        reached = block.jacobian[:, -1, 1:] + block.path.by_start[:, -1:] * (belief.sensitivity * size)
+        reached = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (belief.sensitivity * size)
         scores, alarm, memory = self._drift.take((known.score, known.information), *blocks.surprise(belief, block))
         known.score, known.information = scores
         known.belief = replace(belief, sensitivity=reached / size)

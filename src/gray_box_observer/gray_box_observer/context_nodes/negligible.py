@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.normal_equations import inverted
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.trajectory import COORDINATES, Stretch
 from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import parameter_covariance, to_parameters
 
@@ -53,7 +53,7 @@ def linear_std(p: Array, information: Array, noise: Array) -> Array:
     """
     size = np.sqrt(np.maximum(information.diagonal(0, 1, 2), 1e-300))
     scale = size[:, :, None] * size[:, None, :]
-    covariance = (inverted(information / scale) / scale)[:, 1:, 1:] * noise[:, None, None] ** 2
+    covariance = (inverted(information / scale) / scale)[:, COORDINATES, COORDINATES] * noise[:, None, None] ** 2
     variance = parameter_covariance(to_parameters(p), covariance).diagonal(0, 1, 2)
     return np.where(np.isfinite(variance) & (variance >= 0.0), np.sqrt(np.abs(variance)), np.inf)
 

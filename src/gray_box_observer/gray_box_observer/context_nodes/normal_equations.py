@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.trajectory import Trajectory
+from gray_box_observer.context_nodes.trajectory import COORDINATES, CURRENT, STATES, Trajectory
 from gray_box_observer.white_box.base import Array
 
 MAD_TO_STD = 1.4826
@@ -39,24 +39,24 @@ class Frame:
 
     def jacobian(self, path: Trajectory) -> Array:
         """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
-        jacobian = np.empty((*path.by_start.shape, self.p.shape[1] + 1))
-        np.multiply(path.by_start, self.current_a[:, None], out=jacobian[..., 0])
-        np.multiply(path.by_coordinate.transpose(1, 2, 0), self.p[:, None, :], out=jacobian[..., 1:])
+        jacobian = np.empty((*path.by_start.shape, STATES + self.p.shape[1]))
+        np.multiply(path.by_start, self.current_a[:, None], out=jacobian[..., CURRENT])
+        np.multiply(path.by_coordinate.transpose(1, 2, 0), self.p[:, None, :], out=jacobian[..., COORDINATES])
         return jacobian
 
     def transfer(self, path: Trajectory) -> Array:
         """How unknowns (first state, coordinates) become (last state, coordinates), shape (motor, unknown, unknown)."""
-        n = self.p.shape[1]
-        matrix = np.zeros((self.p.shape[0], n + 1, n + 1))
-        matrix.reshape(-1, (n + 1) ** 2)[:, :: n + 2] = 1.0
-        matrix[:, 0, 0] = path.by_start[:, -1]
-        matrix[:, 0, 1:] = path.by_coordinate[:, :, -1].T * self.p / self.current_a[:, None]
+        unknowns = STATES + self.p.shape[1]
+        matrix = np.zeros((self.p.shape[0], unknowns, unknowns))
+        matrix.reshape(-1, unknowns**2)[:, :: unknowns + 1] = 1.0
+        matrix[:, CURRENT, CURRENT] = path.by_start[:, -1]
+        matrix[:, CURRENT, COORDINATES] = path.by_coordinate[:, :, -1].T * self.p / self.current_a[:, None]
         return matrix
 
     def moved(self, covariance: Array, new: Frame) -> Array:
         """Express a covariance of this frame in the units of another."""
-        ratio = np.empty((self.p.shape[0], self.p.shape[1] + 1))
-        ratio[:, 0], ratio[:, 1:] = self.current_a / new.current_a, self.p / new.p
+        ratio = np.empty((self.p.shape[0], STATES + self.p.shape[1]))
+        ratio[:, CURRENT], ratio[:, COORDINATES] = self.current_a / new.current_a, self.p / new.p
         moved: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
         return moved
 

@@ -10,13 +10,16 @@
 
 #include "white_box/flow.h"
 
-#define MOST_UNKNOWNS (MOST_COORDINATES + 1)
+#define MOST_UNKNOWNS (MOST_COORDINATES + STATES)
 #define MOST_SAMPLES 64
 #define MOST_MEMORIES 8
 #define ROUNDING 1e-12 /* of a bound: more than its arithmetic, which is some 1e-16 off */
 
 /* What is told of a motor: nothing where its block was not ordinary. */
 enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
+
+/* Places of the signals in a replay buffer: replay_buffer.py. */
+enum { INTERVAL_S, VOLTAGE_V, TORQUE_NM, SPEED_RAD_S };
 
 /* Everything a call needs; ordinary_block.py holds the same list. Arrays are contiguous, the motor axis first. */
 typedef struct {
@@ -61,8 +64,8 @@ typedef struct {
     Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
     Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
-    Rate here[MOST_SAMPLES]; /* where an interval begins */
-    Moved to[MOST_SAMPLES]; /* and where it leads */
+    Linear here[MOST_SAMPLES]; /* where an interval begins */
+    Linear to[MOST_SAMPLES]; /* and where it leads */
     Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
     Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
@@ -159,7 +162,7 @@ INLINE void store_matrix(
 /* Bring samples and belief of the motors in, lane by lane. */
 INLINE void gather(const Update *u, Tile *t, const int n)
 {
-    const int k = t->k, m = n + 1, memories = (int)u->memories;
+    const int k = t->k, m = n + STATES, memories = (int)u->memories;
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
     int64_t column[LANES];
@@ -177,15 +180,15 @@ INLINE void gather(const Update *u, Tile *t, const int n)
         const double *first = u->data + t->motor[l] + column[l] * u->column_stride;
         for (int j = 0; j <= k; j++, first += u->column_stride)
             if (even) {
-                memcpy(&t->interval[j], first, sizeof(Real));
-                memcpy(&t->voltage[j], first + stride, sizeof(Real));
-                memcpy(&t->measured[j], first + 2 * stride, sizeof(Real));
-                if (u->speed_measured) memcpy(&t->speed[j], first + 3 * stride, sizeof(Real));
+                memcpy(&t->interval[j], first + INTERVAL_S * stride, sizeof(Real));
+                memcpy(&t->voltage[j], first + VOLTAGE_V * stride, sizeof(Real));
+                memcpy(&t->measured[j], first + TORQUE_NM * stride, sizeof(Real));
+                if (u->speed_measured) memcpy(&t->speed[j], first + SPEED_RAD_S * stride, sizeof(Real));
             } else {
-                t->interval[j][l] = first[0];
-                t->voltage[j][l] = first[stride];
-                t->measured[j][l] = first[2 * stride];
-                t->speed[j][l] = first[3 * stride];
+                t->interval[j][l] = first[INTERVAL_S * stride];
+                t->voltage[j][l] = first[VOLTAGE_V * stride];
+                t->measured[j][l] = first[TORQUE_NM * stride];
+                t->speed[j][l] = first[SPEED_RAD_S * stride];
             }
     }
     if (!u->speed_measured) /* nothing is known of it, perhaps not even a number */
@@ -210,7 +213,7 @@ CLONES void set_out(const Update *u, Tile *t)
 {
     const Real reach = u->credible * t->size;
     for (int j = 0; j <= t->k; j++) {
-        t->measured[j] /= t->box.torque_constant;
+        t->measured[j] = current_of_torque(t->measured[j], t->box.torque_constant);
         t->about[j] = j > 0 ? between(t->measured[j], -reach, reach) : t->state;
         t->near[j] = everywhere();
         if (j > 0) t->fine &= t->interval[j] > 0.0;
@@ -223,8 +226,8 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 {
     Real stiffness = all(0.0);
     for (int j = 0; j < t->k; j++) {
-        t->here[j] = rate_of(&t->box, of, t->about[j], t->voltage[j + 1], t->speed[j]);
-        const Real stiff = absolute(t->here[j].slope) * t->interval[j + 1];
+        t->here[j] = rate_of(&t->box, of, &t->about[j], t->voltage[j + 1], t->speed[j]);
+        const Real stiff = absolute(t->here[j].by_state[CURRENT][CURRENT]) * t->interval[j + 1];
         t->fine &= stiff < INFINITY;
         stiffness = larger(stiffness, stiff);
     }
@@ -240,7 +243,7 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
 /* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; blocks.py, _from. */
 INLINE void follow(const Update *u, Tile *t, const Terms of)
 {
-    const int k = t->k, n = of.coordinates, m = n + 1;
+    const int k = t->k, n = of.coordinates, m = n + STATES;
     const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
     Real largest = all(0.0), x = t->state, by_start = all(1.0), by_coordinate[MOST_COORDINATES];
     Real squares = all(0.0), used = all(0.0);
@@ -258,23 +261,23 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     }
     for (int j = 0; j < k; j++) { /* a loop of its own: intervals overlap in the processor */
         const Interval over = {t->voltage[j + 1], t->speed[j], t->speed[j + 1], t->interval[j + 1]};
-        t->to[j] = t->most == 1 ? runge_kutta(&t->box, of, &t->here[j], t->about[j], &over)
-                                : in_steps(&t->box, of, t->about[j], &over, t->steps, t->most);
+        t->to[j] = t->most == 1 ? runge_kutta_step(&t->box, of, &t->about[j], &t->here[j], &over)
+                                : in_steps(&t->box, of, &t->about[j], &over, t->steps, t->most);
     }
     for (int j = 0; j < k; j++) {
-        const Moved to = t->to[j];
-        const Real about = t->about[j];
-        fine &= absolute(to.state) <= limit;
-        const Real decay = between(to.by_state, all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
+        const Linear to = t->to[j];
+        const Real about = t->about[j], end = to.value[CURRENT];
+        fine &= absolute(end) <= limit;
+        const Real decay = between(to.by_state[CURRENT][CURRENT], all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
         const Real factor = decay * (1.0 - gain);
         t->factor[j] = factor;
-        t->path[j + 1] = x = factor * x + (to.state - decay * about + decay * gain * t->measured[j]);
+        t->path[j + 1] = x = factor * x + (end - decay * about + decay * gain * t->measured[j]);
         by_start = factor * by_start;
         Real row[MOST_UNKNOWNS], variance = all(0.0);
-        row[0] = by_start * t->size;
+        row[CURRENT] = by_start * t->size;
         UNROLL for (int i = 0; i < n; i++) {
-            by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[i];
-            row[i + 1] = by_coordinate[i] * t->box.p[i];
+            by_coordinate[i] = factor * by_coordinate[i] + to.by_coordinate[CURRENT][i];
+            row[i + STATES] = by_coordinate[i] * t->box.p[i];
         }
         UNROLL for (int i = 0; i < m; i++)
             UNROLL for (int h = i; h < m; h++) variance += twice[i][h] * (row[i] * row[h]);
@@ -308,7 +311,7 @@ INLINE void follow_of(const Update *u, Tile *t, const Terms of) { count_steps(u,
     }
 FOLLOW(1) FOLLOW(2) FOLLOW(3) FOLLOW(4) FOLLOW(5)
 
-static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF};
+static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT};
 
 CLONES void follow_usual(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 0, USUAL}); }
 CLONES void follow_usual_with_speed(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 1, USUAL}); }
@@ -386,7 +389,7 @@ CLONES void predict(const Update *u, Tile *t)
 /* Have the coordinates always been others? blocks.py, surprise; drift.py, DriftTest.take. */
 INLINE void examine(const Update *u, Tile *t, const int n)
 {
-    const int m = n + 1, memories = (int)u->memories;
+    const int m = n + STATES, memories = (int)u->memories;
     const Real unit = 1.0 / (t->noise * t->noise);
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], reached[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     for (int i = 0; i < m; i++) {
@@ -403,11 +406,12 @@ INLINE void examine(const Update *u, Tile *t, const int n)
     for (int q = 0; q < memories; q++) {
         Real trace = all(0.0), statistic = all(0.0), solution[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
         for (int i = 0; i < n; i++) {
-            const Real share = t->sensitivity[i], turned = share * reached[0][0] + reached[i + 1][0];
-            const Real score = (share * reached[0][m] + reached[i + 1][m]) * unit;
+            const Real share = t->sensitivity[i], turned = share * reached[CURRENT][CURRENT] + reached[i + STATES][CURRENT];
+            const Real score = (share * reached[CURRENT][m] + reached[i + STATES][m]) * unit;
             t->scores[q][i] = u->keep[q] * t->scores[q][i] + score;
             for (int j = 0; j < n; j++) {
-                const Real told = turned * t->sensitivity[j] + (share * reached[0][j + 1] + reached[i + 1][j + 1]);
+                const Real own = share * reached[CURRENT][j + STATES] + reached[i + STATES][j + STATES];
+                const Real told = turned * t->sensitivity[j] + own;
                 matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * t->tested[q][i][j] + told * unit;
             }
             solution[i][0] = t->scores[q][i];
@@ -475,7 +479,7 @@ static uint8_t reckon(const Update *u, int64_t motor)
 /* Learn, and write down what is believed then: blocks.py, learn; learner.py, _follow_noise; holds.py, take. */
 INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
 {
-    const int k = t->k, m = n + 1, memories = (int)u->memories;
+    const int k = t->k, m = n + STATES, memories = (int)u->memories;
     const Real noise = t->noise, unit = 1.0 / (noise * noise), *before = t->box.p;
     Real matrix[MOST_UNKNOWNS][MOST_UNKNOWNS], posterior[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
     Real step[MOST_UNKNOWNS], moved[MOST_UNKNOWNS][MOST_UNKNOWNS];
@@ -492,7 +496,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     for (int i = 0; i < m; i++) {
         step[i] = all(0.0);
         for (int j = 0; j < m; j++) step[i] += posterior[i][j] * t->right[j];
-        if (i > 0) step[i] = between(step[i], all(-0.5), all(1.0));
+        if (i >= STATES) step[i] = between(step[i], all(-0.5), all(1.0));
     }
     for (int i = 0; i < m; i++) { /* normal_equations.py, is_sound */
         t->fine &= posterior[i][i] > 0.0;
@@ -503,15 +507,15 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     }
 
     Real p[MOST_COORDINATES], ratio[MOST_UNKNOWNS], transfer[MOST_UNKNOWNS];
-    const Real first = before[0] * (1.0 + step[1]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
+    const Real first = before[0] * (1.0 + step[STATES]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
     p[0] = 1.0 / leading;
     for (int i = 1; i < n; i++)
-        p[i] = between(before[i] * (1.0 + step[i + 1]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
-    ratio[0] = all(1.0);
-    transfer[0] = t->by_start;
+        p[i] = between(before[i] * (1.0 + step[i + STATES]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
+    ratio[CURRENT] = all(1.0);
+    transfer[CURRENT] = t->by_start;
     for (int i = 0; i < n; i++) {
-        ratio[i + 1] = before[i] / p[i];
-        transfer[i + 1] = t->by_coordinate[i] * before[i] / t->size;
+        ratio[i + STATES] = before[i] / p[i];
+        transfer[i + STATES] = t->by_coordinate[i] * before[i] / t->size;
     }
     Real shift = all(0.0), passed = all(0.0);
     for (int j = 1; j <= k; j++) passed += t->interval[j];
@@ -520,14 +524,14 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     for (int i = 0; i < m; i++) { /* the first row and column turn, the others stay */
         Real sum = all(0.0);
         for (int h = 0; h < m; h++) sum += transfer[h] * posterior[h][i];
-        moved[0][i] = sum;
+        moved[CURRENT][i] = sum;
     }
     Real corner = all(0.0), whole = state;
-    for (int h = 0; h < m; h++) corner += moved[0][h] * transfer[h];
-    moved[0][0] = corner;
-    for (int i = 1; i < m; i++) {
-        for (int j = 0; j < m; j++) moved[i][j] = j == 0 ? moved[0][i] : posterior[i][j];
-        moved[i][i] += u->heats[i - 1] * (walk * walk * passed * unit);
+    for (int h = 0; h < m; h++) corner += moved[CURRENT][h] * transfer[h];
+    moved[CURRENT][CURRENT] = corner;
+    for (int i = STATES; i < m; i++) {
+        for (int j = 0; j < m; j++) moved[i][j] = j == CURRENT ? moved[CURRENT][i] : posterior[i][j];
+        moved[i][i] += u->heats[i - STATES] * (walk * walk * passed * unit);
     }
     for (int i = 0; i < m; i++)
         for (int j = 0; j < m; j++) {
@@ -585,7 +589,7 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
             for (int i = 0; i < n; i++) {
                 u->hold_p[motor * n + i] = p[i][l];
                 for (int j = 0; j < n; j++)
-                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + 1][j + 1][l] * followed[l] * followed[l];
+                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + STATES][j + STATES][l] * followed[l] * followed[l];
             }
         u->hold_settled_now[motor] = settled[l] != 0;
         told[l] = reckon(u, motor);
@@ -652,12 +656,15 @@ int64_t learn_due(
     return count;
 }
 
-/* Basis function of a term and its derivatives, of one motor; for a test. Returns whether there is such a term here. */
-int64_t term_values(int64_t code, double current, double speed, double *values)
+/* By which Python tells that this was built of the forms that it has itself. */
+int64_t forms_fingerprint(void) { return FORMS_FINGERPRINT; }
+
+/* A term for a coefficient of one, and its derivative by the current, of one motor. Returns whether there is such. */
+int64_t term_values(
+    int64_t code, int64_t speed_measured, double current, double speed, double torque_constant, double *values)
 {
-    const Term found = term(code, all(current), all(speed));
+    const Term found = term(code, (int)speed_measured, all(current), all(speed), all(torque_constant));
     values[0] = found.value[0];
-    values[1] = found.by_current[0];
-    values[2] = found.by_speed[0];
+    values[1] = found.slope[CURRENT][0];
     return term_known(code);
 }

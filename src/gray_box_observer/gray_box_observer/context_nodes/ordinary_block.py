@@ -24,10 +24,11 @@ from gray_box_observer.context_nodes.trajectory import FAR, KICK
 from gray_box_observer.context_nodes.walk import heating
 from gray_box_observer.fit_test.noise_floor import STILL
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.base import WhiteBox, bounds
+from gray_box_observer.white_box.declaration import COMPILED, TERMS
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
 from gray_box_observer.white_box.motor import MotorWhiteBox
-from gray_box_observer.white_box.terms import TERMS
 
 MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
 """Room in `ordinary_block.c`."""
@@ -99,7 +100,7 @@ class _Update(ctypes.Structure):
 
 
 def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None where the workspace was built without it, or with another ``Update``."""
+    """Load the compiled code; None where the workspace was built without it, or of another ``Update`` or motor."""
     loaded = compiled.library('update_size', _Update)
     if loaded is None:
         return None
@@ -107,9 +108,10 @@ def library() -> ctypes.CDLL | None:
     loaded.learn_blocks.restype = None
     loaded.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
     loaded.learn_due.restype = _COUNT
-    loaded.term_values.argtypes = (_COUNT, _NUMBER, _NUMBER, ctypes.POINTER(_NUMBER))
+    loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
     loaded.term_values.restype = _COUNT
-    return loaded
+    loaded.forms_fingerprint.restype = _COUNT
+    return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
 
 
 class Turn(NamedTuple):
@@ -278,13 +280,14 @@ class OrdinaryBlocks:
 
 def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
     """Whether `ordinary_block.c` has room for it and knows its terms."""
-    values = (_NUMBER * 3)()
+    values = (_NUMBER * 2)()
     return (
-        len(white_box.parameters) <= MOST_COORDINATES
+        white_box.states == COMPILED
+        and len(white_box.parameters) <= MOST_COORDINATES
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(found.term_values(code, 0.0, 0.0, values) for code in _codes(white_box))
+        and all(found.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in _codes(white_box))
     )
 
 

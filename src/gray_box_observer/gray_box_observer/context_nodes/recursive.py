@@ -33,6 +33,7 @@ from gray_box_observer.context_nodes.normal_equations import definite
 from gray_box_observer.context_nodes.ordinary_block import LEARNT, Turn
 from gray_box_observer.context_nodes.ordinary_estimate import OrdinaryEstimates
 from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.trajectory import COORDINATES
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.printable import printable
 from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
@@ -164,7 +165,7 @@ class RecursiveUpdate:
         if told is not None:
             return Estimate(self._stamp_ns, parameters, *told)
         theta = to_parameters(belief.p[which])
-        posterior = belief.covariance[which, 1:, 1:] * belief.noise[which, None, None] ** 2
+        posterior = belief.covariance[which, COORDINATES, COORDINATES] * belief.noise[which, None, None] ** 2
         covariance, theta = parameter_covariance(theta, posterior), theta.clip(self._lower, self._upper)
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
         covariance = definite(bounded(theta, covariance), theta)

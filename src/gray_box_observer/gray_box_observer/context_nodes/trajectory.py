@@ -18,7 +18,20 @@ from numpy.typing import NDArray
 
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.base import Array, WhiteBox
-from gray_box_observer.white_box.flow import Flow, flow
+from gray_box_observer.white_box.declaration import COMPILED, State
+from gray_box_observer.white_box.flow import flow
+
+STATES = len(COMPILED)
+"""How many states are learnt; they stand before the coordinates among the unknowns."""
+
+CURRENT = int(State.CURRENT)
+"""Place of the current among the states, and so among the unknowns."""
+
+COORDINATES = slice(STATES, None)
+"""Places of the coordinates among the unknowns."""
+
+STATE_ROW, START_ROW, COORDINATE_ROWS = 0, 1, slice(2, None)
+"""Rows of a trajectory: the state, its derivative by the first state, and those by the coordinates."""
 
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
@@ -159,27 +172,20 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
         stretch: the samples.
         about: shape (motor, k + 1): states to linearise about.
     """
-    speed = stretch.speed_rad_s
-    moved = flow(white_box, p, about[:, :-1], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
+    speed, start = stretch.speed_rad_s, about[:, :-1]
+    moved = flow(white_box, p, [start], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s)
+    end, by_state, forced = moved.of_state(CURRENT)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
-    if not (np.abs(moved.end) <= limit).all():
-        moved = _tamed(moved, limit)
-    decay = np.clip(moved.by_state, -1.0, 1.0)
-    offset, forced = moved.end - decay * about[:, :-1], moved.by_coordinate
+    if not (np.abs(end) <= limit).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
+        end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
+        forced = np.clip(np.nan_to_num(forced), -ABSURD, ABSURD)
+    decay = np.clip(by_state, -1.0, 1.0)
+    offset = end - decay * start
     if stretch.restart.any():
         decay = np.where(stretch.restart, 0.0, decay)
         offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
         forced = np.where(stretch.restart, 0.0, forced)
     return Linearised(decay, offset, forced)
-
-
-def _tamed(moved: Flow, limit: Array) -> Flow:
-    """Absurd coordinates can be met on the way to good ones; nothing they lead to may overflow."""
-    return Flow(
-        np.clip(np.nan_to_num(moved.end), -limit, limit),
-        np.nan_to_num(moved.by_state),
-        np.clip(np.nan_to_num(moved.by_coordinate), -ABSURD, ABSURD),
-    )
 
 
 def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:
@@ -195,9 +201,9 @@ def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Tra
     offset = maps.offset + maps.decay * gain[:, :-1] * stretch.state[:, :-1]
     inputs = np.concatenate([offset[None], np.zeros_like(offset)[None], maps.by_coordinate])
     first = np.zeros((inputs.shape[0], start.size))
-    first[0], first[1] = start, 1.0
+    first[STATE_ROW], first[START_ROW] = start, 1.0
     rows = recurrence(factor, inputs, first)
-    return Trajectory(rows[0], rows[1], rows[2:], factor)
+    return Trajectory(rows[STATE_ROW], rows[START_ROW], rows[COORDINATE_ROWS], factor)
 
 
 def find_kicks(path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:

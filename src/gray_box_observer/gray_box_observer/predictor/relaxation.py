@@ -24,7 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.white_box.balance import Balance, deducted
 from gray_box_observer.white_box.base import WhiteBox
+from gray_box_observer.white_box.declaration import State
 
 NEWTON_LIMIT = 80
 """More than safeguarded Newton ever needed; every third step at least halves the bracket."""
@@ -81,22 +83,16 @@ class Course:
         return self.voltage_v, self.speed_rad_s, self.steady_a, self.settling, self.near_a
 
 
-def gap_v(white_box: WhiteBox, theta: Sequence[Any], voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
+def gap_v(balance: Balance, theta: Sequence[Any], voltage_v: Any, signals: tuple[Any, ...]) -> Any:
     """Voltage left for the inductance, ``L di/dt`` (thesis 4.17)."""
-    speed = white_box.speed(state, speed_rad_s)
-    gap: Any = white_box.drive(voltage_v, state, speed) - LEAK_OHM * state
-    for coefficient, phi in zip(theta[1:], white_box.basis(state, speed), strict=True):
-        gap = gap - coefficient * phi
-    return gap
+    gap = balance.drive(voltage_v, signals) - LEAK_OHM * signals[State.CURRENT]
+    return deducted(gap, theta[1:], balance.basis(signals))
 
 
-def slope_ohm(white_box: WhiteBox, theta: Sequence[Any], state: Any, speed_rad_s: Any) -> Any:
+def slope_ohm(balance: Balance, theta: Sequence[Any], voltage_v: Any, signals: tuple[Any, ...]) -> Any:
     """How fast that voltage falls as the current rises, ``-d gap / d state``."""
-    speed = white_box.speed(state, speed_rad_s)
-    slope: Any = LEAK_OHM - white_box.drive_slope(state, speed)
-    for coefficient, phi in zip(theta[1:], white_box.basis_slope(state, speed), strict=True):
-        slope = slope + coefficient * phi
-    return slope
+    slope = balance.drive_slope(State.CURRENT, voltage_v, signals) - LEAK_OHM
+    return -deducted(slope, theta[1:], balance.basis_slope(State.CURRENT, signals))
 
 
 def course(
@@ -117,9 +113,11 @@ def course(
     state = guess_a + 0.0 * voltage_v
     low, high = 0.0 * state - math.inf, 0.0 * state + math.inf
     last, slope = high, high
+    balance = white_box.balances(state)[State.CURRENT]
     for _ in range(NEWTON_LIMIT):
-        gap = gap_v(white_box, theta, voltage_v, state, speed_rad_s)
-        slope = slope_ohm(white_box, theta, state, speed_rad_s)
+        signals = balance.signals((state,), speed_rad_s)
+        gap = gap_v(balance, theta, voltage_v, signals)
+        slope = slope_ohm(balance, theta, voltage_v, signals)
         low, high = ops.where(gap > 0.0, state, low), ops.where(gap > 0.0, high, state)
         bracketed = high - low < math.inf
         middle = 0.5 * (ops.where(bracketed, low, 0.0) + ops.where(bracketed, high, 0.0))
@@ -135,9 +133,13 @@ def course(
 
 def chord(ops: Any, white_box: WhiteBox, way: Course, state: Any) -> Any:
     """How fast the current goes where it goes, ``c(i) = rate(i) / (s - i)`` in 1/s."""
+    return _chord(ops, white_box.balances(state)[State.CURRENT], way, state)
+
+
+def _chord(ops: Any, balance: Balance, way: Course, state: Any) -> Any:
     left = state - way.steady_a
     far = abs(left) > way.near_a
-    gap = gap_v(white_box, way.theta, way.voltage_v, state, way.speed_rad_s)
+    gap = gap_v(balance, way.theta, way.voltage_v, balance.signals((state,), way.speed_rad_s))
     slope = gap / way.theta[0] / ops.where(far, -left, 1.0)
     return ops.maximum(ops.where(far, slope, way.settling), SLOWEST)
 
@@ -202,15 +204,16 @@ def _begin(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: A
 
 def _followed(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps: int) -> Any:
     """Current at the end of an interval cut into so many steps."""
+    balance = white_box.balances(begin.state)[State.CURRENT]
     distance = begin.state - way.steady_a
     left, time_s = 0.0 * distance, 0.0 * distance
     for k in range(steps):
         end_s = ops.expm1(begin.length * ((k + 1) / steps)) / begin.fastest
         h, time_s = end_s - time_s, end_s
-        k1 = begin.here if k == 0 else chord(ops, white_box, way, way.steady_a + distance * ops.exp(left))
-        k2 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k1))
-        k3 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k2))
-        k4 = chord(ops, white_box, way, way.steady_a + distance * ops.exp(left - h * k3))
+        k1 = begin.here if k == 0 else _chord(ops, balance, way, way.steady_a + distance * ops.exp(left))
+        k2 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k1))
+        k3 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k2))
+        k4 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - h * k3))
         left = ops.where(left < -ARRIVED, left, left - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
         if ops.all(left < -ARRIVED):
             break
@@ -252,8 +255,9 @@ INPUTS = 5
 
 def relaxation(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Relaxation:
     """Describe an interval; finite whatever theta, voltage and interval are."""
-    here = chord(ops, white_box, way, state)
-    middle = chord(ops, white_box, way, 0.5 * (state + way.steady_a))
+    balance = white_box.balances(state)[State.CURRENT]
+    here = _chord(ops, balance, way, state)
+    middle = _chord(ops, balance, way, 0.5 * (state + way.steady_a))
     magnitude = abs(state) + abs(way.steady_a) + 1e-30
     return Relaxation(
         state,

@@ -1,17 +1,20 @@
 """What an update rule and a predictor may ask of any white box that is linear in its parameters.
 
-The form is ``u = theta_0 dx/dt + sum_j theta_j phi_j(x, w)``: a drive ``u``, one state ``x`` that is measured, and
-an exogenous signal ``w``. Everything the learners need follows from the basis functions ``phi_j``.
+Every state ``x`` has a balance ``theta_0 dx/dt = u - sum_j theta_j phi_j``: a drive ``u``, and effects ``phi_j`` of the
+signals, which are the states and what is measured beside them. Everything the learners need follows from these.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from gray_box_observer.white_box.balance import Balance
 
 Array = NDArray[np.float64]
 """A float array; where a function is elementwise it also takes torch tensors."""
@@ -56,7 +59,7 @@ class WhiteBox(Protocol):
     """The contract between the physics and everything that learns from it.
 
     Shapes: ``motor`` is the leading axis everywhere; ``parameter`` counts :attr:`parameters`, whose first entry is
-    the coefficient of the derivative (the inductance of a motor).
+    the coefficient of the measured state's derivative (the inductance of a motor).
     """
 
     @property
@@ -64,8 +67,12 @@ class WhiteBox(Protocol):
         """The unknown parameters, that of the derivative first."""
 
     @property
+    def states(self) -> tuple[int, ...]:
+        """Numbers of the states that it has."""
+
+    @property
     def speed_measured(self) -> bool:
-        """Whether the terms use a measured speed."""
+        """Whether the effects use a measured speed."""
 
     def of_motors(self, index: Any) -> WhiteBox:
         """Return the white box of the chosen motors, in the order of ``index``."""
@@ -76,17 +83,14 @@ class WhiteBox(Protocol):
     def output(self, state: Array) -> Array:
         """Turn the state into the measured output (current to torque). Elementwise."""
 
-    def drive(self, voltage_v: Array, state: Array, speed_rad_s: Array) -> Array:
-        """Return the input less every known term, in V. Elementwise."""
+    def speed(self, state: Any, measured_rad_s: Any) -> Any:
+        """Return the shaft speed the effects use: measured, or that of the thesis. Elementwise."""
 
-    def basis(self, state: Array, speed_rad_s: Array) -> list[Any]:
-        """Return ``phi_j`` for every parameter but the first, each of the shape of the state. Elementwise."""
+    def balances(self, signal: Any) -> tuple[Balance, ...]:
+        """Return the balance of every state, in the order of their numbers, for signals of as many axes as this."""
 
-    def basis_slope(self, state: Array, speed_rad_s: Array) -> list[Any]:
-        """Return ``d phi_j / d state`` for every parameter but the first. Elementwise."""
+    def drive(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
+        """Return the drive of the measured state less every known effect, in V. Elementwise."""
 
-    def drive_slope(self, state: Array, speed_rad_s: Array) -> Array:
-        """Return ``d drive / d state``. Elementwise."""
-
-    def speed(self, state: Array, measured_rad_s: Array) -> Array:
-        """Return the shaft speed the terms use: measured, or that of the thesis (``w = Kt i``). Elementwise."""
+    def basis(self, state: Any, speed_rad_s: Any) -> list[Any]:
+        """Return ``phi_j`` of the measured state for every parameter but the first. Elementwise."""

@@ -1,19 +1,25 @@
-"""The motion of the state over one interval, with its derivatives, in the coordinates in which the rate is linear.
+"""The motion of the states over one interval, with its derivatives, in the coordinates in which the rate is linear.
 
 The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) / theta_0``, for a
 motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (docs/METHOD.md, The form).
-Sensitivities follow the variational equation, integrated together with the state.
+Sensitivities follow the variational equation, integrated together with the states.
+
+:func:`rate`, :func:`runge_kutta_step` and :func:`joined` are written here alone: ``ros_ws/make_forms.py`` makes the
+compiled ones of them. A sequence over the states has an entry for every balance of the white box, in that order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.white_box.balance import deducted
 from gray_box_observer.white_box.base import Array, WhiteBox, bounds
 
 LARGEST_STEP = 0.35
@@ -24,9 +30,6 @@ MAX_STEPS = 16
 
 STIFF = MAX_STEPS + 1
 """Number of steps that stands for MAX_STEPS exponential ones."""
-
-_Rate = tuple[Array, Array, Array]
-"""Rate of the state, its derivative by the state, and by every coordinate (shape (coordinate, motor, k))."""
 
 
 def to_coordinates(theta: Array) -> Array:
@@ -65,7 +68,7 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class _Interval:
+class Interval:
     """Intervals, or equal parts of them, and what is known of them; every field of shape (motor, k).
 
     Attributes:
@@ -80,44 +83,66 @@ class _Interval:
     end_speed_rad_s: Array
     length_s: Array
 
-    def of(self, index: NDArray[np.intp]) -> _Interval:
+    def of(self, index: NDArray[np.intp]) -> Interval:
         """Return those of the chosen motors."""
         speeds = self.speed_rad_s[index], self.end_speed_rad_s[index]
-        return _Interval(self.voltage_v[index], *speeds, self.length_s[index])
+        return Interval(self.voltage_v[index], *speeds, self.length_s[index])
 
-    def parts(self, count: int) -> Iterator[_Interval]:
+    def parts(self, count: int) -> Iterator[Interval]:
         """Cut into equal parts, the first one first; the last ends where the whole does, to the last bit."""
         slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
         for j in range(count):
             end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
-            yield _Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
+            yield Interval(self.voltage_v, self.speed_rad_s + j * slope, end, length)
 
 
 @dataclass(frozen=True, slots=True)
-class Flow:
-    """Where intervals lead, linearised about where they begin.
+class Linear:
+    """Rates, or where intervals lead, linearised about where these begin: one entry a state.
 
     Attributes:
-        end: shape (motor, k): state at the end of each interval.
-        by_state: shape (motor, k): derivative of the end by the start.
-        by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
+        value: shape (motor, k) each.
+        by_state: derivatives by every state, shape (motor, k) each.
+        by_coordinate: derivatives by the coordinates, shape (coordinate, motor, k) each.
     """
 
-    end: Array
-    by_state: Array
-    by_coordinate: Array
+    value: Sequence[Any]
+    by_state: Sequence[Sequence[Any]]
+    by_coordinate: Sequence[Any]
+
+    def of_state(self, state: int) -> tuple[Any, Any, Any]:
+        """Return what becomes of a state, and its derivatives by itself and by the coordinates."""
+        return self.value[state], self.by_state[state][state], self.by_coordinate[state]
+
+    @property
+    def entries(self) -> list[Any]:
+        """Every value and derivative."""
+        return [*self.value, *(slope for slopes in self.by_state for slope in slopes), *self.by_coordinate]
+
+    def mapped(self, function: Callable[..., Any], *others: Linear) -> Linear:
+        """Return what a function makes of the entries of this and of others."""
+        every = self, *others
+        return Linear(
+            [*map(function, *(one.value for one in every))],
+            [[*map(function, *rows)] for rows in zip(*(one.by_state for one in every), strict=True)],
+            [*map(function, *(one.by_coordinate for one in every))],
+        )
+
+
+RateAt = Callable[[Sequence[Any], Any], Linear]
+"""Rate at given states and a measured speed."""
 
 
 def flow(
     white_box: WhiteBox,
     p: Array,
-    start: Array,
+    start: Sequence[Array],
     voltage_v: Array,
     speed_rad_s: Array,
     end_speed: Array,
     interval_s: Array,
     ops: Any = np,
-) -> Flow:
+) -> Linear:
     """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
 
     As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which are stable however
@@ -126,107 +151,167 @@ def flow(
     Args:
         white_box: the physics.
         p: shape (motor, coordinate).
-        start: shape (motor, k): state at the start of every interval.
+        start: of every state, shape (motor, k): the state at the start of every interval.
         voltage_v: shape (motor, k): voltage held over it.
         speed_rad_s: shape (motor, k): measured speed at its start.
         end_speed: shape (motor, k): measured speed at its end, in rad/s.
         interval_s: shape (motor, k).
         ops: numpy, or :class:`~gray_box_observer.torch_ops.TorchOps` where everything is a tensor.
     """
-    interval = _Interval(voltage_v, speed_rad_s, end_speed, interval_s)
-    here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
+    interval = Interval(voltage_v, speed_rad_s, end_speed, interval_s)
+    rate_at = _rate_at(ops, white_box, p, voltage_v)
+    here = rate_at(start, speed_rad_s)
     stiffness = _stiffness(ops, here, interval_s)
     if ops.all(stiffness <= LARGEST_STEP):
-        return _runge_kutta_step(ops, white_box, p, start, here, interval)
+        return runge_kutta_step(rate_at, start, here, interval)
     steps = ops.where(stiffness <= MAX_STEPS * LARGEST_STEP, ops.ceil(stiffness / LARGEST_STEP), STIFF)
-    first = steps[0]
-    if ops.all(steps == first):
-        return _in_steps(ops, white_box, p, start, here, interval, int(first))
-    ends, slopes, forced = (ops.empty_like(like) for like in (start, start, here[2]))
-    for count in ops.unique(steps).tolist():  # no motor moves otherwise than it would alone
+    counts = ops.unique(steps).tolist()
+    if len(counts) == 1:
+        return _in_steps(ops, rate_at, start, here, interval, int(counts.pop()))
+    whole = here.mapped(ops.empty_like)
+    for count in counts:  # no motor moves otherwise than it would alone
         which = ops.flatnonzero(steps == count)
-        rate = (here[0][which], here[1][which], here[2][:, which])
-        box, own = white_box.of_motors(which), interval.of(which)
-        moved = _in_steps(ops, box, p[which], start[which], rate, own, int(count))
-        ends[which], slopes[which], forced[:, which] = moved.end, moved.by_state, moved.by_coordinate
-    return Flow(ends, slopes, forced)
+        own = interval.of(which)
+        rate_of = _rate_at(ops, white_box.of_motors(which), p[which], own.voltage_v)
+        begin, rate = [state[which] for state in start], here.mapped(lambda entry, which=which: entry[..., which, :])
+        moved = _in_steps(ops, rate_of, begin, rate, own, int(count))
+        for entry, part in zip(whole.entries, moved.entries, strict=True):
+            entry[..., which, :] = part
+    return whole
 
 
 def is_stiff(
-    white_box: WhiteBox, p: Array, start: Array, voltage_v: Array, speed_rad_s: Array, interval_s: Array, ops: Any = np
+    white_box: WhiteBox, p: Array, start: Sequence[Array], voltage_v: Array, speed_rad_s: Array, interval_s: Array,
+    ops: Any = np,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Tell for whom :func:`flow` takes exponential steps, shape (motor,); arguments as there."""
-    here = _rate(ops, white_box, p, start, voltage_v, speed_rad_s)
+    here = _rate_at(ops, white_box, p, voltage_v)(start, speed_rad_s)
     stiff: NDArray[np.bool_] = ~(_stiffness(ops, here, interval_s) <= MAX_STEPS * LARGEST_STEP)
     return stiff
 
 
-def _stiffness(ops: Any, here: _Rate, interval_s: Array) -> Any:
-    """Largest product of interval and decay rate, shape (motor,)."""
-    return ops.max(abs(here[1]) * interval_s, axis=1, initial=0.0)
+def _stiffness(ops: Any, here: Linear, interval_s: Array) -> Any:
+    """Largest product of interval and decay rate, shape (motor,); of several states, of a bound of that rate."""
+    rates = []
+    for state, slopes in enumerate(here.by_state):
+        coupled = (abs(slope * here.by_state[by][state]) ** 0.5 for by, slope in enumerate(slopes) if by != state)
+        rates.append(reduce(add, coupled, abs(slopes[state])))
+    return ops.max(reduce(ops.maximum, rates) * interval_s, axis=1, initial=0.0)
 
 
 def _in_steps(
-    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval, count: int
-) -> Flow:  # fmt: skip
+    ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval, count: int
+) -> Linear:  # fmt: skip
     """Move intervals on in equal steps; ``here`` is the rate at the start."""
-    step, count = (_runge_kutta_step, max(1, count)) if count <= MAX_STEPS else (_exponential_step, MAX_STEPS)
-    if count == 1:
-        return step(ops, white_box, p, start, here, interval)
-    state, by_state = start, ops.ones_like(start)
-    by_coordinate = ops.zeros_like(here[2])
-    for j, part in enumerate(interval.parts(count)):
-        if j > 0:
-            here = _rate(ops, white_box, p, state, interval.voltage_v, part.speed_rad_s)
-        moved = step(ops, white_box, p, state, here, part)
-        state, by_state = moved.end, moved.by_state * by_state
-        by_coordinate = moved.by_state * by_coordinate + moved.by_coordinate
-    return Flow(state, by_state, by_coordinate)
+    step: Any = runge_kutta_step if count <= MAX_STEPS else partial(_exponential_step, ops)
+    parts = interval.parts(max(1, min(count, MAX_STEPS)))
+    whole: Linear = step(rate_at, start, here, next(parts))
+    for part in parts:
+        whole = joined(whole, step(rate_at, whole.value, rate_at(whole.value, part.speed_rad_s), part))
+    return whole
 
 
-def _runge_kutta_step(
-    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval
-) -> Flow:  # fmt: skip
-    """One classical Runge-Kutta step of the state and its variational equation; ``here`` is the rate at the start."""
-    voltage_v, step_s = interval.voltage_v, interval.length_s
-    half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + interval.end_speed_rad_s)
-    k1, l1, m1 = here
-    k2, a2, g2 = _rate(ops, white_box, p, start + half * k1, voltage_v, middle)
-    l2, m2 = a2 * (1.0 + half * l1), a2 * (half * m1) + g2
-    k3, a3, g3 = _rate(ops, white_box, p, start + half * k2, voltage_v, middle)
-    l3, m3 = a3 * (1.0 + half * l2), a3 * (half * m2) + g3
-    k4, a4, g4 = _rate(ops, white_box, p, start + step_s * k3, voltage_v, interval.end_speed_rad_s)
-    l4, m4 = a4 * (1.0 + step_s * l3), a4 * (step_s * m3) + g4
-    sixth = step_s / 6.0
-    return Flow(
-        start + sixth * (k1 + 2.0 * (k2 + k3) + k4),
-        1.0 + sixth * (l1 + 2.0 * (l2 + l3) + l4),
-        sixth * (m1 + 2.0 * (m2 + m3) + m4),
+def joined(first: Linear, then: Linear) -> Linear:
+    """Return what comes of where the first one leads: the derivatives follow by the chain rule."""
+    columns = [*zip(*first.by_state, strict=True)]
+    return Linear(
+        then.value,
+        [[_product(row, column) for column in columns] for row in then.by_state],
+        [_product(row, first.by_coordinate) + own for row, own in zip(then.by_state, then.by_coordinate, strict=True)],
     )
 
 
-def _exponential_step(
-    ops: Any, white_box: WhiteBox, p: Array, start: Array, here: _Rate, interval: _Interval
-) -> Flow:  # fmt: skip
-    """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and L-stable."""
-    rate, slope, by_coordinate = here
-    decay = ops.minimum(slope, -1e-12)
-    left = ops.exp(decay * interval.length_s)
-    reach = (left - 1.0) / decay
-    return Flow(start + reach * rate, left, reach * by_coordinate)
+def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
+    total = None
+    for a, b in zip(row, column, strict=True):
+        total = a * b if total is None else total + a * b
+    return total
 
 
-def _rate(ops: Any, white_box: WhiteBox, p: Array, state: Array, voltage_v: Array, speed_rad_s: Array) -> _Rate:
-    """Work out the rate and its derivatives."""
-    speed = white_box.speed(state, speed_rad_s)
-    drive = white_box.drive(voltage_v, state, speed)
-    value = p[:, :1] * drive
-    slope = p[:, :1] * white_box.drive_slope(state, speed)
-    by_coordinate = [drive]
-    phis, slopes = white_box.basis(state, speed), white_box.basis_slope(state, speed)
-    for j, (phi, phi_slope) in enumerate(zip(phis, slopes, strict=True), start=1):
-        column = p[:, j : j + 1]
-        value = value - column * phi
-        slope = slope - column * phi_slope
-        by_coordinate.append(-phi)
-    return value, slope, ops.stack(by_coordinate)
+def runge_kutta_step(rate_at: RateAt, start: Sequence[Any], here: Linear, interval: Interval) -> Linear:
+    """One classical Runge-Kutta step with its derivatives; ``here`` is the rate at the start."""
+    step_s, end_speed = interval.length_s, interval.end_speed_rad_s
+    half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + end_speed)
+
+    def next_rate(before: Linear, ahead_s: Any, speed_rad_s: Any) -> Linear:
+        point = _ahead(start, before, ahead_s)
+        return joined(point, rate_at(point.value, speed_rad_s))
+
+    second = next_rate(here, half, middle)
+    third = next_rate(second, half, middle)
+    fourth = next_rate(third, step_s, end_speed)
+    gained = here.mapped(lambda k1, k2, k3, k4: k1 + 2.0 * (k2 + k3) + k4, second, third, fourth)
+    return _ahead(start, gained, step_s / 6.0)
+
+
+def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> Linear:
+    """Where a constant rate leads."""
+    return Linear(
+        [x + ahead_s * slope for x, slope in zip(start, rate.value, strict=True)],
+        [
+            [1.0 + ahead_s * slope if s == r else ahead_s * slope for r, slope in enumerate(row)]
+            for s, row in enumerate(rate.by_state)
+        ],
+        [ahead_s * slope for slope in rate.by_coordinate],
+    )
+
+
+def _exponential_step(ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval) -> Linear:
+    """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and L-stable.
+
+    Of several states each decays by itself.
+    """
+    decays = [ops.minimum(slopes[state], -1e-12) for state, slopes in enumerate(here.by_state)]
+    left = [ops.exp(decay * interval.length_s) for decay in decays]
+    reach = [(rest - 1.0) / decay for rest, decay in zip(left, decays, strict=True)]
+    states = range(len(start))
+    return Linear(
+        [start[s] + reach[s] * here.value[s] for s in states],
+        [[left[s] if s == r else reach[s] * here.by_state[s][r] for r in states] for s in states],
+        [reach[s] * here.by_coordinate[s] for s in states],
+    )
+
+
+def _rate_at(ops: Any, white_box: WhiteBox, p: Array, voltage_v: Array) -> RateAt:
+    coefficients = {place: p[:, place : place + 1] for place in range(p.shape[1])}
+
+    def rate_at(states: Sequence[Any], speed_rad_s: Any) -> Linear:
+        return rate(ops, white_box, coefficients, states, voltage_v, speed_rad_s)
+
+    return rate_at
+
+
+def rate(
+    ops: Any,
+    white_box: WhiteBox,
+    coefficients: Mapping[int, Any],
+    states: Sequence[Any],
+    voltage_v: Any,
+    speed_rad_s: Any,
+) -> Linear:
+    """Work out the rates and their derivatives.
+
+    Args:
+        ops: whose functions.
+        white_box: the physics.
+        coefficients: coordinates by their places, each lined up with the states.
+        states: as many as the white box has.
+        voltage_v: voltage.
+        speed_rad_s: measured speed.
+    """
+    value, by_state, by_coordinate = [], [], []
+    for balance in white_box.balances(states[0]):
+        signals = balance.signals(states, speed_rad_s)
+        leading, others = coefficients[balance.storage], [coefficients[place] for place in balance.places]
+        drive, basis = balance.drive(voltage_v, signals), balance.basis(signals)
+        value.append(deducted(leading * drive, others, basis))
+        slopes = [
+            deducted(leading * balance.drive_slope(s, voltage_v, signals), others, balance.basis_slope(s, signals))
+            for s in range(len(states))
+        ]
+        by_state.append(slopes)
+        forced = {balance.storage: drive}
+        for place, phi in zip(balance.places, basis, strict=True):
+            forced[place] = -phi
+        by_coordinate.append(ops.stack([forced[p] if p in forced else 0.0 * drive for p in coefficients]))
+    return Linear(value, by_state, by_coordinate)

@@ -28,6 +28,7 @@ INLINE Real all(double x) { return (Real){0} + x; }
 INLINE Mask everywhere(void) { return ~(Mask){0}; }
 INLINE Real chosen(Mask which, Real yes, Real no) { return (Real)((which & (Mask)yes) | (~which & (Mask)no)); }
 INLINE Real absolute(Real x) { return (Real)((Mask)x & INT64_MAX); }
+INLINE Real sign(Real x) { return chosen(x > 0.0, all(1.0), chosen(x < 0.0, all(-1.0), all(0.0))); }
 INLINE Real smaller(Real a, Real b) { return chosen(b < a, b, a); }
 INLINE Real larger(Real a, Real b) { return chosen(b > a, b, a); }
 INLINE Real between(Real x, Real low, Real high) { return smaller(larger(x, low), high); }

@@ -1,11 +1,11 @@
-"""The DC motor as a white box: any choice of its terms unknown, the others known.
+"""The DC motor as a white box: any choice of its effects unknown, the others known.
 
 Source: thesis equations 4.1 to 4.4 and 4.17; docs/METHOD.md, The form.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -13,18 +13,23 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.errors import ConfigurationError, brief
+from gray_box_observer.white_box import forms
+from gray_box_observer.white_box.balance import Balance, Form
 from gray_box_observer.white_box.base import Array, Parameter
-from gray_box_observer.white_box.terms import INDUCTANCE, TERMS, Term
+from gray_box_observer.white_box.declaration import SIGNALS, TERMS, State
+
+STORAGES = {term.state: name for name, term in TERMS.items() if not term.formula}
+"""Name of the parameter that stands before the derivative of every state."""
 
 
 @dataclass(frozen=True)
 class MotorWhiteBox:
-    """Voltage balance of one or many DC motors that share their unknown terms.
+    """One or many DC motors that share their unknown effects.
 
     Attributes:
-        context_nodes: names of the unknown terms; the inductance is always among them and comes first.
+        context_nodes: names of the unknown parameters; the inductance is always among them and comes first.
         torque_constant: Kt in N m/A, a scalar or shape (motor,).
-        known: values of the known terms in SI units, scalars or shape (motor,); terms left out are zero.
+        known: values of the known parameters in SI units, scalars or shape (motor,); effects left out are zero.
         speed_measured: true where speed is a signal; else ``w = Kt i`` (thesis, 4.1.1).
 
     Raises:
@@ -42,7 +47,7 @@ class MotorWhiteBox:
             raise ConfigurationError(
                 f'no term named {brief(unknown[0])} in the white box; there are {", ".join(TERMS)}'
             )
-        if self.context_nodes[:1] != (INDUCTANCE.parameter.name,):
+        if self.context_nodes[:1] != (STORAGES[State.CURRENT],):
             raise ConfigurationError(
                 f'context_nodes must begin with inductance, got {list(self.context_nodes)}: '
                 'without L nothing tells how fast torque follows voltage'
@@ -95,57 +100,76 @@ class MotorWhiteBox:
         return tuple(TERMS[name].parameter for name in self.context_nodes)
 
     @cached_property
-    def _unknown_terms(self) -> Sequence[Term]:
-        return [TERMS[name] for name in self.context_nodes[1:]]
-
-    @cached_property
     def given(self) -> tuple[str, ...]:
         """Names of the terms whose values are known and not identified."""
         return tuple(name for name in self.known if name not in self.context_nodes)
 
     @cached_property
-    def _known_terms(self) -> Sequence[tuple[Term, Any]]:
-        return [(TERMS[name], self.known[name]) for name in self.given]
+    def states(self) -> tuple[State, ...]:
+        """The states that this motor has, in the order of their numbers: those whose storage is a context node."""
+        return tuple(state for state, name in sorted(STORAGES.items()) if name in self.context_nodes)
+
+    @cached_property
+    def _lined_up(self) -> dict[int, tuple[Balance, ...]]:
+        return {}
+
+    def balances(self, signal: Any) -> tuple[Balance, ...]:
+        """Return the balance of every state, with constants that are lined up with such a signal."""
+        axes = getattr(signal, 'ndim', 0)
+        found = self._lined_up.get(axes)
+        if found is None:
+            found = self._lined_up[axes] = tuple(self._balance(state, signal) for state in self.states)
+        return found
+
+    def _balance(self, state: State, signal: Any) -> Balance:
+        places = tuple(place for place, name in enumerate(self.context_nodes) if _acts_on(state, name))
+        names = [name for name in self.given if _acts_on(state, name)]
+        constants = [_spread(self.known[name], signal) for name in names]
+        unknown = [forms.EFFECTS[self.context_nodes[place]] for place in places]
+        known = [forms.EFFECTS[name] for name in names]
+        follows = not self.speed_measured and len(self.states) < len(SIGNALS)
+
+        def slope(form: Form, by: State) -> Callable[..., Any]:
+            return form.following if follows else form.partial[by]
+
+        return Balance(
+            storage=self.context_nodes.index(STORAGES[state]),
+            places=places,
+            unknown=tuple(form.value for form in unknown),
+            unknown_slopes=tuple(tuple(slope(form, by) for form in unknown) for by in self.states),
+            known=tuple(zip(constants, (form.value for form in known), strict=True)),
+            known_slopes=tuple(
+                tuple(zip(constants, (slope(form, by) for form in known), strict=True)) for by in self.states
+            ),
+            driven=forms.DRIVES[state],
+            torque_constant=_spread(self.torque_constant, signal),
+            speed_measured=self.speed_measured,
+            following_speed=forms.following_speed if follows else None,
+        )
+
+    def drive(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
+        """Voltage less every known drop, in V."""
+        balance = self.balances(state)[State.CURRENT]
+        return balance.drive(voltage_v, (state, speed_rad_s, balance.torque_constant))
+
+    def basis(self, state: Any, speed_rad_s: Any) -> list[Any]:
+        """Values of every unknown effect of the current, in the order of the context nodes."""
+        balance = self.balances(state)[State.CURRENT]
+        return balance.basis((state, speed_rad_s, balance.torque_constant))
 
     def state(self, torque_nm: Array) -> Array:
-        """Current in A from torque, ``i = T / Kt`` (thesis 4.3)."""
-        return torque_nm / _spread(self.torque_constant, torque_nm)  # type: ignore[no-any-return]
+        """Current in A from torque (thesis 4.3)."""
+        return forms.current_of_torque(torque_nm, _spread(self.torque_constant, torque_nm))  # type: ignore[no-any-return]
 
     def output(self, state: Array) -> Array:
-        """Torque in N m from current, ``T = Kt i`` (thesis 4.3)."""
-        return _spread(self.torque_constant, state) * state  # type: ignore[no-any-return]
+        """Torque in N m from current (thesis 4.3)."""
+        return forms.torque_of_current(state, _spread(self.torque_constant, state))  # type: ignore[no-any-return]
 
-    def speed(self, state: Array, measured_rad_s: Array) -> Array:
-        """Speed in rad/s: the measured one, or ``Kt i`` in the mode of the thesis."""
-        return measured_rad_s if self.speed_measured else self.output(state)
-
-    def drive(self, voltage_v: Array, state: Array, speed_rad_s: Array) -> Array:
-        """Voltage less every known drop, in V."""
-        result = voltage_v
-        for term, value in self._known_terms:
-            result = result - _spread(value, state) * _call(term.value, state, speed_rad_s)
-        return result
-
-    def drive_slope(self, state: Array, speed_rad_s: Array) -> Array:
-        """Derivative of :meth:`drive` by the current, in ohm; total in the mode of the thesis, where w follows i."""
-        result = 0.0 * state
-        for term, value in self._known_terms:
-            result = result - _spread(value, state) * self._slope(term, state, speed_rad_s)
-        return result
-
-    def basis(self, state: Array, speed_rad_s: Array) -> list[Any]:
-        """Basis functions of every unknown term but the inductance."""
-        return [_call(term.value, state, speed_rad_s) for term in self._unknown_terms]
-
-    def basis_slope(self, state: Array, speed_rad_s: Array) -> list[Any]:
-        """Derivatives of :meth:`basis` by the current; total in the mode of the thesis, where w follows i."""
-        return [self._slope(term, state, speed_rad_s) for term in self._unknown_terms]
-
-    def _slope(self, term: Term, state: Array, speed_rad_s: Array) -> Any:
-        slope = _call(term.by_current, state, speed_rad_s)
+    def speed(self, state: Any, measured_rad_s: Any) -> Any:
+        """Speed in rad/s: the measured one, or that of the thesis, which follows the current."""
         if self.speed_measured:
-            return slope
-        return slope + _spread(self.torque_constant, state) * _call(term.by_speed, state, speed_rad_s)
+            return measured_rad_s
+        return forms.following_speed(state, _spread(self.torque_constant, state))
 
 
 def _spread(constant: Any, like: Any) -> Any:
@@ -159,9 +183,5 @@ def _take(constant: Any, index: Any) -> Any:
     return constant if np.ndim(constant) == 0 else constant[index]
 
 
-def _call(function: Any, state: Any, speed_rad_s: Any) -> Any:
-    if function is None:
-        raise ConfigurationError(
-            'the derivative term has no basis function: inductance cannot be a known constant here'
-        )
-    return function(state, speed_rad_s)
+def _acts_on(state: State, name: str) -> bool:
+    return bool(TERMS[name].formula) and TERMS[name].state is state

@@ -1,0 +1,322 @@
+"""Writes the forms of the declared motor: ``forms.py`` for numbers, arrays and tensors, ``forms.h`` for compiled code.
+
+    make physics        # ros_ws/run.sh python ros_ws/make_forms.py [--check]
+
+sympy differentiates the formulas of ``white_box/declaration.py``. What is no formula but a function of
+``white_box/flow.py``, such as the rate and a Runge-Kutta step, is run once with :class:`written_c.Written` in place of
+numbers, which writes down what it computes. Both files are committed, so that nothing but this needs sympy; a test
+fails until they are what this writes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import sympy
+from sympy.printing.pycode import PythonCodePrinter
+from written_c import Loop, Written, braces, plain, sign, statements
+
+from gray_box_observer.white_box import declaration, flow
+from gray_box_observer.white_box.balance import Balance, Form
+from gray_box_observer.white_box.declaration import COMPILED, CONSTANTS, DRIVES, SIGNALS, TERMS, State
+
+WHITE_BOX = Path(declaration.__file__).resolve().parent
+
+HEAD = 'Written by `make physics` from declaration.py: change that, not this.'
+
+ARGUMENTS = (*SIGNALS, *CONSTANTS)
+"""What every formula of an effect is a function of."""
+
+CURRENT = SIGNALS[State.CURRENT]
+FOLLOWING = SIGNALS[-1]
+"""The signal that follows the current where it is neither a state nor measured."""
+
+NUMBER = 'number '
+"""What the name of a symbol begins with that stands for a number."""
+
+Expression = Any
+
+SYMBOLS: dict[str, Expression] = {name: sympy.Symbol(name, real=True) for name in ('voltage', 'torque', *ARGUMENTS)}
+
+
+class _Printer(PythonCodePrinter):  # type: ignore[misc]
+    """Prints an expression in operators, ``abs`` and ``sign``."""
+
+    def _print_sign(self, expression: Expression) -> str:
+        return f'sign({self._print(expression.args[0])})'
+
+    def _print_Symbol(self, symbol: Expression) -> str:  # noqa: N802
+        return str(symbol).removeprefix(NUMBER)
+
+
+def parsed(formula: str) -> Expression:
+    """Turn a formula into an expression, in which symbols stand for fractions: these stay as they are written."""
+    expression = sympy.sympify(formula, locals=SYMBOLS)
+    strange = expression.free_symbols - set(SYMBOLS.values())
+    if strange:
+        known = ', '.join(SYMBOLS)
+        raise SystemExit(f'make_forms: error: {formula!r} names {strange.pop()}; there are {known}')
+    numbers = expression.atoms(sympy.Float)
+    return expression.xreplace({n: sympy.Symbol(f'{NUMBER}{float(n)!r}', positive=True) for n in numbers})
+
+
+def derivative(expression: Expression, by: str) -> Expression:
+    """Differentiate; ``x sign(x)`` becomes ``|x|``, and what can be cancelled is."""
+    slope = sympy.diff(expression, SYMBOLS[by])
+    for symbol in SYMBOLS.values():
+        slope = slope.subs(symbol * sympy.sign(symbol), sympy.Abs(symbol))
+    return sympy.factor(slope)
+
+
+def following(expression: Expression) -> Expression:
+    """Differentiate by the current where the speed follows it."""
+    through = derivative(parsed(declaration.FOLLOWING_SPEED), CURRENT) * derivative(expression, FOLLOWING)
+    return derivative(expression, CURRENT) + through
+
+
+def relations() -> Iterator[tuple[str, str, Expression, str]]:
+    """Yield what else is declared: name, argument, expression and description of a function."""
+    torque = parsed(declaration.TORQUE)
+    (current,) = sympy.solve(torque - SYMBOLS['torque'], SYMBOLS[CURRENT])
+    speed = parsed(declaration.FOLLOWING_SPEED)
+    yield 'following_speed', CURRENT, speed, 'Speed in rad/s where it follows the current.'
+    yield 'torque_of_current', CURRENT, torque, 'Torque in N m from current.'
+    yield 'current_of_torque', 'torque', current, 'Current in A from torque.'
+
+
+# --- for numbers, arrays and tensors
+
+
+def in_python(expression: Expression) -> str:
+    """Print an expression."""
+    return repr(float(expression)) if expression.is_number else str(_Printer().doprint(expression))
+
+
+def python_forms(fingerprint: int) -> str:
+    """Return the text of ``forms.py``."""
+    lines = ['"""Forms of the motor for numbers, arrays and tensors.', '', HEAD, '"""', '# fmt: off', '']
+    lines += ['from __future__ import annotations', '', 'from typing import Any', '']
+    lines += ['from gray_box_observer.white_box.balance import Form, sign']
+    lines += ['from gray_box_observer.white_box.declaration import State', '']
+    lines += [f'FINGERPRINT = {fingerprint}', '"""Of the compiled forms that were written with these."""', '']
+    lines += ['EFFECTS: dict[str, Form] = {']
+    for name, term in TERMS.items():
+        lines += _form(f"'{name}'", ARGUMENTS, term.formula) if term.formula else []
+    lines += ['}', '"""Effects by the names of their coefficients."""', '']
+    lines += ['DRIVES: dict[State, Form | None] = {']
+    for state, formula in DRIVES.items():
+        key = f'State.{state.name}'
+        drive = _form(key, ('voltage', *ARGUMENTS), formula)
+        lines += [f'    {key}: None,'] if formula == 'voltage' else drive
+    lines += ['}', '"""What drives every state; ``None``: the voltage itself."""', '']
+    for name, argument, expression, description in relations():
+        lines += ['', f'def {name}({argument}: Any, torque_constant: Any) -> Any:']
+        lines += [f'    """{description}"""', f'    return {in_python(expression)}', '']
+    return '\n'.join(lines)
+
+
+def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
+    expression = parsed(formula)
+    head = f'lambda {", ".join(arguments)}: '
+    value = in_python(expression)
+    value += f' + 0.0 * {CURRENT}' if expression.is_number else ''  # one for every sample
+    slopes = ',\n         '.join(head + in_python(derivative(expression, signal)) for signal in SIGNALS)
+    total = in_python(following(expression))
+    return [f'    {key}: Form(', f'        {head}{value},', f'        ({slopes}),', f'        {head}{total},', '    ),']
+
+
+# --- for compiled code
+
+_TERM = f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, box->torque_constant);'
+UNKNOWN = Loop('for (int j = 1; j < of.coordinates; j++)', _TERM.format('j - 1'))
+KNOWN = Loop('for (int k = 0; k < of.known; k++)', _TERM.format('of.coordinates - 1 + k'))
+COORDINATES = Loop('for (int j = 0; j < of.coordinates; j++)')
+"""Loops over unknown terms, known terms and coordinates."""
+
+
+class _List:
+    """Of numpy's functions the one that a rate needs."""
+
+    stack = list
+
+
+class _WhiteBox:
+    """A motor of whatever terms: the balances are those of every motor, with terms that stand in loops."""
+
+    def balances(self, signal: Written) -> list[Balance]:
+        """Return the balance of every state."""
+        slopes = [f't.slope[{by.name}]' for by in COMPILED]
+        return [
+            Balance(
+                storage=0,
+                places=('j',),  # type: ignore[arg-type]
+                unknown=(_of_every(UNKNOWN, 't.value'),),
+                unknown_slopes=tuple((_of_every(UNKNOWN, slope),) for slope in slopes),
+                known=(_constant('t.value'),),
+                known_slopes=tuple((_constant(slope),) for slope in slopes),
+                driven=_drive(DRIVES[state]),
+                torque_constant=Written('box->torque_constant'),
+                speed_measured=True,  # or worked out before
+                following_speed=None,
+            )
+            for state in COMPILED
+        ]
+
+
+def _of_every(loop: Loop, variable: str) -> Callable[..., Written]:
+    """Return a function whose value stands in a variable of every round of a loop."""
+    return lambda *signals: Written(variable, every=loop)
+
+
+def _constant(variable: str) -> tuple[Written, Callable[..., Written]]:
+    return Written('box->constant[k]', every=KNOWN), _of_every(KNOWN, variable)
+
+
+def _drive(formula: str) -> Form | None:
+    if formula == 'voltage':
+        return None
+    value, *slopes = [parsed(formula), *(derivative(parsed(formula), signal) for signal in SIGNALS)]
+    total = following(parsed(formula))
+    functions = [_function(('voltage', *ARGUMENTS), expression) for expression in (value, *slopes, total)]
+    return Form(functions[0], tuple(functions[1:-1]), functions[-1])
+
+
+def _function(names: Sequence[str], expression: Expression) -> Callable[..., Any]:
+    """Return a function that works out an expression, of numbers as well as of what is written down."""
+    numbers = sorted((s for s in expression.free_symbols if str(s).startswith(NUMBER)), key=str)
+    arguments = [*(SYMBOLS[name] for name in names), *numbers]
+    made = sympy.lambdify(arguments, expression, [{'sign': sign}], _Printer, dummify=True)
+    return lambda *signals: made(*signals, *(Written(in_python(number)) for number in numbers))
+
+
+def in_c(expression: Expression) -> str:
+    """Print an expression of the signals."""
+    if expression.is_number:
+        return f'all({float(expression)!r})'
+    return plain(_function(list(SYMBOLS), expression)(*map(Written, SYMBOLS)))
+
+
+def c_forms() -> str:
+    """Return the text of ``forms.h`` but for its fingerprint."""
+    compiled = {name: term for name, term in TERMS.items() if term.formula and term.state in COMPILED}
+    effects = {name.upper(): parsed(term.formula) for name, term in compiled.items()}
+    lines = [f'enum {{ {", ".join([*(state.name for state in COMPILED), "STATES"])} }};']
+    lines += [f'enum {{ {", ".join(name.upper() for name in TERMS)} }};', '']
+    lines += ['#include "white_box/physics.h"', '', '/* Whether there is a term of this code. */']
+    lines += ['static inline int term_known(int64_t code)']
+    lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
+    for name, argument, expression, description in relations():
+        lines += [f'/* {description} */']
+        lines += [f'INLINE Real {name}(Real {argument}, Real torque_constant) {{ return {in_c(expression)}; }}', '']
+    lines += ['/* A term for a coefficient of one, and its derivatives. */']
+    lines += [f'INLINE Term term(int64_t code, int speed_measured, {", ".join(f"Real {name}" for name in ARGUMENTS)})']
+    cases = [line for name, effect in effects.items() for line in _case(name, effect)]
+    body = ['Term t = {{0}, {{0}}};', 'switch (code) {', *cases, 'default: break;', '}', 'return t;']
+    lines += [*braces(body), '', '/* Rates of the states and their derivatives: flow.py, rate. */']
+    lines += ['INLINE Linear rate_of(']
+    lines += ['    const Physics *box, const Terms of, const Real *state, Real voltage, Real measured)']
+    lines += [*braces(['Linear linear;', *_signals(), *_rate(), 'return linear;']), '']
+    lines += ['/* flow.py, runge_kutta_step. */', 'INLINE Linear runge_kutta_step(']
+    lines += ['    const Physics *box, const Terms of, const Real *start, const Linear *here, const Interval *over)']
+    lines += [*braces(['Linear linear;', *_runge_kutta_step(), 'return linear;']), '', '/* flow.py, joined. */']
+    lines += ['INLINE Linear joined(const Terms of, const Linear *first, const Linear *then)']
+    return '\n'.join([*lines, *braces(['Linear linear;', *_joined(), 'return linear;'])])
+
+
+def _case(name: str, effect: Expression) -> list[str]:
+    lines = [f'case {name}:', f'    t.value = {in_c(effect)};']
+    for state in COMPILED:
+        slope = in_c(derivative(effect, SIGNALS[state]))
+        total = in_c(following(effect)) if state is State.CURRENT else slope
+        text = slope if slope == total else f'speed_measured ? {slope} : {total}'
+        lines += [f'    t.slope[{state.name}] = {text};'] if text != 'all(0.0)' else []
+    return [*lines, '    break;']
+
+
+def _signals() -> list[str]:
+    lines = [f'const Real {SIGNALS[state]} = state[{state.name}];' for state in COMPILED]
+    if len(COMPILED) < len(SIGNALS):
+        follows = f'following_speed({CURRENT}, box->torque_constant)'
+        lines.append(f'const Real {FOLLOWING} = of.speed_measured ? measured : {follows};')
+    return lines
+
+
+def _rate() -> list[str]:
+    coefficients: Any = {0: Written('box->p[0]'), 'j': Written('box->p[j]', every=UNKNOWN)}
+    states = [Written(f'state[{state.name}]') for state in COMPILED]
+    box: Any = _WhiteBox()
+    rate = flow.rate(_List, box, coefficients, states, Written('voltage'), Written('speed'))
+    return _stored(rate, list(coefficients))
+
+
+def _runge_kutta_step() -> list[str]:
+    interval = flow.Interval(*(Written(f'over->{name}') for name in ('voltage', 'speed', 'end_speed', 'length')))  # type: ignore[arg-type]
+    number = iter(range(2, 5))
+
+    def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
+        name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in COMPILED)
+        call = f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, {{{len(COMPILED)}}});'
+        made = Written(name, (*states, speed), declared=call)
+        return _linear('{0}.').mapped(lambda member: Written(member.text, (made,), every=member.every))
+
+    start = [Written(f'start[{state.name}]') for state in COMPILED]
+    return _stored(flow.runge_kutta_step(rate_at, start, _linear('here->'), interval), ['j'])
+
+
+def _joined() -> list[str]:
+    return _stored(flow.joined(_linear('first->'), _linear('then->')), ['j'])
+
+
+def _linear(name: str) -> flow.Linear:
+    """A rate or a motion that stands in a variable."""
+    return flow.Linear(
+        [Written(f'{name}value[{s.name}]') for s in COMPILED],
+        [[Written(f'{name}by_state[{s.name}][{r.name}]') for r in COMPILED] for s in COMPILED],
+        [Written(f'{name}by_coordinate[{s.name}][j]', every=COORDINATES) for s in COMPILED],
+    )
+
+
+def _stored(linear: flow.Linear, places: Sequence[int | str]) -> list[str]:
+    """Statements that work out a rate or a motion."""
+    results = []
+    for s in COMPILED:
+        results += [(f'linear.value[{s.name}]', linear.value[s])]
+        results += [(f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in COMPILED]
+        forced = linear.by_coordinate[s]
+        entries = forced if isinstance(forced, list) else [forced]
+        results += [(f'linear.by_coordinate[{s.name}][{p}]', slope) for p, slope in zip(places, entries, strict=True)]
+    return statements(results)
+
+
+def forms() -> dict[Path, str]:
+    """Return what the files should hold."""
+    body = c_forms()
+    fingerprint = int(hashlib.sha256(body.encode()).hexdigest()[:15], 16)
+    guard = 'GRAY_BOX_OBSERVER_WHITE_BOX_FORMS_H'
+    lines = ['/* Forms of the motor for compiled code, LANES motors at a time.', f' * {HEAD} */']
+    lines += [f'#ifndef {guard}', f'#define {guard}', '', '#include "white_box/lanes.h"', '']
+    lines += [f'#define FORMS_FINGERPRINT {fingerprint}', '', body, '', '#endif', '']
+    return {WHITE_BOX / 'forms.py': python_forms(fingerprint), WHITE_BOX / 'forms.h': '\n'.join(lines)}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the files, or say which differs."""
+    parser = argparse.ArgumentParser(prog='make_forms', description=(__doc__ or '').split('\n', 1)[0])
+    parser.add_argument('--check', action='store_true', help='write nothing; fail if a file is not what it should be')
+    options = parser.parse_args(arguments)
+    for path, text in forms().items():
+        if not options.check:
+            path.write_text(text, encoding='utf-8')
+        elif path.read_text(encoding='utf-8') != text:
+            print(f'make_forms: error: {path.name} is not what is declared; run make physics', file=sys.stderr)
+            return 1
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

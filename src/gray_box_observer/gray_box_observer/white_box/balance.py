@@ -1,0 +1,98 @@
+"""The balance of a state, and what it is made of: formulas with their derivatives, the unknown and the known ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """A formula with its derivatives, elementwise: functions of the signals, for numbers, arrays and tensors alike.
+
+    Attributes:
+        value: the formula; of a drive it is a function of the voltage and the signals, as its derivatives are.
+        partial: derivatives by every signal.
+        following: derivative by the current where the speed follows it.
+    """
+
+    value: Callable[..., Any]
+    partial: tuple[Callable[..., Any], ...]
+    following: Callable[..., Any]
+
+
+def sign(x: Any) -> Any:
+    """Sign of a number, an array or a tensor, by operators alone; 0 of 0."""
+    return x / (abs(x) + 1e-300)
+
+
+def deducted(start: Any, coefficients: Iterable[Any], parts: Iterable[Any]) -> Any:
+    """Return ``start - sum_j coefficient_j part_j``, the one sum that every balance and every derivative of it is."""
+    for coefficient, part in zip(coefficients, parts, strict=True):
+        start = start - coefficient * part
+    return start
+
+
+Functions = tuple[Callable[..., Any], ...]
+
+Effects = tuple[tuple[Any, Callable[..., Any]], ...]
+"""Known effects, or their derivatives: coefficients, lined up with the signals, and functions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """The balance of one state: ``storage d state / dt = drive - sum of its effects``, all of it elementwise.
+
+    Attributes:
+        storage: place of the coefficient of the derivative among the parameters.
+        places: places of the coefficients of the unknown effects.
+        unknown: these effects, for coefficients of one.
+        unknown_slopes: their derivatives by every state; total where the speed follows the current.
+        known: the known effects.
+        known_slopes: their derivatives likewise.
+        driven: the drive; ``None``: the voltage.
+        torque_constant: Kt in N m/A, lined up with the signals.
+        speed_measured: whether the speed is a signal of its own.
+        following_speed: the speed that follows the current; ``None``: it is measured or a state.
+    """
+
+    storage: int
+    places: tuple[int, ...]
+    unknown: Functions
+    unknown_slopes: tuple[Functions, ...]
+    known: Effects
+    known_slopes: tuple[Effects, ...]
+    driven: Form | None
+    torque_constant: Any
+    speed_measured: bool
+    following_speed: Callable[..., Any] | None
+
+    def signals(self, states: Sequence[Any], measured_rad_s: Any) -> tuple[Any, ...]:
+        """The states, the speed where it is none of them, and the constants."""
+        constant = self.torque_constant
+        if self.following_speed is not None:
+            return *states, self.following_speed(*states, constant), constant
+        return (*states, measured_rad_s, constant) if self.speed_measured else (*states, constant)
+
+    def drive(self, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
+        """Drive less every known effect."""
+        rest = voltage_v if self.driven is None else self.driven.value(voltage_v, *signals)
+        for constant, effect in self.known:
+            rest = rest - constant * effect(*signals)
+        return rest
+
+    def drive_slope(self, state: int, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
+        """Derivative of :meth:`drive` by a state."""
+        rest = 0.0 * signals[state] if self.driven is None else self.driven.partial[state](voltage_v, *signals)
+        for constant, slope in self.known_slopes[state]:
+            rest = rest - constant * slope(*signals)
+        return rest
+
+    def basis(self, signals: tuple[Any, ...]) -> list[Any]:
+        """Every unknown effect for a coefficient of one."""
+        return [effect(*signals) for effect in self.unknown]
+
+    def basis_slope(self, state: int, signals: tuple[Any, ...]) -> list[Any]:
+        """Derivatives of :meth:`basis` by a state; plain numbers where they are constant."""
+        return [slope(*signals) for slope in self.unknown_slopes[state]]

@@ -1,0 +1,63 @@
+"""Forms of the motor for numbers, arrays and tensors.
+
+Written by `make physics` from declaration.py: change that, not this.
+"""
+# fmt: off
+
+from __future__ import annotations
+
+from typing import Any
+
+from gray_box_observer.white_box.balance import Form, sign
+from gray_box_observer.white_box.declaration import State
+
+FINGERPRINT = 465306474820139386
+"""Of the compiled forms that were written with these."""
+
+EFFECTS: dict[str, Form] = {
+    'resistance': Form(
+        lambda current, speed, torque_constant: current,
+        (lambda current, speed, torque_constant: 1.0,
+         lambda current, speed, torque_constant: 0.0),
+        lambda current, speed, torque_constant: 1.0,
+    ),
+    'hysteresis': Form(
+        lambda current, speed, torque_constant: current*abs(speed),
+        (lambda current, speed, torque_constant: abs(speed),
+         lambda current, speed, torque_constant: current*sign(speed)),
+        lambda current, speed, torque_constant: current*torque_constant*sign(speed) + abs(speed),
+    ),
+    'back_emf_constant': Form(
+        lambda current, speed, torque_constant: speed,
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: 1.0),
+        lambda current, speed, torque_constant: torque_constant,
+    ),
+    'brush_drop': Form(
+        lambda current, speed, torque_constant: current/(0.02 + abs(current)),
+        (lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+         lambda current, speed, torque_constant: 0.0),
+        lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
+    ),
+}
+"""Effects by the names of their coefficients."""
+
+DRIVES: dict[State, Form | None] = {
+    State.CURRENT: None,
+}
+"""What drives every state; ``None``: the voltage itself."""
+
+
+def following_speed(current: Any, torque_constant: Any) -> Any:
+    """Speed in rad/s where it follows the current."""
+    return current*torque_constant
+
+
+def torque_of_current(current: Any, torque_constant: Any) -> Any:
+    """Torque in N m from current."""
+    return current*torque_constant
+
+
+def current_of_torque(torque: Any, torque_constant: Any) -> Any:
+    """Current in A from torque."""
+    return torque/torque_constant
