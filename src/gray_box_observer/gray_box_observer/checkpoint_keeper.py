@@ -152,6 +152,12 @@ class CheckpointKeeper:
         return self.failure
 
     @property
+    def thread_numbers(self) -> list[int]:
+        """Numbers that the system gives the threads which write."""
+        threads = (self._writer.thread, *self._reports)
+        return [t.native_id for t in threads if t is not None and t.native_id is not None]
+
+    @property
     def failure(self) -> str | None:
         """Why the newest checkpoint could not be written; None where it could."""
         return self._astray or self._writer.failure

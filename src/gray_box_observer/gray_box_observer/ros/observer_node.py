@@ -74,8 +74,10 @@ class ObserverNode(LifecycleNode):
         self._state = 'unconfigured'
         self._reason = ''
         self._configuration = declare(self)
-        self._inputs = Inputs(self, self._configuration, self._take, self._refuse)
-        self._keeper = self._make_keeper(self._configuration)
+        keeper = self._keeper = self._make_keeper(self._configuration)
+        self._inputs = Inputs(
+            self, self._configuration, self._take, self._refuse, writers=lambda: keeper.thread_numbers
+        )
         self._observer: Observer | None = None
         self._intake: Intake | None = None
         self._outputs: Outputs | None = None
