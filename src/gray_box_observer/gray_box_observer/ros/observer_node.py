@@ -320,6 +320,8 @@ class ObserverNode(LifecycleNode):
         if self._observer is None or self._outputs is None:
             return
         incidents = self._observer.incidents
+        if incidents.keys() - self._reported:
+            self._correct_estimates()
         for incident in {id(incidents[name]): incidents[name] for name in incidents.keys() - self._reported}.values():
             for motor in incident.motors:
                 self._outputs.retract_motor(motor)
@@ -453,6 +455,15 @@ class ObserverNode(LifecycleNode):
         """Publish what is known of every motor, in one message."""
         if self._observer is not None and self._outputs is not None and self._state == 'active':
             self._outputs.all_estimates(list(self._configuration.motors), self._observer.group_estimates())
+
+    def _correct_estimates(self) -> None:
+        """Leave no number on ``~/estimates`` of a motor that has stopped; nobody may tell of it periodically."""
+        if self._observer is None or self._outputs is None:
+            return
+        if self._state == 'active':
+            self._tell_estimates()
+        else:
+            self._outputs.retract_estimates()
 
     def _drop_observer(self) -> None:
         self._unsettled = []

@@ -213,9 +213,13 @@ class Outputs:
 
     def retract(self) -> None:
         """Leave latched what is true of a node that knows nothing, in whatever state of its life cycle."""
-        self._estimates.retract()
+        self.retract_estimates()
         for motor in self._identified:
             self.retract_motor(motor)
+
+    def retract_estimates(self) -> None:
+        """Leave no number of any motor on ``~/estimates``."""
+        self._estimates.retract()
 
     def retract_motor(self, motor: str) -> None:
         """The same of one motor: not identified, no alarm, no number."""
