@@ -122,6 +122,11 @@ def test_whoever_comes_late_is_told_how_well_the_white_box_fits_and_which_parame
     for name in ('inductance', 'resistance', 'hysteresis'):
         identified = values[f'{name} verdict'] in ('identified', 'negligible')
         assert rig.latched(Bool, f'motor/{name}/identified').data is identified
+    heard = rig.peer.listen(Float64, f'{NODE}/motor/fit', LATCHED_QOS)
+    rig.peer.wait(lambda: heard, 'the ratio')
+    assert rig.call(Trigger, 'reset').success
+    rig.peer.wait(lambda: heard[-1].data == 0.0, 'the end of the ratio, for who listens')
+    assert rig.latched(Float64, 'motor/fit').data == 0.0
 
 
 def test_a_motor_that_is_told_in_mv_is_a_warning_with_its_remedy_and_nothing_of_it_is_identified(rig, record):
