@@ -337,6 +337,35 @@ def test_what_is_no_checkpoint_of_ours_is_told_of_and_never_replaced_renamed_or_
     assert {entry.name for entry in path.parent.iterdir()} == {path.name, other.name}
 
 
+def test_a_link_out_of_the_folder_laid_while_it_runs_is_a_failure_until_it_goes(
+    recording: Recording, path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    foreign = tmp_path_factory.mktemp('elsewhere') / 'foreign.safetensors'
+    foreign.write_text('notes of the operator')
+    one = observer()
+    kept = CheckpointKeeper(CheckpointFolder(str(path.parent), path.name, path), path.name, automatic=True)
+    path.symlink_to(foreign)
+    feed(one, recording, 0, 500)
+    kept.keep(one)
+    assert kept.failure is not None
+    assert 'leads out of' in kept.failure
+    assert kept.forget() is None
+    refusal = kept.resume(observer()).refusal
+    assert refusal is not None
+    assert refusal.endswith('it is left as it is')
+    assert foreign.read_text() == 'notes of the operator'
+    path.unlink()
+    kept.keep(one)
+    assert kept.close(one) is None, 'it is tried again though nothing was learnt since'
+    checkpoint.load(observer(), path)
+    path.unlink()
+    path.symlink_to(foreign)
+    feed(one, recording, 500, 600)
+    failure = kept.close(one)
+    assert failure is not None
+    assert 'leads out of' in failure
+
+
 def test_ten_are_kept_aside_and_the_oldest_of_ours_go(recording: Recording, path: Path) -> None:
     one = observer()
     feed(one, recording, 0, 500)

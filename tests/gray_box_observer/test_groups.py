@@ -13,6 +13,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer import checkpoint
 from gray_box_observer.configuration import Configuration
+from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.samples import Rejection
@@ -181,6 +182,23 @@ def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
         results = feed(again, said, NAMES, 900, 1100)
         assert len(results[CALM]) == 200
         assert len(results[LATE]) == 200
+
+
+def test_a_checkpoint_that_is_refused_leaves_every_motor_by_itself(
+    said: dict[str, tuple[np.ndarray, np.ndarray]],
+) -> None:
+    one = observer()
+    feed(one, said, NAMES, last=200)
+    saved = {name: motor.state() for name, motor in one.motors.items()}
+    good = saved[CHANGED]
+    saved[CHANGED] = {**good[0], 'white_box': {**good[0]['white_box'], 'terms': 'other'}}, good[1]
+    fresh = observer()
+    with pytest.raises(ConfigurationError, match='learnt with other known constants'):
+        fresh.restore(saved, [NAMES])
+    assert [group.names for group in fresh.every_group] == [(name,) for name in NAMES]
+    saved[CHANGED] = good
+    fresh.restore(saved, [NAMES])
+    assert [group.names for group in fresh.every_group][-1] == NAMES
 
 
 def test_freezing_and_new_settings_reach_a_group(said: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:

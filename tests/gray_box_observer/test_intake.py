@@ -10,7 +10,7 @@ import pytest
 
 from gray_box_observer.bag.joint_state import JointStateView, decode_joint_state, encode_joint_state
 from gray_box_observer.configuration import Configuration
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import ConfigurationError, SampleError
 from gray_box_observer.intake import Intake, Signal, Taken, names_of, stamp_of
 from gray_box_observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
@@ -103,11 +103,25 @@ def test_a_field_path_that_is_none_is_refused_at_once() -> None:
         signal(torque__field='wrench..z')
 
 
-def test_one_short_message_after_good_ones_is_malformed_not_fatal() -> None:
-    taker, _ = intake(torque__field='data[2]')
-    taker.take('torque', SimpleNamespace(data=[1.0, 2.0, 3.0]), 1)
-    assert taker.take('torque', SimpleNamespace(data=[1.0]), 2) == (2, (), [])
-    assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
+@pytest.mark.parametrize(
+    ('field', 'good', 'complaint'),
+    [
+        ('data[2]', [1.0, 2.0, 3.0], 'data has {} values, so there is no [2]'),
+        ('data', [1.0], 'torque.field data holds {} values without names: add an index'),
+    ],
+)
+def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_message(
+    field: str, good: list[float], complaint: str
+) -> None:
+    taker, observer = intake(torque__field=field)
+    short: tuple[list[float], ...] = ([], [1.0, 2.0])
+    for count, data in enumerate((*short, good, *short), 1):
+        taken = taker.take('torque', SimpleNamespace(data=data), count)
+        assert taken.names == (('motor',) if data is good else ())
+        if data is not good:
+            assert complaint.format(len(data)) in taker.complaints['torque']
+    assert taker.rejected['torque'] == {Rejection.MALFORMED: 4}
+    assert observer.counts('motor').received_torque == 1
 
 
 @pytest.mark.parametrize(
@@ -133,7 +147,7 @@ def test_a_number_without_a_name_cannot_belong_to_several_motors() -> None:
 
 
 def test_several_numbers_without_names_need_an_index() -> None:
-    with pytest.raises(ConfigurationError, match='holds 3 values without names'):
+    with pytest.raises(SampleError, match='holds 3 values without names: add an index'):
         signal(torque__field='data').read(SimpleNamespace(data=[1.0, 2.0, 3.0]))
     assert told(signal(torque__field='data'), SimpleNamespace(data=[7.0])) == [('motor', 7.0)]
 

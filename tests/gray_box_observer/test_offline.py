@@ -245,3 +245,11 @@ def test_a_scaled_current_is_as_good_as_torque(
     ]
     outcome = observe(write_bag(tmp_path / 'bag', current), **{'torque.scale': 0.01})
     np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.05)
+
+
+def test_a_bag_of_which_no_message_has_the_length_for_the_field_says_so(
+    tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
+) -> None:
+    bag = write_bag(tmp_path / 'bag', messages)
+    with pytest.raises(BagError, match=r'no usable sample.*effort has 1 values, so there is no \[3\]'):
+        observe(bag, **{'torque.field': 'effort[3]'})

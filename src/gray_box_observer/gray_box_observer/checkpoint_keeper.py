@@ -41,6 +41,7 @@ class CheckpointKeeper:
         self.automatic = automatic
         self._writer = CheckpointWriter()
         self._reports: list[threading.Thread] = []
+        self._astray: str | None = None
         self._kept = 0
         self._since_s: float | None = None
 
@@ -57,16 +58,26 @@ class CheckpointKeeper:
         """Continue where the file stands; one that cannot be used is set aside."""
         self._writer.flush(PATIENCE_S)
         self._kept = 0
-        return checkpoint.resume(observer, self.file)
+        try:
+            file = self.file
+        except GrayBoxError as error:  # a link was put there since the start
+            return Resumed(True, f'{error}; it is left as it is')
+        return checkpoint.resume(observer, file)
 
     def keep(self, observer: Observer | None) -> None:
-        """Bring the file up to date if there is something new; returns at once."""
+        """Bring the file up to date if there is something new; returns at once. What goes wrong is :attr:`failure`."""
         if not self.automatic or observer is None or not observer.motors:
             return
         used = sum(observer.counts(motor).used for motor in observer.configuration.motors)
-        if used == self._kept and self._writer.failure is None:
+        if used == self._kept and self.failure is None:
             return
-        self._writer.submit(checkpoint.capture(observer), self.file)
+        try:
+            file = self.file
+        except GrayBoxError as error:  # a link was put there since
+            self._astray = str(error)
+            return
+        self._astray = None
+        self._writer.submit(checkpoint.capture(observer), file)
         self._kept, self._since_s = used, time.monotonic()
 
     def save(self, observer: Observer) -> str:
@@ -76,6 +87,7 @@ class CheckpointKeeper:
             GrayBoxError: nothing was learnt yet, or the file cannot be written.
         """
         path = self.file
+        self._astray = None
         self._writer.submit(checkpoint.capture(observer), path)
         if not self._writer.flush(PATIENCE_S):
             raise GrayBoxError(f'{path} is still being written after {PATIENCE_S:g} s: does the disk answer?')
@@ -96,12 +108,18 @@ class CheckpointKeeper:
         return str(path)
 
     def forget(self) -> str | None:
-        """Let the next start begin anew: what was forgotten on purpose must not come back; return where it is kept."""
+        """Let the next start begin anew: what was forgotten on purpose must not come back; return where it is kept.
+
+        None where there is nothing to keep, or what stands there is no checkpoint in the folder.
+        """
         self._kept = 0
         if not self.automatic:
             return None
         self._writer.flush(PATIENCE_S)
-        aside = checkpoint.set_aside(self.file, 'reset')
+        try:
+            aside = checkpoint.set_aside(self.file, 'reset')
+        except GrayBoxError:  # a link was put there since: what it leads to is not ours
+            return None
         return None if aside is None else str(aside)
 
     def report(self, incident: Incident, tell: Callable[[str], object]) -> None:
@@ -131,12 +149,18 @@ class CheckpointKeeper:
         self.keep(observer)
         if not self._writer.close(END_PATIENCE_S):
             return f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk answer?'
-        return self._writer.failure
+        return self.failure
+
+    @property
+    def thread_numbers(self) -> list[int]:
+        """Numbers that the system gives the threads which write."""
+        threads = (self._writer.thread, *self._reports)
+        return [t.native_id for t in threads if t is not None and t.native_id is not None]
 
     @property
     def failure(self) -> str | None:
         """Why the newest checkpoint could not be written; None where it could."""
-        return self._writer.failure
+        return self._astray or self._writer.failure
 
     @property
     def age_s(self) -> float | None:

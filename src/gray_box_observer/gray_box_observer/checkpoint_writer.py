@@ -30,6 +30,11 @@ class CheckpointWriter:
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
+    @property
+    def thread(self) -> threading.Thread | None:
+        """The thread that writes; None before the first snapshot."""
+        return self._thread
+
     def submit(self, snapshot: Snapshot, path: Path) -> None:
         """Hand a snapshot over; returns at once. It takes the place of one that still waits."""
         with self._changed:

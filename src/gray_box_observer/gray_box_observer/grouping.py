@@ -7,7 +7,7 @@ good with their first sample: until then a message that speaks of some only, or 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -139,6 +139,16 @@ class Grouping:
             if worth_remembering(names):
                 self._parts.remember((signal, names), parts, size_of_names(names))
         return parts
+
+    @property
+    def places(self) -> Mapping[str, tuple[Group, int]]:
+        """The group of every motor and its place on the motor axis, as they are now."""
+        return dict(self._places)
+
+    def put_back(self, places: Mapping[str, tuple[Group, int]]) -> None:
+        """Compute motors together as they were; nothing may have come since."""
+        self._places = dict(places)
+        self._parts.clear()
 
     def gather(self, names: Sequence[str]) -> None:
         """Compute motors together from now on, where they are many, of one kind, and nothing has come of them yet."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.bag.fields import FieldPath, MissingFieldError
 from gray_box_observer.bounded_cache import BoundedCache, size_of_names, worth_remembering
 from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import ConfigurationError, SampleError
@@ -71,13 +71,14 @@ class Signal:
         """Return the names of motors in the message, a value in SI units for each, and whether one is configured.
 
         Raises:
-            SampleError: names and values differ in number, or a motor is named twice.
+            SampleError: names and values differ in number, an array is too short or too long for the field, or a motor
+                is named twice.
             ConfigurationError: the message has no such field, or one value stands for several motors.
         """
         try:
             value = self._path(message)
-        except SampleError as error:
-            if self._readable:  # this one message is short of something
+        except MissingFieldError as error:
+            if self._readable:  # this one message is of another type
                 raise
             raise ConfigurationError(f'{self.name}.field {self._path.text!r} on {self.topic}: {error}') from error
         names = names_of(message)
@@ -88,9 +89,7 @@ class Signal:
             if len(value) == 1:
                 self._readable = True
                 return self._only_motor(), (self.scale * float(value[0]) + self.offset,), True
-            if self._readable:  # this one message is of another length
-                raise SampleError(f'{len(value)} values of {self._path.text} without names')
-            raise ConfigurationError(
+            raise SampleError(
                 f'{self.name}.field {self._path.text} holds {len(value)} values without names: add an index'
             )
         if len(names) != len(value):
@@ -172,6 +171,7 @@ class Intake:
     Attributes:
         received: messages by signal; of each motor that one speaks of, :class:`Pairing` counts on.
         rejected: messages that could not be read at all, by signal and reason.
+        complaints: what was wrong with the last of them that was decoded, by signal.
         others: messages that spoke of no configured motor, by signal.
         max_message_bytes: a larger message is refused before it is decoded; whoever decodes sees to it.
     """
@@ -180,6 +180,7 @@ class Intake:
         self._observer = observer
         self.signals = {name: Signal(name, configuration) for name in SIGNALS}
         self.rejected: dict[str, Counter[Rejection]] = {name: Counter() for name in SIGNALS}
+        self.complaints: dict[str, str] = {}
         self.received: Counter[str] = Counter()
         self.others: Counter[str] = Counter()
         self._own_speed_topic = bool(self.signals['speed'].topic)
@@ -205,7 +206,8 @@ class Intake:
         try:
             names, values, known = self.signals[name].read(message)
             speeds = self._speeds(message) if name == 'torque' else None
-        except (SampleError, TypeError, ValueError, ArithmeticError, LookupError, AttributeError):
+        except (SampleError, TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
+            self.complaints[name] = str(error) if isinstance(error, SampleError) else 'it holds no numbers'
             self.rejected[name][Rejection.MALFORMED] += 1
             return Taken(stamp_ns, (), [])
         if not known:

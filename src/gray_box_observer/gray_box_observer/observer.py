@@ -383,15 +383,17 @@ class Observer:
         Raises:
             ConfigurationError: something was learnt with another white box or other parameters.
         """
-        for names in together:
-            self._grouping.gather(names)
+        places = self._grouping.places
         made: list[tuple[Group, MotorObserver]] = []
         try:
+            for names in together:
+                self._grouping.gather(names)
             affected = [group for group in self.every_group if any(name in saved for name in group.names)]
             made.extend((group, self._restored(group, saved)) for group in affected)
         except BaseException:
             for _, observer in made:
                 observer.close()
+            self._grouping.put_back(places)
             raise
         for group, observer in made:  # all good: take over
             self._flush(group)  # what still waited belongs to the old signal history

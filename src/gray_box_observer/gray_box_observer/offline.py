@@ -287,4 +287,6 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
         {r.value for name in outcome.observer.configuration.motors for r in outcome.observer.counts(name).rejected}
     )
     because = f' (rejected: {", ".join(reasons)})' if reasons else ''
+    if outcome.intake.complaints:
+        because += f'; messages could not be read: {"; ".join(outcome.intake.complaints.values())}'
     return f'{names}: no usable sample: voltage and torque must overlap in time{because}'

@@ -177,6 +177,25 @@ def test_a_device_that_fails_while_it_predicts_asks_for_the_end(node, monkeypatc
     assert one._stop.error is FAILED
 
 
+@pytest.mark.parametrize('state', ['active', 'inactive'])
+def test_no_number_of_a_motor_that_has_stopped_stays_on_estimates_where_nobody_tells_it_again(node, state):
+    one = node()
+    one.trigger_configure()
+    one.trigger_activate()
+    for k in range(3):
+        for topic in ('voltage', 'torque'):
+            message = encode_joint_state(START_NS + k * 10_000_000, ['motor'], effort=[0.1])
+            one._inputs._subscriptions[topic].callback(message)
+    one._announce()
+    estimates = '/gray_box_observer/estimates'
+    assert one.count_publishers(estimates) == 1
+    if state == 'inactive':
+        one.trigger_deactivate()
+    one._observer.stop(one._observer.group_of('motor'), ArithmeticError('a defect'))
+    one._report_incidents()
+    assert one.count_publishers(estimates) == 0
+
+
 def test_a_device_that_fails_beside_the_messages_asks_for_the_end(node, monkeypatch):
     one = node()
     one.trigger_configure()

@@ -29,7 +29,9 @@ class Node:
 
     def create_lifecycle_publisher(self, kind, topic, qos, **_):
         """Make one that only remembers."""
-        return SimpleNamespace(publish=lambda message: self.sent.append((topic, message)), on_activate=lambda _: None)
+        return SimpleNamespace(
+            publish=lambda message: self.sent.append((topic, message)), on_activate=lambda _: None, is_activated=True
+        )
 
     def destroy_lifecycle_publisher(self, publisher):
         """Let one go."""
@@ -156,16 +158,21 @@ def sent_to(node: Node, name: str, kind: type) -> list[object]:
     return [deserialize_message(data, kind).data for topic, data in node.sent if topic == f'~/motor/{name}']
 
 
-def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_gone_where_it_is_not_known() -> None:
+def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_0_where_it_is_known_no_more() -> None:
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
-    for ratio in (math.nan, 1.25, 1.25, 7.5, math.inf):
+    for ratio in (math.nan, 1.25, 1.25, math.inf, 7.5):
         outputs.fit('motor', FitAssessment(FitVerdict.OK, ratio))
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5]
     outputs.fit('stranger', FitAssessment(FitVerdict.OK, 2.0))
     outputs.forget_published()
-    outputs.fit('motor', FitAssessment())
-    assert sent_to(node, 'fit', Float64) == [1.25, 7.5]
+    for _ in range(2):
+        outputs.fit('motor', FitAssessment())
+    assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0]
+    outputs.fit('motor', FitAssessment(FitVerdict.OK, 7.5))
+    outputs.retract()
+    outputs.retract_motor('motor')
+    assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0, 7.5, 0.0]
 
 
 def test_which_parameters_are_identified_goes_out_when_it_changes_and_again_when_nobody_may_have_heard() -> None:

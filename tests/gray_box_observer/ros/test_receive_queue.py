@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from gray_box_observer import checkpoint
+from gray_box_observer.checkpoint_folder import CheckpointFolder
+from gray_box_observer.checkpoint_keeper import CheckpointKeeper
 from gray_box_observer.ros import receive_queue
 from gray_box_observer.ros.receive_memory import ReceiveMemory
 from gray_box_observer.ros.receive_queue import BUDGET_MESSAGES, CALM_S, ReceiveQueue
@@ -141,3 +144,31 @@ def test_growth_is_told_by_who_has_touched_the_memory():
     other.start()
     other.join()
     assert memory.grown_bytes() > 60e6, 'of another thread'
+
+
+def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatch):
+    kept, written, go_on = [], threading.Event(), threading.Event()
+
+    def write(*_):
+        kept.append(np.ones(10_000_000))
+        written.set()
+        assert go_on.wait(20.0)
+
+    monkeypatch.setattr(checkpoint, 'write', write)
+    monkeypatch.setattr(checkpoint, 'capture', lambda _: None)
+    path = tmp_path / 'c.safetensors'
+    keeper = CheckpointKeeper(CheckpointFolder('', str(path), tmp_path), str(path), automatic=True)
+    memory = ReceiveMemory(lambda: keeper.thread_numbers)
+    counts = SimpleNamespace(used=1)
+    observer = SimpleNamespace(
+        motors=['motor'], counts=lambda _: counts, configuration=SimpleNamespace(motors=['motor'])
+    )
+    keeper.keep(observer)
+    assert written.wait(20.0)
+    assert memory.grown_bytes() < 20e6, 'while it writes'
+    other = threading.Thread(target=lambda: kept.append(np.ones(10_000_000)))
+    other.start()
+    other.join()
+    assert memory.grown_bytes() > 60e6, 'a flood meanwhile, with a disk that does not answer'
+    go_on.set()
+    assert keeper.close(None) is None

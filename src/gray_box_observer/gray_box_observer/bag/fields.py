@@ -10,10 +10,14 @@ from typing import Any
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
 from gray_box_observer.errors import ConfigurationError, SampleError, brief
 
-__all__ = ['FieldPath', 'JointStateDecoder', 'JointStateView', 'decode_joint_state']
+__all__ = ['FieldPath', 'JointStateDecoder', 'JointStateView', 'MissingFieldError', 'decode_joint_state']
 
 _STEP = re.compile(r'([A-Za-z]\w*)((?:\[\d{1,9}\])*)\Z')
 _INDEX = re.compile(r'\[(\d+)\]')
+
+
+class MissingFieldError(SampleError):
+    """The type of a message does not have the field: no other message of this type will have it."""
 
 
 class FieldPath:
@@ -61,12 +65,13 @@ class FieldPath:
         """The field of this message.
 
         Raises:
-            SampleError: There is no such field, or the array is too short; says what there is instead.
+            MissingFieldError: There is no such field; says what there is instead.
+            SampleError: The array of this message is too short.
         """
         try:
             return self._get(message)
         except (AttributeError, IndexError, TypeError, KeyError):
-            raise SampleError(self._explain(message)) from None
+            raise self._complaint(message) from None
 
     def _walk(self, message: Any) -> Any:
         value = message
@@ -74,7 +79,7 @@ class FieldPath:
             value = getattr(value, step) if isinstance(step, str) else value[step]
         return value
 
-    def _explain(self, message: Any) -> str:
+    def _complaint(self, message: Any) -> SampleError:
         """Walk again, slowly, to say where the path leaves the message."""
         value, walked = message, type(message).__name__
         for step in self._steps:
@@ -82,18 +87,22 @@ class FieldPath:
                 try:
                     value = value[step]
                 except (IndexError, KeyError):
-                    return f'{walked} has {len(value)} values, so there is no [{step}] (field {self.text!r})'
+                    return SampleError(
+                        f'{walked} has {len(value)} values, so there is no [{step}] (field {self.text!r})'
+                    )
                 except TypeError:
-                    return f'{walked} is a single value, so there is no [{step}] (field {self.text!r})'
+                    return MissingFieldError(
+                        f'{walked} is a single value, so there is no [{step}] (field {self.text!r})'
+                    )
                 walked += f'[{step}]'
                 continue
             if not hasattr(value, step):
                 fields = field_names(value)
                 there = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
-                return f'{walked} has no field {step!r}; {there} (field {self.text!r})'
+                return MissingFieldError(f'{walked} has no field {step!r}; {there} (field {self.text!r})')
             value = getattr(value, step)
             walked += f'.{step}'
-        return f'{walked} cannot be read (field {self.text!r})'
+        return SampleError(f'{walked} cannot be read (field {self.text!r})')
 
 
 def field_names(message: Any) -> list[str]:

@@ -52,7 +52,7 @@ REJECTIONS = {
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STOPPED: 'the observer of this motor has stopped: see the log, then call ~/reset',
-    Rejection.MALFORMED: 'names and values differ in number, the field is missing, or the bytes are no such message',
+    Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes are no such message',
 }
 """What to look at, by the reason that most messages were refused for."""
 
@@ -158,7 +158,11 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
         level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
         return level, f'nothing received for this motor: {trouble.message}'
     if any(now.intake.rejected[n] for n in silent):
-        return _refused(motor, now) or (DiagnosticStatus.STALE, 'no message so far could be read: see rejected')
+        complaint = next((f' ({now.intake.complaints[n]})' for n in silent if n in now.intake.complaints), '')
+        return _refused(motor, now) or (
+            DiagnosticStatus.STALE,
+            f'no message so far could be read: see rejected{printable(complaint)}',
+        )
     topics = ' and '.join(now.intake.signals[n].topic for n in silent)
     strangers = sorted({name for n in silent for name in now.intake.signals[n].unknown})
     remedy = f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors' if strangers else ''

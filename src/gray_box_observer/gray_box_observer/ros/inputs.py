@@ -68,12 +68,20 @@ class Inputs:
         configuration: names topics and types.
         take: gets every message.
         refuse: told of every message whose bytes make no sense, or are too many.
+        writers: returns the numbers of the node's own threads, whose memory is not the middleware's.
 
     Raises:
         ConfigurationError: a message type that this environment does not have, or a field that the type has not.
     """
 
-    def __init__(self, node: Node, configuration: Configuration, take: Take, refuse: Refuse) -> None:
+    def __init__(
+        self,
+        node: Node,
+        configuration: Configuration,
+        take: Take,
+        refuse: Refuse,
+        writers: Callable[[], Iterable[int]] = tuple,
+    ) -> None:
         self._node = node
         self._take = take
         self._refuse = refuse
@@ -87,7 +95,7 @@ class Inputs:
                 raise ConfigurationError(f'{name}.field {path.text!r} on {topic}: {complaint}')
         self._max_message_bytes = round(configuration['max_message_mb'] * 1e6)
         self._queues: dict[str, ReceiveQueue] = {}
-        self._memory = ReceiveMemory()
+        self._memory = ReceiveMemory(writers)
         self._watch: Timer | None = None
         self._refused: dict[str, str] = {}
 

@@ -30,6 +30,11 @@ class LatchedTopic:
         self._holds_value = False
         self._publisher: Any = self._create()
 
+    @property
+    def holds_value(self) -> bool:
+        """Whether a late subscriber hears something."""
+        return self._holds_value
+
     def __call__(self, message: Any) -> None:
         """Publish a message, or its bytes; only while the node is active."""
         if self._publisher is None:

@@ -74,8 +74,10 @@ class ObserverNode(LifecycleNode):
         self._state = 'unconfigured'
         self._reason = ''
         self._configuration = declare(self)
-        self._inputs = Inputs(self, self._configuration, self._take, self._refuse)
-        self._keeper = self._make_keeper(self._configuration)
+        keeper = self._keeper = self._make_keeper(self._configuration)
+        self._inputs = Inputs(
+            self, self._configuration, self._take, self._refuse, writers=lambda: keeper.thread_numbers
+        )
         self._observer: Observer | None = None
         self._intake: Intake | None = None
         self._outputs: Outputs | None = None
@@ -321,6 +323,8 @@ class ObserverNode(LifecycleNode):
         if self._observer is None or self._outputs is None:
             return
         incidents = self._observer.incidents
+        if incidents.keys() - self._reported:
+            self._correct_estimates()
         for incident in {id(incidents[name]): incidents[name] for name in incidents.keys() - self._reported}.values():
             for motor in incident.motors:
                 self._outputs.retract_motor(motor)
@@ -454,6 +458,15 @@ class ObserverNode(LifecycleNode):
         """Publish what is known of every motor, in one message."""
         if self._observer is not None and self._outputs is not None and self._state == 'active':
             self._outputs.all_estimates(list(self._configuration.motors), self._observer.group_estimates())
+
+    def _correct_estimates(self) -> None:
+        """Leave no number on ``~/estimates`` of a motor that has stopped; nobody may tell of it periodically."""
+        if self._observer is None or self._outputs is None:
+            return
+        if self._state == 'active':
+            self._tell_estimates()
+        else:
+            self._outputs.retract_estimates()
 
     def _drop_observer(self) -> None:
         self._unsettled = []

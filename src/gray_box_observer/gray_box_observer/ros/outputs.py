@@ -25,6 +25,9 @@ from gray_box_observer.white_box.base import Array, Parameter
 
 Publish = Callable[[Any], None]
 
+UNTESTED = 0.0
+"""Ratio on ``~/<motor>/fit`` where what was tested is forgotten: no real one is so small."""
+
 NOTHING = (0.0, -1.0)
 """Value and standard deviation on ``~/estimates`` where nothing is known: no real one is negative."""
 
@@ -188,15 +191,23 @@ class Outputs:
         self._identified[motor](self._is[estimate.identified(0) if identified is None else identified])
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
-        """Publish the ratio of a residual analysis where it has changed; where there is none, the topic goes."""
+        """Publish the ratio of a residual analysis where it has changed; UNTESTED where there is none any more."""
         if motor not in self._fit:
             return
-        if not math.isfinite(fit.ratio):
+        if math.isnan(fit.ratio):
+            self._forget_fit(motor)
+        elif math.isinf(fit.ratio):  # tested, and no number: the topic goes
             self._published_fit.pop(motor, None)
             self._fit[motor].retract()
         elif fit.ratio != self._published_fit.get(motor):
             self._published_fit[motor] = fit.ratio
             self._fit[motor](self._value.told(np.array([fit.ratio])))
+
+    def _forget_fit(self, motor: str) -> None:
+        """Take back the ratio, in whatever state of the life cycle; who listens has to hear of it too."""
+        if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
+            self._published_fit[motor] = UNTESTED
+            self._fit[motor].correct(self._value.told(np.array([UNTESTED])))
 
     def parameters_identified(
         self, motor: str, parameters: tuple[Parameter, ...], identified: tuple[bool, ...]
@@ -224,12 +235,16 @@ class Outputs:
 
     def retract(self) -> None:
         """Leave latched what is true of a node that knows nothing, in whatever state of its life cycle."""
-        self._estimates.retract()
+        self.retract_estimates()
         for motor in self._identified:
             self.retract_motor(motor)
 
+    def retract_estimates(self) -> None:
+        """Leave no number of any motor on ``~/estimates``."""
+        self._estimates.retract()
+
     def retract_motor(self, motor: str) -> None:
-        """The same of one motor: not identified, no alarm, no number."""
+        """The same of one motor: not identified, no alarm, nothing tested, no number."""
         if motor not in self._identified:
             return
         self._alarmed.clear()
@@ -239,6 +254,6 @@ class Outputs:
         for latched in self._parameter_identified[motor].values():
             latched.correct(self._is[False])
         self._published_identified.pop(motor, None)
-        self._published_fit.pop(motor, None)
-        for latched in (*self._parameters[motor].values(), self._covariance[motor], self._fit[motor]):
+        self._forget_fit(motor)
+        for latched in (*self._parameters[motor].values(), self._covariance[motor]):
             latched.retract()
