@@ -51,7 +51,7 @@ def alarms(node: Node) -> list[bool]:
 def result(stamp_ns: int, torque_nm: float, interval_s: float = 0.01):
     sample = SimpleNamespace(stamp_ns=stamp_ns, interval_s=np.array([interval_s]))
     prediction = SimpleNamespace(torque_nm=np.array([torque_nm]))
-    group = SimpleNamespace(names=('motor',))
+    group = SimpleNamespace(names=('motor',), observer=None)
     done = SimpleNamespace(alarm=np.array([False]))
     return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
 
