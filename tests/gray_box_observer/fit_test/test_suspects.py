@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
 
-from gray_box_observer.fit_test.suspects import explanations, likeliest
+from gray_box_observer.fit_test.effects import EFFECTS
+from gray_box_observer.fit_test.suspects import Explanation, explanations, likeliest
 
 SAMPLES = 3000
 
@@ -37,3 +38,9 @@ def test_a_supply_that_wanders_is_named() -> None:
     voltage_v = steps(SAMPLES, 4)
     wander = 1.0 + 0.1 * np.sin(2.0 * np.pi * np.arange(SAMPLES) / 1100.0)
     assert _first(voltage_v, current_of(wander * voltage_v)) == 'sag'
+
+
+def test_a_rotor_beside_no_resistance_at_all_is_named_all_the_same() -> None:
+    found = Explanation(EFFECTS['rotor'], 100.0, 1.0, 1.0, 0.0)
+    assert likeliest([found], {}) == [found]
+    assert 'velocity' in found.suspect('motor', 0.02).remedy

@@ -76,7 +76,7 @@ class Explanation:
             motor: its name.
             torque_constant: Kt in N m/A.
         """
-        offset_nm = torque_constant * self.amount / self.resistance
+        offset_nm = torque_constant * self.amount / (self.resistance or math.nan)
         remedy = self.effect.remedy.format(motor=motor, amount=self.amount, offset_nm=offset_nm)
         return Suspect(self.effect.name, self.evidence, remedy)
 
