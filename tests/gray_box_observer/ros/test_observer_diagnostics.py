@@ -97,6 +97,8 @@ def test_refusals_name_what_to_look_at(rig, record):
     recording = record(EXCITATION, 8.0)
     rig.start()
     voltage, torque = rig.signals()
+    rig.diagnostics.clear()
+    rig.peer.wait(lambda: rig.diagnostics, 'diagnostics to count from')  # what came before them is in no second
     for k in range(CHUNK):
         torque.publish(rig.state('motor', START_NS + int(recording.stamp_ns[k])))  # a name without a value
     rig.wait_for_level(DiagnosticStatus.WARN, 'messages refused in 1 s: see rejected (names and values differ')
