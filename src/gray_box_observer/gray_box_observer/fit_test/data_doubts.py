@@ -16,6 +16,7 @@ from gray_box_observer.configuration import MotorConfiguration
 from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.noise_floor import quantisation_step
 from gray_box_observer.parameters import MOTOR_PARAMETERS
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.dynamics import integrated_regressors
@@ -91,8 +92,6 @@ NOISELESS = 1e-4
 FEWEST_CLIPPED = 30
 """Readings that these are at least: noise brings a step's worth of readings to the largest value by chance."""
 
-_INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
-
 
 @dataclass(frozen=True, slots=True)
 class _Balance:
@@ -142,7 +141,7 @@ def doubts(white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorC
         theta: shape (parameter,): the published values.
         motor: as configured.
     """
-    needed = samples if white_box.speed_measured else samples[:_SPEED]
+    needed = samples if white_box.speed_measured else samples[:SPEED]
     samples = samples[:, np.isfinite(needed).all(axis=0)]
     if samples.shape[1] < FEWEST_SAMPLES:
         return ()
@@ -179,7 +178,7 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
 
 def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
     """Doubt the unit of the stamps; nothing is doubted that a data sheet says L of, which would show it."""
-    interval_s = samples[_INTERVAL]
+    interval_s = samples[INTERVAL]
     follows = interval_s > 0.0
     if motor.values['initial_relative_std.inductance'] > 0.0 and follows.any():
         return None
@@ -203,7 +202,7 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
 
 def _doubt_of_voltage(samples: Array, balance: _Balance | None, motor: MotorConfiguration) -> Suspect | None:
     """Doubt the unit of the voltage: by its size, or by a Kb that comes out a thousand times what it is said to be."""
-    peak_v = float(np.percentile(np.abs(samples[_VOLTAGE]), 99.0))
+    peak_v = float(np.percentile(np.abs(samples[VOLTAGE]), 99.0))
     kb = float(motor.values[KB])
     by_kb = (
         balance is not None
@@ -225,7 +224,7 @@ def _doubt_of_current(
     """Doubt the unit of current or torque, unless a data sheet says that the resistance is as small as that."""
     if motor.values['initial_relative_std.resistance'] > 0.0 or motor.values['known.resistance'] > 0.0:
         return None
-    current_a = white_box.state(samples[_TORQUE])
+    current_a = white_box.state(samples[TORQUE])
     peak_a = float(np.percentile(np.abs(current_a), 99.0))
     resistance_ohm = _smallest_resistance(white_box, samples, current_a, balance, theta)
     if peak_a < LARGE_CURRENT_A or resistance_ohm >= LOWEST_RESISTANCE_OHM:
@@ -245,7 +244,7 @@ def _smallest_resistance(
     """Return the resistance that the data speak of: without back-EMF where speed is measured, else the impedance."""
     if balance is not None and balance.resistance > 0.0:
         return balance.resistance
-    voltage_v = float(np.sqrt(np.mean(samples[_VOLTAGE] ** 2)))
+    voltage_v = float(np.sqrt(np.mean(samples[VOLTAGE] ** 2)))
     signal = max(1.0 - _noise_share(current_a) ** 2, 0.0) * float(np.mean(current_a**2))
     impedance = voltage_v / max(math.sqrt(signal), 1e-300)
     names = white_box.context_nodes
@@ -320,13 +319,13 @@ def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array
         Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root mean square of the
         speed, and the share of noise in a window's mean; None where there are too few windows, or no speed.
     """
-    interval_s = samples[_INTERVAL, 1:]
+    interval_s = samples[INTERVAL, 1:]
     length = max(SHORTEST_WINDOW, interval_s.size // WINDOWS)
     count = interval_s.size // length
-    if count < FEWEST_WINDOWS or not np.any(samples[_SPEED]):
+    if count < FEWEST_WINDOWS or not np.any(samples[SPEED]):
         return None
-    state = white_box.state(samples[_TORQUE])
-    columns, target = integrated_regressors(white_box, samples[_VOLTAGE, 1:], state, samples[_SPEED], interval_s)
+    state = white_box.state(samples[TORQUE])
+    columns, target = integrated_regressors(white_box, samples[VOLTAGE, 1:], state, samples[SPEED], interval_s)
     cut = slice(0, count * length)
     duration_s = interval_s[cut].reshape(count, length)
     whole = (duration_s > 0.0).all(axis=1)
@@ -335,8 +334,8 @@ def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array
     length_s = duration_s[whole].sum(axis=1)
     means = columns[cut].reshape(count, length, -1)[whole].sum(axis=1) / length_s[:, None]
     means_v = target[cut].reshape(count, length)[whole].sum(axis=1) / length_s
-    noise = max(_noise_share(state), _noise_share(samples[_SPEED])) / math.sqrt(length)
-    return means, means_v, float(np.sqrt(np.mean(samples[_SPEED] ** 2))), noise
+    noise = max(_noise_share(state), _noise_share(samples[SPEED])) / math.sqrt(length)
+    return means, means_v, float(np.sqrt(np.mean(samples[SPEED] ** 2))), noise
 
 
 def _noise_share(signal: Array) -> float:

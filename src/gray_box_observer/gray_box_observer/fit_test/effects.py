@@ -91,6 +91,12 @@ class Effect:
     hides_resistance: bool = False
 
 
+def interval_means(signal: Array) -> Array:
+    """Return the mean of a signal over every interval between samples, shape (k,), from its k + 1 samples."""
+    means: Array = 0.5 * (signal[1:] + signal[:-1])
+    return means
+
+
 def leaky_mean(signal: Array, samples: tuple[float, ...]) -> Array:
     """Return leaky means of a signal, shape (time constant, k), for time constants in samples."""
     left = np.exp(-1.0 / np.array(samples))[:, None]

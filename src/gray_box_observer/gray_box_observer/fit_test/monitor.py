@@ -35,6 +35,7 @@ from gray_box_observer.fit_test.policy import (
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.suspects import Explanation, explanations, likeliest
 from gray_box_observer.printable import printable
+from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
 from gray_box_observer.saved_state import (
     LARGEST,
     MOST,
@@ -205,7 +206,7 @@ class FitMonitor:
         white_box = self._white_boxes[motor]
         # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a transient counts.
         tells = before is None and hopeful and (white_box.speed_measured or _knows_inductance(estimate))
-        if _is_held(samples[1, 0]) and not tells:
+        if _is_held(samples[VOLTAGE, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
         theta = estimate.value
@@ -223,7 +224,7 @@ class FitMonitor:
         )
         named = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         stored = replay.newest(min(replay.stored(motor), WINDOW), one)
-        clipped = doubt_of_range(white_box.state(stored[2, 0]), analysis.moving_noise_a)
+        clipped = doubt_of_range(white_box.state(stored[TORQUE, 0]), analysis.moving_noise_a)
         if clipped is not None:
             named.append(clipped)
         late = self._delay_suspect(motor, delay)
@@ -242,7 +243,7 @@ class FitMonitor:
             _without_repetition(named),
             analysis.samples,
         )
-        range_v = float(np.ptp(samples[1, 0]))
+        range_v = float(np.ptp(samples[VOLTAGE, 0]))
         misfit = judgement.verdict is FitVerdict.MISFIT
         if not misfit and before is not None and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)

@@ -11,10 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.trajectory import Stretch
-from gray_box_observer.fit_test.effects import Effect, Scene, possible_effects
+from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.fit_test.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.white_box.base import Array, WhiteBox
@@ -97,17 +98,22 @@ class ResidualAnalysis:
     moving_noise_a: float
 
 
-def difference_noise(signal: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its second differences; robust against jumps."""
-    second = signal[2:] - 2.0 * signal[1:-1] + signal[:-2]
+def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(None)) -> float:
+    """Standard deviation of white noise on a smooth signal, from its second differences; robust against jumps.
+
+    Args:
+        signal: shape (n,).
+        smooth: shape (n - 2,): which second differences count.
+    """
+    second = (signal[2:] - 2.0 * signal[1:-1] + signal[:-2])[smooth]
     return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
     """Noise of those samples whose reading is neither that before nor that after; 0 where there are too few."""
-    moving = readings[1:] != readings[:-1]
-    second = (residual[2:] - 2.0 * residual[1:-1] + residual[:-2])[moving[1:] & moving[:-1]]
-    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second))) if second.size >= FEWEST_STEEP else 0.0
+    changes = readings[1:] != readings[:-1]
+    moving = changes[1:] & changes[:-1]
+    return difference_noise(residual, moving) if np.count_nonzero(moving) >= FEWEST_STEEP else 0.0
 
 
 def ljung_box(residual: Array, lags: int = LAGS) -> float:
@@ -164,7 +170,9 @@ def analyse(white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = Fa
 def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
     """Return what effects are made of, along a free run."""
     speed = run.stretch.speed_rad_s[0] if white_box.speed_measured else None
-    return Scene(run.stretch.voltage_v[0], _between(run.current_a), None if speed is None else _between(speed))
+    return Scene(
+        run.stretch.voltage_v[0], interval_means(run.current_a), None if speed is None else interval_means(speed)
+    )
 
 
 def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
@@ -197,15 +205,10 @@ def _intervals(white_box: WhiteBox, p: Array, stretch: Stretch) -> float:
     return 1.0 / (float(p[0, names.index('resistance')]) * float(np.median(interval_s)))
 
 
-def _between(signal: Array) -> Array:
-    middle: Array = 0.5 * (signal[1:] + signal[:-1])
-    return middle
-
-
 def _ramps(white_box: WhiteBox, run: FreeRun) -> Array:
     """Voltages of a resistance that drifts, shape (power, k)."""
     progress = np.linspace(-1.0, 1.0, run.decay.size)
-    current_a = _between(run.current_a)
+    current_a = interval_means(run.current_a)
     return np.stack([-current_a * progress**power for power in (1, 2, 3)])
 
 

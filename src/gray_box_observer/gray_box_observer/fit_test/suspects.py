@@ -15,7 +15,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.trajectory import Stretch
 from gray_box_observer.fit_test.assessment import Suspect
-from gray_box_observer.fit_test.effects import Effect, Scene, Shapes, possible_effects
+from gray_box_observer.fit_test.effects import Effect, Scene, Shapes, interval_means, possible_effects
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.base import Array
 
@@ -139,20 +139,15 @@ def _balance(white_box: MotorWhiteBox, stretch: Stretch) -> tuple[Array, list[st
     speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
     taken_off = np.broadcast_to(white_box.drive(0.0 * stretch.state, stretch.state, speed), speed.shape)
-    drive_v = stretch.voltage_v[0] + _middle(taken_off[0])
+    drive_v = stretch.voltage_v[0] + interval_means(taken_off[0])
     bases = [np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)]
-    measured = _middle(speed[0]) if white_box.speed_measured else None
-    scene = Scene(stretch.voltage_v[0], _middle(current_a), measured, fine=True)
+    measured = interval_means(speed[0]) if white_box.speed_measured else None
+    scene = Scene(stretch.voltage_v[0], interval_means(current_a), measured, fine=True)
     listed = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
-    signals = [np.diff(current_a), *(_middle(base) * interval_s for base in bases), drive_v * interval_s]
+    signals = [np.diff(current_a), *(interval_means(base) * interval_s for base in bases), drive_v * interval_s]
     signals += [-shape * interval_s for _, shapes in listed for shape in shapes]
     rows = _windowed(np.where(whole, np.stack(signals), 0.0), whole)
     return rows, [parameter.name for parameter in white_box.parameters], listed
-
-
-def _middle(signal: Array) -> Array:
-    middle: Array = 0.5 * (signal[1:] + signal[:-1])
-    return middle
 
 
 def _windowed(signals: Array, whole: Array) -> Array:

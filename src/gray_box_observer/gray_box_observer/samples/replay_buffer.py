@@ -13,7 +13,8 @@ from gray_box_observer.samples.sample import Sample
 from gray_box_observer.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
 from gray_box_observer.white_box.base import Array
 
-_INTERVAL, _VOLTAGE, _TORQUE, _SPEED = range(4)
+INTERVAL, VOLTAGE, TORQUE, SPEED = range(4)
+"""Rows of the signals in what a buffer gives."""
 _NAMES = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
 
 STAGE = 32
@@ -36,8 +37,8 @@ def check_signals(name: str, content: Any, motors: int = 1) -> None:
         CheckpointError: another shape, or a number out of range.
     """
     check_array(name, content, ArrayRule((4, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True))
-    check_array(f'{name}: interval_s', content[_INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S))
-    for signal in (_VOLTAGE, _TORQUE):
+    check_array(f'{name}: interval_s', content[INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S))
+    for signal in (VOLTAGE, TORQUE):
         check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
 
 
@@ -86,11 +87,11 @@ class ReplayBuffer:
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
         """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s`` replaces its speed."""
         row = self._rows[self._top + self._staged]
-        row[_INTERVAL] = sample.interval_s
-        row[_VOLTAGE] = sample.voltage_v
-        row[_TORQUE] = sample.torque_nm
+        row[INTERVAL] = sample.interval_s
+        row[VOLTAGE] = sample.voltage_v
+        row[TORQUE] = sample.torque_nm
         if self._speed_measured:
-            row[_SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
+            row[SPEED] = sample.speed_rad_s if speed_rad_s is None else speed_rad_s
         if sample.present is not None:
             self._present[self._staged], self._gaps = sample.present, True
         self._staged += 1
@@ -234,7 +235,7 @@ class ReplayBuffer:
         cut = content.shape[2] - keep
         self._data[:, which, :keep] = content[:, :, cut:]
         if not self._speed_measured:
-            self._data[_SPEED, which, :keep] = 0.0
+            self._data[SPEED, which, :keep] = 0.0
         self._end[which], self._gone[which], self._begin[which] = keep, gone + cut, begin
         self._find_top()
         self._make_room()
@@ -246,16 +247,16 @@ class ReplayBuffer:
 
     def interval_s(self, count: int | None = None) -> Array:
         """Shape (motor, n): time since the previous sample; 0 where the history starts anew."""
-        return self._row(_INTERVAL, count)
+        return self._row(INTERVAL, count)
 
     def voltage_v(self, count: int | None = None) -> Array:
         """Shape (motor, n): mean voltage of the interval before each sample."""
-        return self._row(_VOLTAGE, count)
+        return self._row(VOLTAGE, count)
 
     def torque_nm(self, count: int | None = None) -> Array:
         """Shape (motor, n): torque at each sample."""
-        return self._row(_TORQUE, count)
+        return self._row(TORQUE, count)
 
     def speed_rad_s(self, count: int | None = None) -> Array:
         """Shape (motor, n): measured speed at each sample."""
-        return self._row(_SPEED, count)
+        return self._row(SPEED, count)
