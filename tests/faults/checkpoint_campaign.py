@@ -16,7 +16,6 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +26,7 @@ import numpy as np
 from checkpoint_mutations import Content, mutated
 from figures import Figure, tell
 from numpy.typing import NDArray
+from tally import Tally
 from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
@@ -153,18 +153,14 @@ class Hang(BaseException):
 
 
 @dataclass
-class Tally:
-    """What became of the cases.
+class NumberTally(Tally):
+    """What became of the cases, of their numbers, and how long they took.
 
     Attributes:
-        outcomes: how often each kind of end came.
-        failures: number, mutation and complaint of every case that ended otherwise.
         blank: numbers that were not finite.
         longest_s: processor time of the longest case.
     """
 
-    outcomes: Counter[str] = field(default_factory=Counter)
-    failures: list[tuple[int, str, str]] = field(default_factory=list)
     blank: int = 0
     longest_s: float = 0.0
 
@@ -183,7 +179,7 @@ def main() -> int:
     warnings.simplefilter('ignore')
     numbers = range(options.first, options.first + options.cases) if options.only is None else [options.only]
     kinds = list(KINDS)
-    tally, cases = Tally(), {}
+    tally, cases = NumberTally(), {}
     for name in options.kinds:
         if options.only is None or name == kinds[options.only % len(kinds)]:
             cases[name] = Case(name, KINDS[name], options.samples)
@@ -200,7 +196,7 @@ def main() -> int:
     return _print(tally, options, sum(tally.outcomes.values()) + len(tally.failures))
 
 
-def _run(number: int, options: argparse.Namespace, case: Case, tally: Tally) -> None:
+def _run(number: int, options: argparse.Namespace, case: Case, tally: NumberTally) -> None:
     text, arrays, what = mutated(case.content, f'{options.seed}:{number}')
     since_s = time.process_time()
     signal.setitimer(signal.ITIMER_PROF, CPU_LIMIT_S)
@@ -252,13 +248,12 @@ def _expire(number: int, frame: FrameType | None) -> None:
     raise Hang(f'more than {CPU_LIMIT_S:g} s of CPU')
 
 
-def _print(tally: Tally, options: argparse.Namespace, cases: int) -> int:
+def _print(tally: NumberTally, options: argparse.Namespace, cases: int) -> int:
     for outcome, count in sorted(tally.outcomes.items()):
         print(f'{count:7d}  {outcome}')
-    hangs = sum(complaint.startswith('Hang') for *_, complaint in tally.failures)
     figures = [
         Figure('cases that ended otherwise than they may', len(tally.failures), 0),
-        Figure('of these hangs', hangs, 0),
+        Figure('of these hangs', tally.hangs, 0),
         Figure('numbers that are not finite', tally.blank, 0),
         Figure('processor time of the longest case, s', tally.longest_s),
     ]

@@ -21,11 +21,11 @@ import tempfile
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
 from bag_damage import CHECKED, damaged_copy, make_sources
+from tally import Tally
 from tqdm import tqdm
 
 from gray_box_observer.bag.joint_state import JointStateDecoder
@@ -50,19 +50,6 @@ class Hang(BaseException):
 
 class WrongError(AssertionError):
     """A case ended in a way that none may."""
-
-
-@dataclass
-class Tally:
-    """What became of the cases.
-
-    Attributes:
-        outcomes: how often each kind of end came.
-        failures: number, damage and complaint of every case that ended otherwise.
-    """
-
-    outcomes: Counter[str] = field(default_factory=Counter)
-    failures: list[tuple[int, str, str]] = field(default_factory=list)
 
 
 def main() -> int:
@@ -228,7 +215,7 @@ def _print(tally: Tally, options: argparse.Namespace, cases: int) -> None:
         print(f'case {case}, {damage}: {complaint[:300]}', file=sys.stderr)
     ends = {
         'cases that ended otherwise than they may': len(tally.failures),
-        'of these hangs': sum(complaint.startswith('Hang') for *_, complaint in tally.failures),
+        'of these hangs': tally.hangs,
     }
     figures = [{'name': name, 'value': value, 'goal': 0, 'met': value == 0} for name, value in ends.items()]
     told = {'benchmark': 'corrupt_bags', 'seed': options.seed, 'cases': cases, 'outcomes': tally.outcomes}

@@ -21,14 +21,14 @@ import sys
 import tempfile
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from bag_damage import make_sources
 from figures import Figure, tell
+from tally import Tally
 from text_damage import damaged
 from tqdm import tqdm
 
@@ -82,18 +82,14 @@ class WrongEndError(AssertionError):
 
 
 @dataclass
-class Tally:
-    """What became of the cases.
+class TimedTally(Tally):
+    """What became of the cases, and how long they took.
 
     Attributes:
-        outcomes: how often each kind of end came.
-        failures: number, damage and complaint of every case that ended otherwise.
         longest_s: CPU time of the longest case in this process.
         longest_case: which one that was.
     """
 
-    outcomes: Counter[str] = field(default_factory=Counter)
-    failures: list[tuple[int, str, str]] = field(default_factory=list)
     longest_s: float = 0.0
     longest_case: int = -1
 
@@ -239,7 +235,7 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--only', type=int, metavar='CASE', help='repeat this one')
     options = parser.parse_args()
-    tally = Tally()
+    tally = TimedTally()
     with tempfile.TemporaryDirectory() as folder:
         campaign = Campaign(Path(folder), options.seed)
         before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
@@ -260,7 +256,7 @@ def main() -> int:
     return tell('text_mutations', options.seed, figures, {'cases': len(cases), 'outcomes': dict(tally.outcomes)})
 
 
-def _run(campaign: Campaign, case: int, tally: Tally, *, shows: bool) -> None:
+def _run(campaign: Campaign, case: int, tally: TimedTally, *, shows: bool) -> None:
     begin_s = time.process_time()
     damage = ''
     try:
