@@ -2,8 +2,8 @@
 
     python bags/make_bags.py [--out FOLDER] [NAME ...]
 
-Each is the motor of the thesis at 100 Hz with torque noise of 1 % of the torque's standard deviation, as a rosbag2
-folder with ``truth.yaml`` in it (times in s since the first sample).
+Each is the motor of the thesis at 100 Hz with torque noise of 1 % of the torque's standard
+deviation, as a rosbag2 folder with ``truth.yaml`` in it (times in s since the first sample).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import yaml
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.bag.csv_log import SIGNAL_QOS
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import JOINT_STATE_HASH, built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions, BagWriter
+from gray_box_observer.csv_import.log_conversion import SIGNAL_QOS
 
 DURATION_S = 120.0
 SAMPLE_RATE_HZ = 100.0
@@ -43,16 +43,25 @@ RUNS = {
     'training_set': Run('R[1,2]D[3,3]', seed=1),
     'moderate': Run('R[5,15]D[1,20]', seed=2),
     'drift': Run(
-        'R[5,15]D[0.001,2]', seed=3, schedule=('motor.resistance=1.3@60',), changed=(('resistance', 60.0, 1.3),)
+        'R[5,15]D[0.001,2]',
+        seed=3,
+        schedule=('motor.resistance=1.3@60',),
+        changed=(('resistance', 60.0, 1.3),),
     ),
 }
 
 
 def main() -> int:
     """Make the runs that are named, or all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('names', nargs='*', metavar='NAME', help=f'among {", ".join(RUNS)}; all by default')
-    parser.add_argument('--out', type=Path, default=Path(__file__).resolve().parent, help='folder to make them in')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        'names', nargs='*', metavar='NAME', help=f'among {", ".join(RUNS)}; all by default'
+    )
+    parser.add_argument(
+        '--out', type=Path, default=Path(__file__).resolve().parent, help='folder to make them in'
+    )
     options = parser.parse_args()
     unknown = [name for name in options.names if name not in RUNS]
     if unknown:
@@ -79,7 +88,9 @@ def make(run: Run, folder: Path) -> None:
     for name, time_s, value in run.changed:
         truth[name] = [[0.0, TRUTH[name]], [time_s, value]]
     text = f'# {run.excitation}, seed {run.seed}, made by: python bags/make_bags.py {folder.name}\n'
-    (folder / 'truth.yaml').write_text(text + yaml.safe_dump({'motors': {MOTOR: truth}}, sort_keys=False))
+    (folder / 'truth.yaml').write_text(
+        text + yaml.safe_dump({'motors': {MOTOR: truth}}, sort_keys=False)
+    )
 
 
 def write(recording: Recording, folder: Path) -> None:
@@ -90,7 +101,9 @@ def write(recording: Recording, folder: Path) -> None:
     with BagWriter(folder, options) as bag:
         for topic in ('/motor/voltage', '/motor/torque'):
             bag.add_topic(topic, TYPE_NAME, schema, [SIGNAL_QOS], JOINT_STATE_HASH)
-        signals = zip(recording.stamp_ns, recording.voltage_v[0], recording.torque_nm[0], strict=True)
+        signals = zip(
+            recording.stamp_ns, recording.voltage_v[0], recording.torque_nm[0], strict=True
+        )
         for stamp, voltage_v, torque_nm in signals:
             stamp_ns = int(stamp)
             for topic, value in (('/motor/voltage', voltage_v), ('/motor/torque', torque_nm)):

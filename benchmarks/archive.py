@@ -1,7 +1,9 @@
-"""What spreading an archive over two processes brings: 200 bags of 60 s, beside one process that reads them all.
+"""What spreading an archive over two processes brings: 200 bags of 60 s, beside one process that
+reads them all.
 
-The clock runs from before the workers start to the last result, so that the start is paid for. Both engines do the same
-work without the predictor (``--skip-predictor``), and every digest must be equal.
+The clock runs from before the workers start to the last result, so that the start is paid for. Both
+engines do the same work without the predictor (``--skip-predictor``), and every digest must be
+equal.
 """
 
 from __future__ import annotations
@@ -17,12 +19,12 @@ from common.figures import Figure, figure_table, last_line, table
 from common.simulated_bags import write_bag
 from tqdm import tqdm
 
-from gray_box_observer.archive.bag_work import BagResult, BagWork
-from gray_box_observer.archive.process_engine import ProcessEngine
-from gray_box_observer.archive.serial_engine import SerialEngine
-from gray_box_observer.archive.trends import gather
-from gray_box_observer.report.trend import MONTH_S
-from gray_box_observer.report.trend_page import drift_words
+from gray_box_observer.identify.archive.bag_work import BagResult, BagWork
+from gray_box_observer.identify.archive.process_engine import ProcessEngine
+from gray_box_observer.identify.archive.serial_engine import SerialEngine
+from gray_box_observer.identify.archive.trends import gather
+from gray_box_observer.report.trend.trend import MONTH_S
+from gray_box_observer.report.trend.trend_page import drift_words
 
 WORKERS = 2
 DURATION_S = 60.0
@@ -39,21 +41,29 @@ def make_archive(folder: Path, bags: int) -> list[Path]:
     for day in tqdm(range(bags), desc='making bags', disable=None, leave=False):
         path = folder / f'{day:04}'
         resistance = 1.0 + GROWTH_A_MONTH * day * 86_400.0 / MONTH_S
-        write_bag(path, day + 1, DURATION_S, start_ns=START_NS + day * DAY_NS, resistance=resistance)
+        write_bag(
+            path, day + 1, DURATION_S, start_ns=START_NS + day * DAY_NS, resistance=resistance
+        )
         paths.append(path)
     return paths
 
 
-def timed(engine: SerialEngine | ProcessEngine, work: BagWork, bags: Sequence[Path]) -> tuple[float, list[BagResult]]:
+def timed(
+    engine: SerialEngine | ProcessEngine, work: BagWork, bags: Sequence[Path]
+) -> tuple[float, list[BagResult]]:
     """Read every bag; return the time on the clock in s and the results in the order of the bags."""
     start = time.perf_counter()
-    found = dict(tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False))
+    found = dict(
+        tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False)
+    )
     return time.perf_counter() - start, [found[index] for index in range(len(bags))]
 
 
 def main() -> int:
     """Print a table and one line of JSON; the exit code is 1 where a digest differs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--quick', action='store_true', help='20 bags instead of 200')
     parser.add_argument('--bags', type=int, help='so many bags instead of 200')
     options = parser.parse_args()
@@ -65,12 +75,23 @@ def main() -> int:
         spread_s, spread = timed(ProcessEngine(workers=WORKERS), work, bags)
     unequal = sum(a != b or a.error is not None for a, b in zip(serial, spread, strict=True))
     rows = [['serial', serial_s], [f'{WORKERS} processes', spread_s]]
-    print(table(['engine', 's', 'bags a s'], [[name, f'{s:.1f}', f'{count / s:.2f}'] for name, s in rows]), end='\n\n')
+    print(
+        table(
+            ['engine', 's', 'bags a s'],
+            [[name, f'{s:.1f}', f'{count / s:.2f}'] for name, s in rows],
+        ),
+        end='\n\n',
+    )
     resistance = next(trend for trend in gather(spread)[0].parameters if trend.name == 'resistance')
     print(f'resistance: {drift_words(resistance.drift())}, true {GROWTH_A_MONTH:.0%} of 1 ohm\n')
     cores = len(os.sched_getaffinity(0))
     figures = [
-        Figure(f'time with {WORKERS} workers / serial ({cores} cores)', spread_s / serial_s, 1 / 1.7, count >= 200),
+        Figure(
+            f'time with {WORKERS} workers / serial ({cores} cores)',
+            spread_s / serial_s,
+            1 / 1.7,
+            count >= 200,
+        ),
         Figure('bags whose results differ', float(unequal), 0.0),
     ]
     print(figure_table(figures))

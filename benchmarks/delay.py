@@ -1,7 +1,8 @@
-"""Whether a delay between voltage and torque is found where there is one, how well, and never where there is none.
+"""Whether a delay between voltage and torque is found where there is one, how well, and never where
+there is none.
 
-Pairing and the search for the delay on the eight data sets of the thesis, 100 Hz; context nodes are left out, they have
-no part in it.
+Pairing and the search for the delay on the eight data sets of the thesis, 100 Hz; context nodes are
+left out, they have no part in it.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch
 from gray_box_observer.samples import Pairing
 from gray_box_observer.white_box import MotorWhiteBox
 
-WHITE_BOX = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+WHITE_BOX = MotorWhiteBox(
+    ('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}
+)
 INITIAL = np.array([[1.5, 3.0, 1.0]])
 INTERVAL_S = 0.01
 NOISES = (0.0, 0.01, 0.02)
@@ -36,7 +39,9 @@ CHANGES = (
 
 @dataclass(frozen=True)
 class Course:
-    """What was said of one motor's delay: the last word, and whether a delay was ever flagged or suspected."""
+    """What was said of one motor's delay: the last word, and whether a delay was ever flagged or
+    suspected.
+    """
 
     last: DelayEstimate
     flagged: bool
@@ -44,19 +49,33 @@ class Course:
 
 
 def watch(
-    excitation: str, noise: float, delay_s: float, duration_s: float, seed: int, schedule: tuple[str, ...] = ()
+    excitation: str,
+    noise: float,
+    delay_s: float,
+    duration_s: float,
+    seed: int,
+    schedule: tuple[str, ...] = (),
 ) -> Course:
     """Run one motor whose voltage is stamped ``delay_s`` too early."""
     motors = {'motor': PlantParameters()}
-    simulation = Simulation(motors, excitation, seed=seed, torque_noise_relative=noise, schedule=schedule)
+    simulation = Simulation(
+        motors, excitation, seed=seed, torque_noise_relative=noise, schedule=schedule
+    )
     record = simulation.record(duration_s)
     pairing = Pairing()
     asker = DelayWatch(WHITE_BOX, INITIAL, 0.0, asked=False, gap_s=0.5)
     said: set[DelayVerdict] = set()
     shift_ns = round(delay_s * 1e9)
-    signals = zip(record.stamp_ns.tolist(), record.voltage_v[0].tolist(), record.torque_nm[0].tolist(), strict=True)
+    signals = zip(
+        record.stamp_ns.tolist(),
+        record.voltage_v[0].tolist(),
+        record.torque_nm[0].tolist(),
+        strict=True,
+    )
     for stamp_ns, voltage_v, torque_nm in signals:
-        samples = pairing.voltage(stamp_ns - shift_ns, voltage_v) + pairing.torque(stamp_ns, torque_nm)
+        samples = pairing.voltage(stamp_ns - shift_ns, voltage_v) + pairing.torque(
+            stamp_ns, torque_nm
+        )
         for sample in samples:
             asker.take(pairing.history, sample.stamp_ns)
         said.add(asker.estimate.verdict)
@@ -66,7 +85,9 @@ def watch(
 def rows(
     hours: float, seconds: float, seeds: int
 ) -> Iterator[tuple[str, list[Course], list[Course], list[float], int]]:
-    """Yield, by data set: courses without delay, courses with one, normalised errors, and alarms at changed motors."""
+    """Yield, by data set: courses without delay, courses with one, normalised errors, and alarms at
+    changed motors.
+    """
     seed = iter(range(1_000_000))  # no two runs share their noise
     for excitation in TABLE_5_1.values():
         none = [
@@ -82,14 +103,20 @@ def rows(
                 found.append(course)
                 if noise > 0.0 and course.flagged:
                     errors.append((course.last.value_s - delay_s) / course.last.std_s)
-        alarms = sum(watch(excitation, 0.01, 0.0, 180.0, next(seed), (change,)).flagged for change in CHANGES)
+        alarms = sum(
+            watch(excitation, 0.01, 0.0, 180.0, next(seed), (change,)).flagged for change in CHANGES
+        )
         yield excitation, none, found, errors, alarms
 
 
 def main() -> int:
     """Print a table and one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--quick', action='store_true', help='minutes instead of hours without delay, fewer seeds')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--quick', action='store_true', help='minutes instead of hours without delay, fewer seeds'
+    )
     quick = parser.parse_args().quick
     hours, seconds, seeds = (0.02, 60.0, 2) if quick else (1.0, 60.0, 8)
     print(
@@ -106,16 +133,41 @@ def main() -> int:
             flush=True,
         )
         total_hours += hours * len(none)
-        flags, suspicions, delays, hits = flags + flagged, suspicions + suspected, delays + len(found), hits + hit
+        flags, suspicions, delays, hits = (
+            flags + flagged,
+            suspicions + suspected,
+            delays + len(found),
+            hits + hit,
+        )
         errors += normalised
         alarms += changed
     share, rms = hits / delays, math.sqrt(float(np.mean(np.square(errors))))
     figures = [
         {'name': 'hours without delay', 'value': total_hours, 'goal': None, 'met': None},
-        {'name': 'delays flagged where there is none', 'value': flags, 'goal': 0, 'met': flags == 0},
-        {'name': 'delays flagged at motors that change', 'value': alarms, 'goal': 0, 'met': alarms == 0},
-        {'name': 'share of 1, 2, 5, 30 intervals flagged in 60 s', 'value': share, 'goal': 1.0, 'met': share == 1.0},
-        {'name': 'rms error over standard deviation', 'value': rms, 'goal': [0.7, 1.3], 'met': 0.7 <= rms <= 1.3},
+        {
+            'name': 'delays flagged where there is none',
+            'value': flags,
+            'goal': 0,
+            'met': flags == 0,
+        },
+        {
+            'name': 'delays flagged at motors that change',
+            'value': alarms,
+            'goal': 0,
+            'met': alarms == 0,
+        },
+        {
+            'name': 'share of 1, 2, 5, 30 intervals flagged in 60 s',
+            'value': share,
+            'goal': 1.0,
+            'met': share == 1.0,
+        },
+        {
+            'name': 'rms error over standard deviation',
+            'value': rms,
+            'goal': [0.7, 1.3],
+            'met': 0.7 <= rms <= 1.3,
+        },
         {'name': 'suspected once, not twice', 'value': suspicions, 'goal': None, 'met': None},
     ]
     print(json.dumps({'benchmark': 'delay', 'seeds': seeds, 'figures': figures}))

@@ -1,10 +1,12 @@
-"""How well and how fast are the parameters found, beside the methods that a user would otherwise pick?
+"""How well and how fast are the parameters found, beside the methods that a user would otherwise
+pick?
 
-Monte Carlo over seeds: five data sets, torque noise of 0, 0.5, 1 and 2 % of the torque's standard deviation, every
-method on the same recordings from the same starts. Errors are given in % and as multiples of the Cramer-Rao bound.
-Peers are tuned for each data set on seeds of their own (common/tuning.py says how), they are told the true noise, and
-a run that fails counts as infinitely wrong. The moving-horizon estimator is slow: it gets two seeds and a third of each
-recording. Ends with one line of JSON.
+Monte Carlo over seeds: five data sets, torque noise of 0, 0.5, 1 and 2 % of the torque's standard
+deviation, every method on the same recordings from the same starts. Errors are given in % and as
+multiples of the Cramer-Rao bound. Peers are tuned for each data set on seeds of their own
+(common/tuning.py says how), they are told the true noise, and a run that fails counts as infinitely
+wrong. The moving-horizon estimator is slow: it gets two seeds and a third of each recording. Ends
+with one line of JSON.
 """
 
 from __future__ import annotations
@@ -73,26 +75,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
     missing = [name for name in PEER_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         print(
-            f'identification: error: {missing[0]} is missing; install ros_ws/requirements/bench.txt '
+            f'identification: error: {missing[0]} is missing; install '
+            'ros_ws/requirements/bench.txt '
             '(make bench does it)',
             file=sys.stderr,
         )
         return 2
-    os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read by the workers: one thread each
+    os.environ.update(
+        OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1'
+    )  # read by the workers: one thread each
     with ProcessPoolExecutor(WORKERS, multiprocessing.get_context('spawn')) as pool:
         return _tune(pool) if options.tune else _run(pool, _plan(options), options)
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog='identification', description=str(__doc__).partition('\n')[0])
-    parser.add_argument('--quick', action='store_true', help='a smaller run, under a minute: no verdicts on the goals')
-    parser.add_argument('--seeds', type=int, metavar='N', help='seeds of every method (20; quick: 2)')
-    parser.add_argument('--own-seeds', type=int, metavar='N', help='seeds of our rule at 1 %% noise (100; quick: 2)')
-    parser.add_argument('--methods', metavar='A,B', help='only these, separated by commas')
-    parser.add_argument('--plot', type=Path, metavar='FILE', help='draw error against time (.svg or .png)')
-    parser.add_argument('--long', action='store_true', help='add hours: false alarms, constant voltage')
+    parser = argparse.ArgumentParser(
+        prog='identification', description=str(__doc__).partition('\n')[0]
+    )
     parser.add_argument(
-        '--tune', action='store_true', help='tune the peers on held-out seeds, then stop (half an hour)'
+        '--quick',
+        action='store_true',
+        help='a smaller run, under a minute: no verdicts on the goals',
+    )
+    parser.add_argument(
+        '--seeds', type=int, metavar='N', help='seeds of every method (20; quick: 2)'
+    )
+    parser.add_argument(
+        '--own-seeds', type=int, metavar='N', help='seeds of our rule at 1 %% noise (100; quick: 2)'
+    )
+    parser.add_argument('--methods', metavar='A,B', help='only these, separated by commas')
+    parser.add_argument(
+        '--plot', type=Path, metavar='FILE', help='draw error against time (.svg or .png)'
+    )
+    parser.add_argument(
+        '--long', action='store_true', help='add hours: false alarms, constant voltage'
+    )
+    parser.add_argument(
+        '--tune',
+        action='store_true',
+        help='tune the peers on held-out seeds, then stop (half an hour)',
     )
     options = parser.parse_args(arguments)
     for name in ('seeds', 'own_seeds'):
@@ -114,12 +135,17 @@ def _plan(options: argparse.Namespace) -> Plan:
     methods = tuple(options.methods.split(',')) if options.methods else every
     unknown = [name for name in methods if name not in every]
     if unknown:
-        print(f'identification: error: no method {unknown[0]!r}; there are {", ".join(every)}', file=sys.stderr)
+        print(
+            f'identification: error: no method {unknown[0]!r}; there are {", ".join(every)}',
+            file=sys.stderr,
+        )
         raise SystemExit(2)
     if options.quick:
         methods = tuple(name for name in methods if name != 'mhe')
         seeds = options.seeds or 2
-        return Plan(methods, seeds, max(seeds, options.own_seeds or 2), (0.0, 0.01), 1.0 / 3.0, 0, 0.0, 60)
+        return Plan(
+            methods, seeds, max(seeds, options.own_seeds or 2), (0.0, 0.01), 1.0 / 3.0, 0, 0.0, 60
+        )
     seeds = options.seeds or 20
     own = max(seeds, options.own_seeds or 100)
     return Plan(methods, seeds, own, (0.0, 0.005, 0.01, 0.02), 1.0, min(2, seeds), 1.0 / 3.0, 240)
@@ -143,7 +169,16 @@ def _work(plan: Plan) -> list[Work]:
     for case in CASES:
         for seed in range(plan.seeds):
             pieces.append(
-                Work(case, seed, (*fast, BATCH), (0.01,), (False,), plan.part, plan.marks, robustness=case.core)
+                Work(
+                    case,
+                    seed,
+                    (*fast, BATCH),
+                    (0.01,),
+                    (False,),
+                    plan.part,
+                    plan.marks,
+                    robustness=case.core,
+                )
             )
             pieces.append(Work(case, seed, fast, (0.01,), (True,), plan.part, plan.marks))
             pieces.append(Work(case, seed, (*fast, BATCH), other, (False,), plan.part, 24))
@@ -152,7 +187,10 @@ def _work(plan: Plan) -> list[Work]:
             extra = range(plan.seeds, plan.own_seeds)
             for either_way in (False, True):
                 starts, against = (either_way,), (own, *plan.rivals)
-                pieces += [Work(case, seed, against, (0.01,), starts, plan.part, plan.marks) for seed in extra]
+                pieces += [
+                    Work(case, seed, against, (0.01,), starts, plan.part, plan.marks)
+                    for seed in extra
+                ]
     return pieces
 
 
@@ -171,7 +209,12 @@ def _run(pool: ProcessPoolExecutor, plan: Plan, options: argparse.Namespace) -> 
     if options.long and own:
         hours = [pool.submit(false_alarms_in_an_hour, case, own, 0) for case in CASES if case.core]
         alarms = sum(_progress('hours', hours))
-        still = [pool.submit(constant_hour, case, own, seed) for case in CASES if case.core for seed in range(3)]
+        still = [
+            pool.submit(constant_hour, case, own, seed)
+            for case in CASES
+            if case.core
+            for seed in range(3)
+        ]
         held = _progress('hours of constant voltage', still)
     results = report.Results(outcomes, plan, times, alarms, held)
     print(report.tables(results))
@@ -180,8 +223,17 @@ def _run(pool: ProcessPoolExecutor, plan: Plan, options: argparse.Namespace) -> 
     if options.plot is not None:
         core = [case for case in CASES if case.core]
         names = [*plan.methods, BATCH]
-        runs = {(n, c.name): gather(outcomes, n, c.name, 0.01, False, plan.seeds) for n in names for c in core}
-        draw(options.plot, core, {key: run for key, run in runs.items() if key[0] != 'mhe'}, report.titles())
+        runs = {
+            (n, c.name): gather(outcomes, n, c.name, 0.01, False, plan.seeds)
+            for n in names
+            for c in core
+        }
+        draw(
+            options.plot,
+            core,
+            {key: run for key, run in runs.items() if key[0] != 'mhe'},
+            report.titles(),
+        )
         print(f'identification: drew {options.plot}', file=sys.stderr)
     print(last_line('identification', plan.seeds, figures))
     return 0
@@ -198,9 +250,14 @@ def _tune(pool: ProcessPoolExecutor) -> int:
 
 
 def _progress(title: str, futures: Iterable[Future[Any]]) -> list[Any]:
-    """Wait for all; the bar goes to stderr. The order is that of completion: nothing may lean on it."""
+    """Wait for all; the bar goes to stderr. The order is that of completion: nothing may lean on
+    it.
+    """
     waiting = list(futures)
-    return [f.result() for f in tqdm(as_completed(waiting), title, len(waiting), file=sys.stderr, smoothing=0.0)]
+    return [
+        f.result()
+        for f in tqdm(as_completed(waiting), title, len(waiting), file=sys.stderr, smoothing=0.0)
+    ]
 
 
 if __name__ == '__main__':

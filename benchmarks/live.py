@@ -1,7 +1,9 @@
-"""What the live observer costs: samples lost, CPU, memory and the wait for the first estimate, training on.
+"""What the live observer costs: samples lost, CPU, memory and the wait for the first estimate,
+training on.
 
-Simulator and observer run as processes of their own on real DDS; the observer's training process is counted in. Of many
-motors in the same messages (``--motors 1000``) the observer publishes what it tells of all together.
+Simulator and observer run as processes of their own on real DDS; the observer's training process is
+counted in. Of many motors in the same messages (``--motors 1000``) the observer publishes what it
+tells of all together.
 """
 
 from __future__ import annotations
@@ -46,9 +48,13 @@ class Watch(Node):
         self.first_estimate_s: float | None = None
         self.facts: dict[str, dict[str, str]] = {}
         if motors == 1:
-            self.create_subscription(Float64, '/gray_box_observer/motor/resistance', self._estimate, LATCHED)
+            self.create_subscription(
+                Float64, '/gray_box_observer/motor/resistance', self._estimate, LATCHED
+            )
         else:
-            self.create_subscription(Float64MultiArray, '/gray_box_observer/estimates', self._estimate, LATCHED)
+            self.create_subscription(
+                Float64MultiArray, '/gray_box_observer/estimates', self._estimate, LATCHED
+            )
         self.create_subscription(DiagnosticArray, '/diagnostics', self._diagnostics, 10)
 
     def _estimate(self, _message: object) -> None:
@@ -62,7 +68,9 @@ class Watch(Node):
 
 def main() -> int:
     """Print a table and one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--quick', action='store_true', help='20 s')
     parser.add_argument('--duration', type=float, default=0.0, metavar='S', help='default: 60 s')
     parser.add_argument('--rate', type=float, default=100.0, help='samples a second')
@@ -75,10 +83,16 @@ def main() -> int:
     started_s = time.monotonic()
     named = {} if count == 1 else {'motors': f"['m[1..{count}]']", 'motor_topics': 'false'}
     with running('gray_box_observer.executables:observer', **named) as observer:
-        begin = {'duration_s': duration_s, 'sample_rate_hz': options.rate, 'wait_for_subscribers': 1}
+        begin = {
+            'duration_s': duration_s,
+            'sample_rate_hz': options.rate,
+            'wait_for_subscribers': 1,
+        }
         begin |= {name: value for name, value in named.items() if name == 'motors'}
         with running('dc_motor_sim.ros.motor_sim', **begin) as simulator:
-            memory, cpu_s, training_s = follow(watch, simulator, psutil.Process(observer.pid), duration_s)
+            memory, cpu_s, training_s = follow(
+                watch, simulator, psutil.Process(observer.pid), duration_s
+            )
         settled_s = time.monotonic()
         while time.monotonic() - settled_s < LAST_WORDS_S:
             rclpy.spin_once(watch, timeout_sec=0.2)
@@ -91,13 +105,18 @@ def main() -> int:
         Figure('samples lost, of all motors', count * duration_s * options.rate - sum(used), 0.0),
         Figure('CPU of the observer, cores', cpu_s / duration_s, 1.0),
         Figure('CPU of its training process, cores', training_s / duration_s, None),
-        Figure('memory of observer and training, MB', max(memory) / 1e6, 700.0 if count == 1 else None),
+        Figure(
+            'memory of observer and training, MB', max(memory) / 1e6, 700.0 if count == 1 else None
+        ),
         Figure('memory growth in the second half, MB', growth_mb, 5.0),
         Figure('first estimate after the start of the observer, s', first_s, 5.0),
     ]
     print(f'Motors: {count}, {options.rate:g} samples a second, {duration_s:g} s\n')
     print(figure_table(figures))
-    jobs = {which: max(int(facts.get(f'training jobs {which}', 0)) for facts in watch.facts.values()) for which in JOBS}
+    jobs = {
+        which: max(int(facts.get(f'training jobs {which}', 0)) for facts in watch.facts.values())
+        for which in JOBS
+    }
     print(f'Training jobs: {jobs["done"]} done, {jobs["late"]} late.')
     print(last_line('live', 1, figures))
     return 0
@@ -106,7 +125,9 @@ def main() -> int:
 def follow(
     watch: Watch, simulator: subprocess.Popen[str], observer: psutil.Process, duration_s: float
 ) -> tuple[list[int], float, float]:
-    """Watch until the simulator ends; return memory in bytes over time, and CPU seconds of observer and training."""
+    """Watch until the simulator ends; return memory in bytes over time, and CPU seconds of observer
+    and training.
+    """
     memory: list[int] = []
     used_s = {'observer': 0.0, 'training': 0.0}
     give_up_s = time.monotonic() + duration_s + PATIENCE_S

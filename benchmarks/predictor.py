@@ -1,6 +1,7 @@
 """How well the predictor forecasts torque from voltages alone, on every set of the thesis.
 
-Its network has seen none of them: it ships pre-trained, and nothing is trained here but where it says so.
+Its network has seen none of them: it ships pre-trained, and nothing is trained here but where it
+says so.
 """
 
 from __future__ import annotations
@@ -56,7 +57,13 @@ def by_set(title: str, rows: dict[str, Scores], worst: bool = False) -> str:
     header = ['set', *COLUMNS] + (['network, worst', 'white box, worst'] if worst else [])
     cells = []
     for name, score in rows.items():
-        row = [name, *(number(float(np.median(getattr(score, c)))) for c in ('network', 'untrained', 'white_box'))]
+        row = [
+            name,
+            *(
+                number(float(np.median(getattr(score, c))))
+                for c in ('network', 'untrained', 'white_box')
+            ),
+        ]
         if worst:
             row += [number(float(score.network.max())), number(float(score.white_box.max()))]
         cells.append(row)
@@ -66,7 +73,13 @@ def by_set(title: str, rows: dict[str, Scores], worst: bool = False) -> str:
 def forecasts(rows: Sequence[OneStep]) -> str:
     """Lay out forecasts in one step."""
     title = 'One step of any length, motors of every kind, error in % of the way left to the steady state'
-    header = ['time constants', 'network, mean', 'untrained, mean', 'network, 99 of 100', 'untrained, 99 of 100']
+    header = [
+        'time constants',
+        'network, mean',
+        'untrained, mean',
+        'network, 99 of 100',
+        'untrained, 99 of 100',
+    ]
     cells = []
     for row in rows:
         both = row.trained, row.untrained
@@ -78,7 +91,10 @@ def forecasts(rows: Sequence[OneStep]) -> str:
 def joined(parts: Sequence[Scores]) -> Scores:
     """Several runs of one set as one."""
     return Scores(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ('network', 'untrained', 'white_box'))
+        *(
+            np.concatenate([getattr(p, name) for p in parts])
+            for name in ('network', 'untrained', 'white_box')
+        )
     )
 
 
@@ -90,7 +106,9 @@ def highest(rows: dict[str, Scores]) -> float:
 def main() -> int:
     """Print tables and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='few seeds and short runs, under a minute')
+    parser.add_argument(
+        '--quick', action='store_true', help='few seeds and short runs, under a minute'
+    )
     parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 6, with --quick 2)')
     options = parser.parse_args()
     if options.seeds < 0:
@@ -118,21 +136,33 @@ def main() -> int:
         parts: dict[str, list[Scores]] = {'known': [], 'clean': [], 'noisy': []}
         for seed in range(1, seeds + 1):
             recording = record(own, name, 100 + seed, duration_s)
-            for kind, theta in (('known', truth), ('clean', estimates[0.0, seed]), ('noisy', estimates[0.01, seed])):
+            for kind, theta in (
+                ('known', truth),
+                ('clean', estimates[0.0, seed]),
+                ('noisy', estimates[0.01, seed]),
+            ):
                 parts[kind].append(scores(own, recording, theta))
                 bar.done(name)
-        known[name], clean[name], noisy[name] = (joined(parts[kind]) for kind in ('known', 'clean', 'noisy'))
-        unseen[name] = scores(strangers, record(strangers, name, 200, duration_s), theta_of(strangers))
+        known[name], clean[name], noisy[name] = (
+            joined(parts[kind]) for kind in ('known', 'clean', 'noisy')
+        )
+        unseen[name] = scores(
+            strangers, record(strangers, name, 200, duration_s), theta_of(strangers)
+        )
         bar.done(name)
         slowly = record(strangers, name, 300, 5.0 * duration_s, SLOW_HZ)
         slow[name] = scores(strangers, slowly, theta_of(strangers))
         scratch[name] = scores(strangers, slowly, theta_of(strangers), network)
         bar.done(name)
 
-    print("\nMean absolute error of the free run in % of the torque's standard deviation; medians.\n")
+    print(
+        "\nMean absolute error of the free run in % of the torque's standard deviation; medians.\n"
+    )
     print(by_set('Thesis motor, true parameters', known, worst=True))
     print(by_set('Parameters identified on R[1,2]D[3,3], 60 s, no noise', clean, worst=True))
-    print(by_set('Parameters identified on R[1,2]D[3,3], 60 s, 1 % torque noise', noisy, worst=True))
+    print(
+        by_set('Parameters identified on R[1,2]D[3,3], 60 s, 1 % torque noise', noisy, worst=True)
+    )
     off = f'{len(strangers)} motors never seen, L, R and K_HS each off by up to {100 * OFF:.0f} %, true parameters'
     print(by_set(off, unseen, worst=True))
     print(by_set(f'The same at {SLOW_HZ:g} Hz', slow, worst=True))
@@ -140,10 +170,15 @@ def main() -> int:
     print(by_set(again, scratch, worst=True))
     print(forecasts([one_step(duration, 2000, 1) for duration in DURATIONS]))
     steps_s = np.array(steps)
-    print(f'R + 30 %: identified within 2 % after {np.median(steps_s[:, 0]):.2f} s (worst {steps_s[:, 0].max():.2f}), ')
     print(
-        f'prediction within 2 % after {np.median(steps_s[:, 1]):.2f} s (worst {steps_s[:, 1].max():.2f}), '
-        f'rollout after {np.median(steps_s[:, 2]):.2f} s (worst {steps_s[:, 2].max():.2f}); no training\n'
+        f'R + 30 %: identified within 2 % after {np.median(steps_s[:, 0]):.2f} s (worst '
+        f'{steps_s[:, 0].max():.2f}), '
+    )
+    print(
+        f'prediction within 2 % after {np.median(steps_s[:, 1]):.2f} s (worst '
+        f'{steps_s[:, 1].max():.2f}), '
+        f'rollout after {np.median(steps_s[:, 2]):.2f} s (worst {steps_s[:, 2].max():.2f}); no '
+        'training\n'
     )
     predict_us, learn_us = microseconds(record(own, 'R[5,15]D[1,20]+sin', 1, 60.0))
     counts = not options.quick
@@ -154,10 +189,17 @@ def main() -> int:
         Figure('identified with 1 % noise, worst of the sets, %', highest(noisy), 1.0, counts),
         Figure('motors never seen, worst of the sets, %', highest(unseen), 2.0, counts),
         Figure(f'motors never seen at {SLOW_HZ:g} Hz, worst of the sets, %', highest(slow), None),
-        Figure(f'another network from scratch, at {SLOW_HZ:g} Hz, worst of the sets, %', highest(scratch), 2.0, counts),
+        Figure(
+            f'another network from scratch, at {SLOW_HZ:g} Hz, worst of the sets, %',
+            highest(scratch),
+            2.0,
+            counts,
+        ),
         Figure('teaching that network from scratch, min of one core', spent_min, 5.0, counts),
         Figure('R + 30 %: prediction back later than the rollout, worst, s', later_s, 0.1, counts),
-        Figure('R + 30 %: error afterwards, worst seed, %', float(steps_s[:, 3].max()), 1.0, counts),
+        Figure(
+            'R + 30 %: error afterwards, worst seed, %', float(steps_s[:, 3].max()), 1.0, counts
+        ),
         Figure('one prediction, us', predict_us, 100.0),
         Figure('learning of the sample, us', learn_us, None),
     ]

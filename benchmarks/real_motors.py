@@ -1,7 +1,8 @@
 """What the observer finds on measurements of real motors, beside what is known of them.
 
-Runs only where the measurements are (``../shared/data`` beside the repository, or ``--data FOLDER``); they are read in
-place and never copied. Every log goes the way a user's log goes: CSV to bag, bag through the observer.
+Runs only where the measurements are (``../shared/data`` beside the repository, or ``--data
+FOLDER``); they are read in place and never copied. Every log goes the way a user's log goes: CSV to
+bag, bag through the observer.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from pathlib import Path
 import numpy as np
 from common.figures import Figure, last_line
 
-from gray_box_observer import offline
-from gray_box_observer.bag.csv_log import csv_to_bag
-from gray_box_observer.bag.csv_mapping import CsvMapping
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.csv_import.column_mapping import CsvMapping
+from gray_box_observer.csv_import.log_conversion import csv_to_bag
 from gray_box_observer.delay import DelayVerdict
 from gray_box_observer.errors import GrayBoxError
-from gray_box_observer.observer import Observer
+from gray_box_observer.identify import offline_run
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 DEFAULT_DATA = Path(__file__).resolve().parents[2] / 'shared' / 'data'
 
@@ -38,8 +39,9 @@ WHEEL_RADIUS_M, GEAR = 0.03, 9.68
 ROBOT_TORQUE_CONSTANT = 0.007
 STEP_TORQUE_CONSTANT = 0.045
 STEP_LOGS = {'100PWM152HZ.csv': 1.0, '100PWM38HZ.csv': 1.0, 'LAB_2_step6VPSU-1.csv': 0.5}
-"""Logs of fra233 with one step of the voltage, each with the volts at the motor for a volt in the log: the last one's
-supply gave 6 V, as its name says, where 12 were logged. The ramp cannot tell a delay from a dead zone of the driver."""
+"""Logs of fra233 with one step of the voltage, each with the volts at the motor for a volt in the
+log: the last one's supply gave 6 V, as its name says, where 12 were logged. The ramp cannot tell a
+delay from a dead zone of the driver."""
 DELAY_TOLERANCE_S = 2e-3
 
 
@@ -105,10 +107,12 @@ def step_cases(data: Path) -> Iterator[Case]:
 
 
 def onset_s(log: Path) -> tuple[float, float]:
-    """Time from the step of the voltage to the onset of the current and to its steepest rise, by eye so to speak.
+    """Time from the step of the voltage to the onset of the current and to its steepest rise, by
+    eye so to speak.
 
-    The onset is where the line through the first two samples that stand out by ten standard deviations meets the
-    current before; the steepest rise is the lag at which the slopes of voltage and current correlate best.
+    The onset is where the line through the first two samples that stand out by ten standard
+    deviations meets the current before; the steepest rise is the lag at which the slopes of voltage
+    and current correlate best.
     """
     time_s, volt, current, _ = np.loadtxt(log, delimiter=',', skiprows=1).T
     step = int(np.argmax(np.abs(np.diff(volt)))) + 1
@@ -144,7 +148,7 @@ def identify(case: Case) -> Observer:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / 'bag'
         csv_to_bag(case.path, bag, CsvMapping.from_options(case.columns))
-        outcome = offline.run([bag], Configuration.from_flat(case.parameters), None)
+        outcome = offline_run.run([bag], Configuration.from_flat(case.parameters), None)
     return outcome.observer
 
 
@@ -155,7 +159,8 @@ class Found:
     Attributes:
         servo_time_constant_s: L/R of the servo; None where its log is not there.
         healthy_ohm: R of every motor of the robots whose sensors work.
-        dead_believed: whether the motor with the dead current sensor was called identified; None where it is not there.
+        dead_believed: whether the motor with the dead current sensor was called identified; None
+            where it is not there.
     """
 
     servo_time_constant_s: float | None = None
@@ -173,15 +178,27 @@ class Found:
 
     def figures(self) -> list[Figure]:
         """Return what was asked, with its goal; what was not measured has no value."""
-        time_constant_us = None if self.servo_time_constant_s is None else self.servo_time_constant_s * 1e6
+        time_constant_us = (
+            None if self.servo_time_constant_s is None else self.servo_time_constant_s * 1e6
+        )
         low_us, high_us = (t * 1e6 for t in SERVO_TIME_CONSTANT_S)
         return [
             Figure('SG90 L/R in us', time_constant_us, (low_us, high_us)),
-            Figure('healthy robot motors, lowest R in ohm', min(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
-            Figure('healthy robot motors, highest R in ohm', max(self.healthy_ohm, default=None), ROBOT_RESISTANCE_OHM),
+            Figure(
+                'healthy robot motors, lowest R in ohm',
+                min(self.healthy_ohm, default=None),
+                ROBOT_RESISTANCE_OHM,
+            ),
+            Figure(
+                'healthy robot motors, highest R in ohm',
+                max(self.healthy_ohm, default=None),
+                ROBOT_RESISTANCE_OHM,
+            ),
             Figure('healthy robot motors', float(len(self.healthy_ohm)), None),
             Figure(
-                'dead current sensors believed', None if self.dead_believed is None else float(self.dead_believed), 0.0
+                'dead current sensors believed',
+                None if self.dead_believed is None else float(self.dead_believed),
+                0.0,
             ),
         ]
 
@@ -191,7 +208,11 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
     name = case.name if motor == 'motor' else f'{case.name} {motor}'
     for j, parameter in enumerate(estimate.parameters):
         known = KNOWN['servo' if case.name == SERVO else 'robot'][parameter.name]
-        value, std, verdict = estimate.value[0, j], estimate.std[0, j], estimate.verdicts[0][j].value
+        value, std, verdict = (
+            estimate.value[0, j],
+            estimate.std[0, j],
+            estimate.verdicts[0][j].value,
+        )
         yield f'{name:<18}{parameter.name:<20}{value:>12.5g}{std:>10.2g}  {verdict:<13}{known}'
     if case.name == SERVO:
         time_constant_s = float(estimate.value[0, 0] / estimate.value[0, 1])
@@ -199,24 +220,40 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
 
 
 def without_measurements(benchmark: str, data: Path, *, asked: bool) -> int:
-    """Say that the logs are not there, an error only where somebody has named their folder; return the exit status."""
-    what = f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
+    """Say that the logs are not there, an error only where somebody has named their folder; return
+    the exit status.
+    """
+    what = (
+        f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
+    )
     if asked:
         print(f'{benchmark}: error: {what}', file=sys.stderr)
         return 2
     print(f'{benchmark}: skipped: {what}; name their folder with --data', file=sys.stderr)
-    print(json.dumps({'benchmark': benchmark, 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}))
+    print(
+        json.dumps(
+            {'benchmark': benchmark, 'seeds': 0, 'figures': [], 'skipped': 'no measurements'}
+        )
+    )
     return 0
 
 
 def main() -> int:
     """Print two tables and one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233')
-    parser.add_argument('--quick', action='store_true', help='no difference: the whole takes seconds')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--data', type=Path, help='folder with openservocore, regbot_rev2b and fra233'
+    )
+    parser.add_argument(
+        '--quick', action='store_true', help='no difference: the whole takes seconds'
+    )
     options = parser.parse_args()
     data = options.data or DEFAULT_DATA
-    present, steps = ([case for case in found if case.path.is_file()] for found in (cases(data), step_cases(data)))
+    present, steps = (
+        [case for case in found if case.path.is_file()] for found in (cases(data), step_cases(data))
+    )
     if not present and not steps:
         return without_measurements('real_motors', data, asked=options.data is not None)
     try:
@@ -241,15 +278,28 @@ def parameters(present: Sequence[Case]) -> list[Figure]:
 
 
 def delays(present: Sequence[Case]) -> list[Figure]:
-    """Print the delays that are found in the logs of steps beside those that are seen by eye; return the figures."""
-    print(f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  verdict')
+    """Print the delays that are found in the logs of steps beside those that are seen by eye;
+    return the figures.
+    """
+    print(
+        f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  '
+        'verdict'
+    )
     figures = []
     for case in present:
         found = identify(case).delays()['motor']
         onset, steepest = onset_s(case.path)
-        numbers = [1e3 * number for number in (found.value_s, found.std_s, found.applied_s, onset, steepest)]
-        print('{:<28}{:>10.2f}{:>8.2f}{:>9.2f}{:>9.2f}{:>10.2f}'.format(case.name, *numbers), f' {found.verdict.value}')
-        applied = numbers[2] if found.verdict is DelayVerdict.ESTIMATED else math.nan  # which meets no goal
+        numbers = [
+            1e3 * number
+            for number in (found.value_s, found.std_s, found.applied_s, onset, steepest)
+        ]
+        print(
+            '{:<28}{:>10.2f}{:>8.2f}{:>9.2f}{:>9.2f}{:>10.2f}'.format(case.name, *numbers),
+            f' {found.verdict.value}',
+        )
+        applied = (
+            numbers[2] if found.verdict is DelayVerdict.ESTIMATED else math.nan
+        )  # which meets no goal
         band = (1e3 * (onset - DELAY_TOLERANCE_S), 1e3 * (onset + DELAY_TOLERANCE_S))
         figures.append(Figure(f'{case.name}: delay in ms', applied, band))
     return figures

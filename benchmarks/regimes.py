@@ -1,7 +1,10 @@
-"""Ten minutes in one regime, an hour in another, then back: is what was learnt beside the physics still known?
+"""Ten minutes in one regime, an hour in another, then back: is what was learnt beside the physics
+still known?
 
-The motor has something that the white box lacks, and its parameters are known: what is left is the residual. Everything
-runs as it does live, only that a round of learning ends before the next sample: predict first, learn after.
+The motor has something that the white box lacks, and its parameters are known: what is left is the
+residual. Everything
+runs as it does live, only that a round of learning ends before the next sample: predict first,
+learn after.
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ from gray_box_observer.samples import Sample
 HOME, AWAY = 'R[5,15]D[1,20]', 'R[1,2]D[3,3]'
 
 RATE_HZ = 5.0
-"""One to two samples a time constant: the newest samples that are remembered tell of the last twenty minutes."""
+"""One to two samples a time constant: the newest samples that are remembered tell of the last
+twenty minutes."""
 
 SOLVER_STEP_S = 0.01
 """Of the simulator: right to a thousandth of the noise."""
@@ -33,11 +37,13 @@ NOISE = 0.01
 """Of the torque, as a fraction of its standard deviation in each part."""
 
 JUDGED_S = 60.0
-"""What is judged: the first minute after coming back, and as much of the regime twice at the end of the others."""
+"""What is judged: the first minute after coming back, and as much of the regime twice at the end of
+the others."""
 
 
 NO_WORSE, STILL_KNOWN = 1.01, 0.7
-"""Largest error after coming back, over that of the white box: with perfect physics, and with something it lacks."""
+"""Largest error after coming back, over that of the white box: with perfect physics, and with
+something it lacks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,9 @@ MOTORS = (
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Mean absolute errors over those of the white box: at the end of each part, and after coming back."""
+    """Mean absolute errors over those of the white box: at the end of each part, and after coming
+    back.
+    """
 
     home: float
     away: float
@@ -78,7 +86,9 @@ class Outcome:
 def journey(motor: Motor, seed: int, home_s: float, away_s: float) -> list[list[Sample]]:
     """Return the samples at home, away and back home; each part is a signal history of its own."""
     parts = []
-    for part, (excitation, duration_s) in enumerate(((HOME, home_s), (AWAY, away_s), (HOME, JUDGED_S))):
+    for part, (excitation, duration_s) in enumerate(
+        ((HOME, home_s), (AWAY, away_s), (HOME, JUDGED_S))
+    ):
         made = Simulation(
             {'motor': motor.plant},
             excitation,
@@ -98,8 +108,15 @@ def journey(motor: Motor, seed: int, home_s: float, away_s: float) -> list[list[
 def run(motor: Motor, parts: list[list[Sample]], seed: int, rules: TrainingRules) -> Outcome:
     """Predict and learn all the way; return the errors."""
     box, theta = white_box([motor.plant]), theta_of([motor.plant])
-    configuration = {'white_box': box.to_dict(), 'rules': rules.to_dict(), 'theta_reference': theta[0], 'seed': seed}
-    one = Predictor(box, 1, theta[0], rules, InlineTraining(configuration), speed_measured=False, seed=seed)
+    configuration = {
+        'white_box': box.to_dict(),
+        'rules': rules.to_dict(),
+        'theta_reference': theta[0],
+        'seed': seed,
+    }
+    one = Predictor(
+        box, 1, theta[0], rules, InlineTraining(configuration), speed_measured=False, seed=seed
+    )
     home, away, back = (_relative(_missed(one, samples, theta)) for samples in parts)
     return Outcome(home, away, back)
 
@@ -116,7 +133,9 @@ def _missed(one: Predictor, samples: list[Sample], theta: FloatArray) -> FloatAr
 
 
 def _relative(missed: FloatArray) -> float:
-    """Mean absolute error over that of the white box, at the end and not before a second has passed."""
+    """Mean absolute error over that of the white box, at the end and not before a second has
+    passed.
+    """
     judged = missed[max(round(RATE_HZ), len(missed) - round(2.0 * JUDGED_S * RATE_HZ)) :]
     own, white_box_error = np.abs(judged).mean(axis=0)
     return float(own / white_box_error)
@@ -125,7 +144,9 @@ def _relative(missed: FloatArray) -> float:
 def main() -> int:
     """Print a table and one line of JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--quick', action='store_true', help='one seed, one motor, ten minutes away')
+    parser.add_argument(
+        '--quick', action='store_true', help='one seed, one motor, ten minutes away'
+    )
     parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 3, with --quick 1)')
     options = parser.parse_args()
     if options.seeds < 0:
@@ -133,7 +154,8 @@ def main() -> int:
     seeds = options.seeds or (1 if options.quick else 3)
     motors = MOTORS[:1] if options.quick else MOTORS
     home_s, away_s = (300.0, 600.0) if options.quick else (600.0, 3600.0)
-    # a round of learning is due after a thousand samples at the earliest: jobs need not come every hundred
+    # a round of learning is due after a thousand samples at the earliest: jobs need not come every
+    # hundred
     kept = TrainingRules(period=500, replay_capacity=1100 if options.quick else 6000)
     bar = tqdm(total=2 * seeds * len(motors), unit='run', disable=None)
     rows, figures = [], []
@@ -144,20 +166,41 @@ def main() -> int:
             for seed, parts in journeys:
                 outcomes.append(run(motor, parts, seed, rules))
                 bar.update()
-            series = {part: np.array([getattr(o, part) for o in outcomes]) for part in ('home', 'away', 'back')}
+            series = {
+                part: np.array([getattr(o, part) for o in outcomes])
+                for part in ('home', 'away', 'back')
+            }
             rows.append(
                 [
                     motor.name,
                     name,
-                    *(f'{number(float(np.median(x)))} ({number(float(x.max()))})' for x in series.values()),
+                    *(
+                        f'{number(float(np.median(x)))} ({number(float(x.max()))})'
+                        for x in series.values()
+                    ),
                 ]
             )
-            goal = None if rules is not kept else NO_WORSE if motor.plant is THESIS_MOTOR else STILL_KNOWN
+            goal = (
+                None
+                if rules is not kept
+                else NO_WORSE
+                if motor.plant is THESIS_MOTOR
+                else STILL_KNOWN
+            )
             told = f'{motor.name}: first minute back / white box, segments {name}, worst'
             figures.append(Figure(told, float(series['back'].max()), goal, not options.quick))
     print(f'\nMean absolute error over that of the white box, median (worst) of {seeds} seeds.')
-    print(f'Home: {HOME}, {home_s:g} s; away: {AWAY}, {away_s:g} s; {RATE_HZ:g} Hz, torque noise {NOISE:g}.\n')
-    header = ['what the white box lacks', 'segments', 'home, at the end', 'away, at the end', 'back, first minute']
+    print(
+        f'Home: {HOME}, {home_s:g} s; away: {AWAY}, {away_s:g} s; {RATE_HZ:g} Hz, torque noise '
+        f'{NOISE:g}.\n'
+    )
+    header = [
+        'what the white box lacks',
+        'segments',
+        'home, at the end',
+        'away, at the end',
+        'back, first minute',
+    ]
     print(table(header, rows))
     print(f'\n{figure_table(figures)}')
     print(last_line('regimes', seeds, figures))

@@ -1,8 +1,10 @@
-"""How fast the offline command reads a bag: beside reading it with mcap alone, and where its time goes.
+"""How fast the offline command reads a bag: beside reading it with mcap alone, and where its time
+goes.
 
-Whole processes are compared, interpreter and imports included, by the processor time that the operating system counts
-for them: both are single-threaded, and what else the machine does counts less than on the clock. The bag is what the
-recorder writes of one motor at 100 Hz: a chunk a second, not compressed, two messages a sample.
+Whole processes are compared, interpreter and imports included, by the processor time that the
+operating system counts for them: both are single-threaded, and what else the machine does counts
+less than on the clock. The bag is what the recorder writes of one motor at 100 Hz: a chunk a
+second, not compressed, two messages a sample.
 """
 
 from __future__ import annotations
@@ -18,11 +20,11 @@ from pathlib import Path
 from common.figures import Figure, figure_table, last_line, table
 from common.simulated_bags import SAMPLE_RATE_HZ, write_bag
 
-from gray_box_observer import offline
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.bag.reader import BagReader
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.identify import offline_run
 from gray_box_observer.samples import Pairing
+from gray_box_observer.settings.configuration import Configuration
 
 READ_WITH_MCAP = """
 import sys
@@ -94,7 +96,7 @@ def pair(bag: Path) -> None:
 
 def identify(bag: Path) -> None:
     """Do all that the command does."""
-    offline.run([bag], Configuration.from_flat({}), None)
+    offline_run.run([bag], Configuration.from_flat({}), None)
 
 
 STAGES = (
@@ -118,8 +120,12 @@ def stages(bag: Path, samples: float, repeats: int) -> str:
 
 def main() -> int:
     """Print tables and one line of JSON."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--quick', action='store_true', help='a bag of 2 minutes instead of 10, fewer repetitions')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--quick', action='store_true', help='a bag of 2 minutes instead of 10, fewer repetitions'
+    )
     is_quick = parser.parse_args().quick
     duration_s, repeats = (120.0, 3) if is_quick else (600.0, 7)
     samples = duration_s * SAMPLE_RATE_HZ
@@ -131,13 +137,28 @@ def main() -> int:
         plain = process_s([*IDENTIFY, str(bag), '--skip-predictor'], repeats)
         trained = process_s([*IDENTIFY, str(bag)], 1)
         print(stages(bag, samples, repeats), end='\n\n')
-    rates = [['reading with mcap alone', alone], ['identify --skip-predictor', plain], ['identify', trained]]
-    print(table(['processor time', 's', 'samples a s'], [[n, f'{s:.2f}', f'{samples / s:.0f}'] for n, s in rates]))
+    rates = [
+        ['reading with mcap alone', alone],
+        ['identify --skip-predictor', plain],
+        ['identify', trained],
+    ]
+    print(
+        table(
+            ['processor time', 's', 'samples a s'],
+            [[n, f'{s:.2f}', f'{samples / s:.0f}'] for n, s in rates],
+        )
+    )
     print()
     figures = [
-        Figure('identify --skip-predictor / reading with mcap alone', plain / alone, 3.0, not is_quick),
-        Figure('identify --skip-predictor, s a s of recording', plain / duration_s, 0.005, not is_quick),
-        Figure('identify with training, s a s of recording', trained / duration_s, 0.05, not is_quick),
+        Figure(
+            'identify --skip-predictor / reading with mcap alone', plain / alone, 3.0, not is_quick
+        ),
+        Figure(
+            'identify --skip-predictor, s a s of recording', plain / duration_s, 0.005, not is_quick
+        ),
+        Figure(
+            'identify with training, s a s of recording', trained / duration_s, 0.05, not is_quick
+        ),
     ]
     print(figure_table(figures))
     print(last_line('replay', 1, figures))

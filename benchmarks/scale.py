@@ -1,23 +1,29 @@
-"""What does a motor-sample cost when there are more motors? Against as many filterpy filters, and against the machine.
+"""What does a motor-sample cost when there are more motors? Against as many filterpy filters, and
+against the machine.
 
-One process, one thread, CPU time (so that a busy machine does not count against anybody), everything in one run; where
-torch sees a GPU, or with ``--device``, up to a million motors on it too, in wall time, for what it does is no CPU time.
-Motors are the thesis's, identified before the clock starts, each with its own noise; what is timed is the context
-nodes' update and, apart from it, the prediction. The first minute, with the seven fits of settling in, is told beside
-it. Ends with one line of JSON.
+One process, one thread, CPU time (so that a busy machine does not count against anybody),
+everything in one run; where torch sees a GPU, or with ``--device``, up to a million motors on it
+too, in wall time, for what it does is no CPU time. Motors are the thesis's, identified before the
+clock starts, each with its own noise; what is timed is the context nodes' update and, apart from
+it, the prediction. The first minute, with the seven fits of settling in, is told beside it. Ends
+with one line of JSON.
 
-A motor-sample, update and prediction together, is to cost a hundredth of one motor's where there are 1,000; so is the
-update alone, which falls short of it. By far the largest of these four costs is that of predicting one motor.
+A motor-sample, update and prediction together, is to cost a hundredth of one motor's where there
+are 1,000; so is the update alone, which falls short of it. By far the largest of these four costs
+is that of predicting one motor.
 
-The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what it has to compute
-(:data:`FLOPS`) at the speed of a large matrix product, both measured in the same run; the slower binds.
+The limit is what the update has to touch (:data:`BYTES`) at the bandwidth of a large copy, and what
+it has to compute (:data:`FLOPS`) at the speed of a large matrix product, both measured in the same
+run; the slower binds.
 
-Profile of 1,000 motors (perf record): compiled code of ordinary blocks three quarters, of which following the
-motion with its sensitivities is two fifths, the test for a change, learning and writing down two fifths, bringing
-samples and belief in one fifth; copying samples into memory, at its speed, a fifth; Python the rest. Of one motor
-compiled code is a tenth, storing 32 samples three quarters, Python around a block the rest: updates alone are not a
-hundred times cheaper for many motors because that of one has become so cheap. Of predicting 1,000 motors the network is
-a third, the white box's own rollout for the scores a third, its relaxation and the comparison of signals the rest.
+Profile of 1,000 motors (perf record): compiled code of regular blocks three quarters, of which
+following the motion with its sensitivities is two fifths, the test for a change, learning and
+writing down two fifths, bringing samples and belief in one fifth; copying samples into memory, at
+its speed, a fifth; Python the rest. Of one motor compiled code is a tenth, storing 32 samples three
+quarters, Python around a block the rest: updates alone are not a hundred times cheaper for many
+motors because that of one has become so cheap. Of predicting 1,000 motors the network is a third,
+the white box's own rollout for the scores a third, its relaxation and the comparison of signals the
+rest.
 """
 
 from __future__ import annotations
@@ -39,16 +45,19 @@ from common.on_device import TORCH_ON_CPU, device_of, rows_on_device
 
 MOTORS = (1, 10, 100, 1000, 10_000)
 TAUGHT = 6000
-"""Samples that the motor is identified from before the clock starts; by then there are no more fits."""
+"""Samples that the motor is identified from before the clock starts; by then there are no more
+fits."""
 
 KEPT = 64
 """Samples of these that every motor remembers: the update reads a block and one sample more."""
 
 MOST_FILTERS = 100
-"""Copies of filterpy's filter that are really run: they share nothing, so more cost as many times more."""
+"""Copies of filterpy's filter that are really run: they share nothing, so more cost as many times
+more."""
 
 ROWS = 8224
-"""Samples after which their memory is used again: its pages are handed out at the first touch, once and for all."""
+"""Samples after which their memory is used again: its pages are handed out at the first touch, once
+and for all."""
 
 OUTLIERS = 0.01
 """Share of torques that are half too large, where it is asked what they cost."""
@@ -57,8 +66,9 @@ PARAMETERS, BLOCK = 3, 32
 UNKNOWNS = PARAMETERS + 1
 
 BYTES = 3 * 8 * 3 + 2 * 8 * (2 * UNKNOWNS**2 + 4 * PARAMETERS * (PARAMETERS + 1) + 24) / BLOCK
-"""Bytes of memory that a motor-sample must move: interval, voltage and torque come in, are stored, and are read once;
-and once a block, both ways, the covariance, that of long holds, four score tests and two dozen numbers."""
+"""Bytes of memory that a motor-sample must move: interval, voltage and torque come in, are stored,
+and are read once; and once a block, both ways, the covariance, that of long holds, four score tests
+and two dozen numbers."""
 
 FLOPS = (
     4 * 20 + 20  # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
@@ -74,7 +84,9 @@ FLOPS = (
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; return the exit status."""
     parser = argparse.ArgumentParser(prog='scale', description=str(__doc__).partition('\n')[0])
-    parser.add_argument('--quick', action='store_true', help='fewer samples, up to 1,000 motors: no verdicts')
+    parser.add_argument(
+        '--quick', action='store_true', help='fewer samples, up to 1,000 motors: no verdicts'
+    )
     parser.add_argument(
         '--device',
         help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU that torch sees, if it '
@@ -83,7 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if importlib.util.find_spec('filterpy') is None:
         print(
-            'scale: error: filterpy is missing; install ros_ws/requirements/bench.txt (make bench does it)',
+            'scale: error: filterpy is missing; install ros_ws/requirements/bench.txt (make bench '
+            'does it)',
             file=sys.stderr,
         )
         return 2
@@ -111,10 +124,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     kilobytes = memory(nodes, 1000)
     rows = []
     for n in counts:
-        ratios = filter_us[n] / update_us[n], update_us[1] / update_us[n], update_us[n] / limit_us, both[1] / both[n]
+        ratios = (
+            filter_us[n] / update_us[n],
+            update_us[1] / update_us[n],
+            update_us[n] / limit_us,
+            both[1] / both[n],
+        )
         costs = f'{update_us[n]:.3f}', f'{predict_us[n]:.3f}', f'{filter_us[n]:.1f}'
         rows.append([f'{n:,}', *costs, *(f'{ratio:.1f}' for ratio in ratios)])
-    header = ['motors', 'update us', 'predict us', 'EKF us', 'EKF/update', 'update 1/N', 'x limit', 'both 1/N']
+    header = [
+        'motors',
+        'update us',
+        'predict us',
+        'EKF us',
+        'EKF/update',
+        'update 1/N',
+        'x limit',
+        'both 1/N',
+    ]
     print('CPU time of a motor-sample\n\n' + table(header, rows))
     moved, worked = (f'{1e9 * x:.1f} ns' for x in (BYTES / bandwidth, FLOPS / arithmetic))
     print(f'\nlimit: {BYTES:.0f} bytes at {bandwidth / 1e9:.1f} GB/s are {moved}; ', end='')
@@ -123,15 +150,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f'1,000 motors with {100 * OUTLIERS:.0f} % of outliers in the torque: {dirty_us:.3f} us')
     settle_us = {n: settling(n, 1500 if options.quick else 6000) for n in (1, 100)}
     for n, cost_us in settle_us.items():
-        print(f'the first {15 if options.quick else 60} s, fits included, {n:,} motors: {cost_us:.2f} us')
-    figures_on_device = [] if device is None else rows_on_device(device, nodes, samples, quick=options.quick)
+        print(
+            f'the first {15 if options.quick else 60} s, fits included, {n:,} motors: '
+            f'{cost_us:.2f} us'
+        )
+    figures_on_device = (
+        [] if device is None else rows_on_device(device, nodes, samples, quick=options.quick)
+    )
     whole = not options.quick
     thousand, cores = update_us[1000], 0.1 * both[1000]
     figures = [
         Figure('update of one motor, times the EKF', update_us[1] / filter_us[1], 1.0, whole),
-        Figure('update, 1,000 motors, as a fraction of as many EKFs', thousand / filter_us[1000], 0.02, whole),
-        Figure('update and prediction, 1,000 motors, as a fraction of one motor', both[1000] / both[1], 0.01, whole),
-        Figure('update alone, 1,000 motors, as a fraction of one motor', thousand / update_us[1], 0.01, whole),
+        Figure(
+            'update, 1,000 motors, as a fraction of as many EKFs',
+            thousand / filter_us[1000],
+            0.02,
+            whole,
+        ),
+        Figure(
+            'update and prediction, 1,000 motors, as a fraction of one motor',
+            both[1000] / both[1],
+            0.01,
+            whole,
+        ),
+        Figure(
+            'update alone, 1,000 motors, as a fraction of one motor',
+            thousand / update_us[1],
+            0.01,
+            whole,
+        ),
         Figure('update, 1,000 motors, times the limit', thousand / limit_us, 10.0, whole),
         Figure('update and prediction, 1,000 motors at 100 Hz, cores', cores, 1.0, whole),
         Figure('memory of context nodes, kB a motor at 1,000', kilobytes, None),
@@ -142,7 +189,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def taught() -> tuple[Any, list[tuple[float, float]]]:
-    """Identify the motor of the thesis; return its context nodes and further voltages and torques without noise."""
+    """Identify the motor of the thesis; return its context nodes and further voltages and torques
+    without noise.
+    """
     from dc_motor_sim.plant import PlantParameters
     from dc_motor_sim.simulation import Simulation
 
@@ -151,16 +200,22 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
     voltage, torque = recording.voltage_v[0], recording.torque_nm[0]
     for k in range(TAUGHT):
         nodes.learn(sample(k, np.array([voltage[max(k - 1, 0)]]), np.array([torque[k] + noise[k]])))
-    return nodes, [(float(voltage[k - 1]), float(torque[k])) for k in range(TAUGHT, recording.stamp_ns.size)]
+    return nodes, [
+        (float(voltage[k - 1]), float(torque[k])) for k in range(TAUGHT, recording.stamp_ns.size)
+    ]
 
 
 def stream(
     samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0, outliers: float = 0.0
 ) -> list[Any]:  # fmt: skip
-    """Samples of many motors, each with its own noise and a share of torques that are half too large."""
+    """Samples of many motors, each with its own noise and a share of torques that are half too
+    large.
+    """
     random, made = np.random.default_rng([motors, begin]), []
     for k, (v, t) in enumerate(samples[begin : begin + count], start=begin):
-        torque = t * np.where(random.random(motors) < outliers, 1.5, 1.0) + random.normal(0.0, NOISE_NM, motors)
+        torque = t * np.where(random.random(motors) < outliers, 1.5, 1.0) + random.normal(
+            0.0, NOISE_NM, motors
+        )
         made.append(sample(TAUGHT + k, np.full(motors, v), torque))
     return made
 
@@ -168,9 +223,11 @@ def stream(
 def update(
     one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int, outliers: float = 0.0
 ) -> float:  # fmt: skip
-    """CPU time in us of a motor-sample's update: the median of some runs, each of whole rounds of blocks.
+    """CPU time in us of a motor-sample's update: the median of some runs, each of whole rounds of
+    blocks.
 
-    The runs follow each other in one recording, so that what comes now and then costs what it costs.
+    The runs follow each other in one recording, so that what comes now and then costs what it
+    costs.
     """
     plain, arrays = one.state()
     arrays = {**arrays, 'replay': arrays['replay'][:, :, -KEPT:]}
@@ -208,8 +265,13 @@ def settling(motors: int, count: int) -> float:
     from dc_motor_sim.simulation import Simulation
 
     plants = {f'm{k}': PlantParameters() for k in range(motors)}
-    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=2, torque_noise_std=NOISE_NM).record(count * 0.01)
-    given = [sample(k, r.voltage_v[:, max(k - 1, 0)].copy(), r.torque_nm[:, k].copy()) for k in range(count)]
+    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=2, torque_noise_std=NOISE_NM).record(
+        count * 0.01
+    )
+    given = [
+        sample(k, r.voltage_v[:, max(k - 1, 0)].copy(), r.torque_nm[:, k].copy())
+        for k in range(count)
+    ]
     nodes = rule(motors)
     begin_s = time.process_time()
     for s in given:
@@ -218,7 +280,9 @@ def settling(motors: int, count: int) -> float:
 
 
 def filters_us(motors: int, count: int) -> float:
-    """CPU time in us of a motor-sample of so many of filterpy's extended Kalman filters, one after another."""
+    """CPU time in us of a motor-sample of so many of filterpy's extended Kalman filters, one after
+    another.
+    """
     from common.cases import CASES
     from common.study import simulate
     from common.tuning import estimators
@@ -238,7 +302,9 @@ def filters_us(motors: int, count: int) -> float:
 
 
 def machine() -> tuple[float, float]:
-    """Bandwidth of a large copy in B/s, read and write counted, and speed of a large matrix product in flop/s."""
+    """Bandwidth of a large copy in B/s, read and write counted, and speed of a large matrix product
+    in flop/s.
+    """
     source = np.ones(20_000_000)
     target, matrix = np.zeros_like(source), np.random.default_rng(0).normal(size=(1200, 1200))
     copy_s = least(lambda: np.copyto(target, source))
@@ -257,7 +323,9 @@ def least(work: Callable[[], Any], repeats: int = 7) -> float:
 
 
 def memory(one: Any, motors: int) -> float:
-    """Arrays that context nodes hold, in kB a motor; what of the sample memory is not written to yet counts too."""
+    """Arrays that context nodes hold, in kB a motor; what of the sample memory is not written to
+    yet counts too.
+    """
     return nbytes(rule(motors), set()) / motors / 1e3
 
 

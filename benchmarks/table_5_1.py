@@ -1,15 +1,18 @@
-"""Table 5.1 of the thesis, made again: which of its four variants predicts data that it was not trained on?
+"""Table 5.1 of the thesis, made again: which of its four variants predicts data that it was not
+trained on?
 
-All variants are trained on R[1,2]D[3,3] alone, with the same network, data, learning rate and number of epochs, theta
-identified in the same run, and are judged on the eight sets of the thesis by the thesis's score, the L1 error of first
-differences, and by the error of the torque itself. Two settings: faithful to the thesis, and the package's defaults.
-Beside the four: every further variant of the package, with a control whose network has learnt nothing; the white box's
-own rollout with the identified theta (the limit with perfect physics); persistence; and a torque that never changes.
+All variants are trained on R[1,2]D[3,3] alone, with the same network, data, learning rate and
+number of epochs, theta identified in the same run, and are judged on the eight sets of the thesis
+by the thesis's score, the L1 error of first differences, and by the error of the torque itself. Two
+settings: faithful to the thesis, and the package's defaults. Beside the four: every further variant
+of the package, with a control whose network has learnt nothing; the white box's own rollout with
+the identified theta (the limit with perfect physics); persistence; and a torque that never changes.
 Ends with one line of JSON.
 
-How much is enough was measured: after 800 epochs, as in the thesis, 800 more move no error of the torque out of the
-training range by more than 3 % (variant 4 alone still learns on the training set); in our setting four more passes of
-the recording move none there by more than 1 % and improve none within the range.
+How much is enough was measured: after 800 epochs, as in the thesis, 800 more move no error of the
+torque out of the training range by more than 3 % (variant 4 alone still learns on the training
+set); in our setting four more passes of the recording move none there by more than 1 % and improve
+none within the range.
 """
 
 from __future__ import annotations
@@ -55,7 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if missing:
         print(f'table_5_1: error: {missing[0]} is missing; make setup installs it', file=sys.stderr)
         return 2
-    os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read by the workers: one thread each
+    os.environ.update(
+        OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1'
+    )  # read by the workers: one thread each
     plan = _plan(options)
     with ProcessPoolExecutor(options.workers, multiprocessing.get_context('spawn')) as pool:
         outcomes = _run(pool, plan)
@@ -65,10 +70,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog='table_5_1', description=str(__doc__).partition('\n')[0])
-    parser.add_argument('--quick', action='store_true', help='a smaller run, under a minute: no verdicts on the goals')
-    parser.add_argument('--seeds', type=int, metavar='N', help='runs of every variant (5; quick: 1)')
-    parser.add_argument('--epochs', type=int, metavar='N', help='epochs of the faithful setting (800; quick: 40)')
-    parser.add_argument('--passes', type=int, metavar='N', help='passes of our setting (2; quick: 1)')
+    parser.add_argument(
+        '--quick',
+        action='store_true',
+        help='a smaller run, under a minute: no verdicts on the goals',
+    )
+    parser.add_argument(
+        '--seeds', type=int, metavar='N', help='runs of every variant (5; quick: 1)'
+    )
+    parser.add_argument(
+        '--epochs', type=int, metavar='N', help='epochs of the faithful setting (800; quick: 40)'
+    )
+    parser.add_argument(
+        '--passes', type=int, metavar='N', help='passes of our setting (2; quick: 1)'
+    )
     parser.add_argument('--setting', choices=SETTING_NAMES, help='only this one')
     parser.add_argument('--workers', type=int, default=2, metavar='N', help='processes (2)')
     options = parser.parse_args(arguments)
@@ -86,12 +101,19 @@ def _plan(options: argparse.Namespace) -> Plan:
     if options.quick:
         amount = Amount(90.0, 30.0, options.epochs or 40, options.passes or 1)
         return Plan(settings, options.seeds or 1, amount, counts=False)
-    amount, seeds = Amount(240.0, 120.0, options.epochs or 800, options.passes or 2), options.seeds or 5
-    return Plan(settings, seeds, amount, counts=seeds >= 5 and amount.epochs >= 800 and amount.passes >= 2)
+    amount, seeds = (
+        Amount(240.0, 120.0, options.epochs or 800, options.passes or 2),
+        options.seeds or 5,
+    )
+    return Plan(
+        settings, seeds, amount, counts=seeds >= 5 and amount.epochs >= 800 and amount.passes >= 2
+    )
 
 
 def _run(pool: ProcessPoolExecutor, plan: Plan) -> list[Outcome]:
-    """Every variant of the package, in every setting and run; the order of the outcomes is that of completion."""
+    """Every variant of the package, in every setting and run; the order of the outcomes is that of
+    completion.
+    """
     from common.table_5_1.study import Work, carry_out
     from tqdm import tqdm
 

@@ -1,10 +1,12 @@
-"""Whether ``identified`` can be believed: motors, drivers and sensors, most with what the white box leaves out.
+"""Whether ``identified`` can be believed: motors, drivers and sensors, most with what the white box
+leaves out.
 
-Every record is simulated here, by a simulator that shares nothing with the packages, and goes through the observer as
-``identify --skip-predictor`` would take it. A parameter is *false* where it is called ``identified`` and is off by more
-than 3 of its own standard deviations and by more than 2 %. Half of the scenarios (``--half choose``) are to choose
-thresholds by; the other half reports. Logs of real motors are read where they are (``../shared/data`` beside the
-repository, or ``--data FOLDER``). ``--drawn 10000`` looks for numbers that break and for tracebacks.
+Every record is simulated here, by a simulator that shares nothing with the packages, and goes
+through the observer as ``identify --skip-predictor`` would take it. A parameter is *false* where it
+is called ``identified`` and is off by more than 3 of its own standard deviations and by more than 2
+%. Half of the scenarios (``--half choose``) are to choose thresholds by; the other half reports.
+Logs of real motors are read where they are (``../shared/data`` beside the repository, or ``--data
+FOLDER``). ``--drawn 10000`` looks for numbers that break and for tracebacks.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ def trial_of(place: tuple[int, int]) -> Trial:
     return run_trial(make_record(scenarios()[index], seed))
 
 
-def run_all(work: Callable[[Any], Any], jobs: Sequence[Any], processes: int, unit: str) -> list[Any]:
+def run_all(
+    work: Callable[[Any], Any], jobs: Sequence[Any], processes: int, unit: str
+) -> list[Any]:
     """Run all jobs in so many processes; the results are in the order of the jobs."""
     results = []
     with (
@@ -76,19 +80,29 @@ def write_before(trials: Sequence[Trial]) -> None:
 
 def options_of_command() -> argparse.Namespace:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        '--quick', action='store_true', help='one seed of one scenario a class, four short logs, 10 drawn motors'
+        '--quick',
+        action='store_true',
+        help='one seed of one scenario a class, four short logs, 10 drawn motors',
     )
     parser.add_argument('--seeds', type=int, default=0, help='seeds (default: 3, with --quick 1)')
     parser.add_argument('--half', choices=('choose', 'report', 'both'), default='report')
-    parser.add_argument('--only', default='', metavar='TEXT', help='scenarios whose name contains it, nothing else')
-    parser.add_argument('--drawn', type=int, metavar='N', help='drawn motors, excitations and faults (default: 300)')
+    parser.add_argument(
+        '--only', default='', metavar='TEXT', help='scenarios whose name contains it, nothing else'
+    )
+    parser.add_argument(
+        '--drawn', type=int, metavar='N', help='drawn motors, excitations and faults (default: 300)'
+    )
     parser.add_argument('--data', type=Path, default=DEFAULT_DATA, help='folder of the real logs')
     parser.add_argument('--processes', type=int, default=2)
     parser.add_argument('--records', action='store_true', help='print a line a record, too')
     parser.add_argument('--json', type=Path, metavar='FILE', help='write every trial there')
-    parser.add_argument('--write-before', action='store_true', help=f'store what is identified now in {BEFORE.name}')
+    parser.add_argument(
+        '--write-before', action='store_true', help=f'store what is identified now in {BEFORE.name}'
+    )
     options = parser.parse_args()
     if options.seeds < 0:
         parser.error(f'--seeds must be at least 1, got {options.seeds}')

@@ -18,12 +18,19 @@ from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
 from dc_motor_sim.ros import motor_sim
-from gray_box_observer.ros import observer_node, player_node, recorder_node, running
+from gray_box_observer.ros import running
+from gray_box_observer.ros.bags import player_node, recorder_node
+from gray_box_observer.ros.observer import observer_node
 
 ROOT = Path(__file__).resolve().parent.parent
 
 ARGUMENTS = (
-    *('--ros-args', '--disable-stdout-logs', '--disable-external-lib-logs', '--disable-rosout-logs'),
+    *(
+        '--ros-args',
+        '--disable-stdout-logs',
+        '--disable-external-lib-logs',
+        '--disable-rosout-logs',
+    ),
     *('-p', 'gray_box_observer:horizon_s:=0.1'),
     *('-p', 'motor_sim:publish_clock:=true'),
     *('-p', 'bag_player:clock:=true', '-p', 'bag_player:paused:=true'),
@@ -73,7 +80,8 @@ def _look(make: Callable[[], Node]) -> Seen:
         seen.publishes = {publisher.topic_name for publisher in node.publishers}
         seen.subscribes = {subscription.topic_name for subscription in node.subscriptions}
         seen.services = {
-            node.resolve_service_name(service.srv_name): type_name(service.srv_type) for service in node.services
+            node.resolve_service_name(service.srv_name): type_name(service.srv_type)
+            for service in node.services
         }
     finally:
         closed: Any = node
@@ -87,7 +95,9 @@ def _look(make: Callable[[], Node]) -> Seen:
 def _declarations_noted(seen: Seen) -> Iterator[None]:
     original = Node.declare_parameter
 
-    def declare(node: Node, name: str, value: Any = None, descriptor: Any = None, *rest: Any, **named: Any) -> Any:
+    def declare(
+        node: Node, name: str, value: Any = None, descriptor: Any = None, *rest: Any, **named: Any
+    ) -> Any:
         seen.declared[name] = value, descriptor
         given = () if descriptor is None else (descriptor,)
         return original(node, name, value, *given, *rest, **named)

@@ -13,11 +13,24 @@ from typing import Any
 from api_sources import Seen, type_name
 
 from dc_motor_sim.quantity import quantity_of
-from gray_box_observer.parameters import ParameterSpec
+from gray_box_observer.settings.parameters import ParameterSpec
 from gray_box_observer.white_box import TERMS
 
-_UNITS = {'N m/A', 'rad/s', 'N m', 'bytes', 'Hz', 'ms', 's', 'V', 'A', *(t.parameter.unit for t in TERMS.values())}
-UNITS = re.compile(rf'\bin ({"|".join(map(re.escape, sorted(_UNITS, key=len, reverse=True)))})(?![\w/^])')
+_UNITS = {
+    'N m/A',
+    'rad/s',
+    'N m',
+    'bytes',
+    'Hz',
+    'ms',
+    's',
+    'V',
+    'A',
+    *(t.parameter.unit for t in TERMS.values()),
+}
+UNITS = re.compile(
+    rf'\bin ({"|".join(map(re.escape, sorted(_UNITS, key=len, reverse=True)))})(?![\w/^])'
+)
 """Where a description says its unit."""
 
 UNIT_OF_SUFFIX = {'_s': 's', '_hz': 'Hz', '_bytes': 'bytes', '_per_s': '1/s'}
@@ -51,7 +64,9 @@ class PageError(Exception):
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
     """A Markdown table."""
     lines = [head, ['---'] * len(head), *rows]
-    return ['| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |' for line in lines] + ['']
+    return [
+        '| ' + ' | '.join(cell.replace('|', '\\|') for cell in line) + ' |' for line in lines
+    ] + ['']
 
 
 def ros_type(default: Any) -> str:
@@ -98,12 +113,26 @@ PARAMETER_HEAD = ('parameter', 'type', 'unit', 'default', 'range', 'live', 'what
 def spec_rows(specs: Iterable[ParameterSpec], prefix: str = '') -> Iterator[list[str]]:
     """Rows of the parameters that are declared by a specification."""
     for spec in specs:
-        allowed = ', '.join(f'`{choice}`' for choice in spec.choices) or range_text(spec.minimum, spec.maximum)
+        allowed = ', '.join(f'`{choice}`' for choice in spec.choices) or range_text(
+            spec.minimum, spec.maximum
+        )
         kind = ' or '.join((ros_type(spec.default), *(f'`{word}`' for word in spec.words)))
         number = not isinstance(spec.default, (str, bool)) or bool(spec.words)
-        unit = unit_of(spec.name, spec.description) if number and ros_type(spec.default) != 'string[]' else ''
+        unit = (
+            unit_of(spec.name, spec.description)
+            if number and ros_type(spec.default) != 'string[]'
+            else ''
+        )
         live = 'yes' if spec.live else 'no'
-        yield [f'`{prefix}{spec.name}`', kind, unit, value_text(spec.default), allowed, live, spec.description]
+        yield [
+            f'`{prefix}{spec.name}`',
+            kind,
+            unit,
+            value_text(spec.default),
+            allowed,
+            live,
+            spec.description,
+        ]
 
 
 def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iterator[list[str]]:
@@ -125,21 +154,29 @@ def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iter
 
 
 def sentence(text: str) -> str:
-    """A description with a full stop, and with a capital unless it begins with a value such as `rotor:`."""
+    """A description with a full stop, and with a capital unless it begins with a value such as
+    `rotor:`.
+    """
     first = text.split(maxsplit=1)[0]
     return f'{text if first.endswith((",", ":")) else text[0].upper() + text[1:]}'.rstrip('.') + '.'
 
 
 def override_lines(seen: Seen) -> list[str]:
-    """By which parameters the quality of service of a node's topics can be changed; none where it cannot."""
-    names = [name.removeprefix(QOS_OVERRIDES) for name in seen.declared if name.startswith(QOS_OVERRIDES)]
+    """By which parameters the quality of service of a node's topics can be changed; none where it
+    cannot.
+    """
+    names = [
+        name.removeprefix(QOS_OVERRIDES) for name in seen.declared if name.startswith(QOS_OVERRIDES)
+    ]
     if not names:
         return []
     policies = sorted({name.rpartition('.')[2] for name in names})
     ends = sorted({name.rpartition('.')[0].rpartition('.')[2] for name in names})
     return [
-        f'Quality of service, of each topic by its full name: `{QOS_OVERRIDES}<topic>.<{"|".join(ends)}>.<policy>`, '
-        f'where policy is {", ".join(f"`{policy}`" for policy in policies)}; read when the topic is opened.',
+        'Quality of service, of each topic by its full name: '
+        f'`{QOS_OVERRIDES}<topic>.<{"|".join(ends)}>.<policy>`, '
+        f'where policy is {", ".join(f"`{policy}`" for policy in policies)}; read when the topic '
+        'is opened.',
         '',
     ]
 
@@ -147,15 +184,21 @@ def override_lines(seen: Seen) -> list[str]:
 def undeclared(seen: Seen, specs: Iterable[ParameterSpec]) -> set[str]:
     """What a node declares beside the given parameters."""
     known = {spec.name for spec in specs} | set(PARAMETERS_OF_EVERY_NODE)
-    return {name for name in seen.declared if name not in known and not name.startswith(QOS_OVERRIDES)}
+    return {
+        name for name in seen.declared if name not in known and not name.startswith(QOS_OVERRIDES)
+    }
 
 
 def topic_lines(node: str, seen: Seen, modules: Sequence[ModuleType]) -> list[str]:
     """The topics of a node as their declarations describe them."""
-    declared = [t for module in modules for t in vars(module).values() if type(t).__name__ == 'Topic']
+    declared = [
+        t for module in modules for t in vars(module).values() if type(t).__name__ == 'Topic'
+    ]
     rows: list[list[str]] = []
     found: set[str] = set()
-    for topic in sorted(declared, key=lambda topic: topic.name.count('{')):  # the most special one has a name first
+    for topic in sorted(
+        declared, key=lambda topic: topic.name.count('{')
+    ):  # the most special one has a name first
         if not topic.description:
             raise PageError(f'topic {topic.name} has no description; give it one in topics.py')
         full = topic.name.replace('~', f'/{node}') if topic.name[0] in '~/' else f'/{topic.name}'
@@ -164,12 +207,22 @@ def topic_lines(node: str, seen: Seen, modules: Sequence[ModuleType]) -> list[st
             here = {name for name in names - found if pattern.fullmatch(name)}
             if here:
                 name = topic.name.replace('{', '<').replace('}', '>')
-                rows.append([f'`{name}`', direction, f'`{type_name(topic.type)}`', _qos(topic.qos), topic.description])
+                rows.append(
+                    [
+                        f'`{name}`',
+                        direction,
+                        f'`{type_name(topic.type)}`',
+                        _qos(topic.qos),
+                        topic.description,
+                    ]
+                )
             found |= here
     known = {*OF_EVERY_NODE, *(f'/{node}/{name}' for name in OF_A_MANAGED_NODE)}
     strange = (seen.publishes | seen.subscribes) - found - known
     if strange:
-        raise PageError(f'{node} uses {", ".join(sorted(strange))}, which topics.py does not declare')
+        raise PageError(
+            f'{node} uses {", ".join(sorted(strange))}, which topics.py does not declare'
+        )
     order = [f'`{topic.name.replace("{", "<").replace("}", ">")}`' for topic in declared]
     rows.sort(key=lambda row: (row[1] == 'publishes', order.index(row[0])))
     return ['### Topics', '', *table(('topic', '', 'type', 'quality of service', 'content'), rows)]
@@ -188,7 +241,9 @@ def service_lines(node: str, seen: Seen, standard: Iterable[str]) -> list[str]:
         if own in standard:
             continue
         if f'{node}/{own}' not in SERVICES:
-            raise PageError(f'service {name} is not described; give it a line in SERVICES of docs/api_tables.py')
+            raise PageError(
+                f'service {name} is not described; give it a line in SERVICES of docs/api_tables.py'
+            )
         rows.append([f'`~/{own}`', f'`{kind}`', SERVICES[f'{node}/{own}']])
     return ['### Services', '', *table(('service', 'type', 'what it does'), rows)] if rows else []
 
@@ -219,6 +274,9 @@ def launch_lines(sources: Path) -> list[str]:
             if isinstance(node, ast.Assign) and getattr(node.targets[0], 'id', '') == 'ARGUMENTS'
         )
         lines += [f'`ros2 launch {path.parts[-3]} {path.name}`', '']
-        rows = [[f'`{name}`', value_text(default), sentence(text)] for name, (default, text) in given.items()]
+        rows = [
+            [f'`{name}`', value_text(default), sentence(text)]
+            for name, (default, text) in given.items()
+        ]
         lines += table(('argument', 'default', ''), rows)
     return lines

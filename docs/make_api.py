@@ -1,7 +1,9 @@
-"""Writes ``docs/API.md`` from the code: topics, services, parameters, options and exit codes. Run it by ``make docs``.
+"""Writes ``docs/API.md`` from the code: topics, services, parameters, options and exit codes. Run
+it by ``make docs``.
 
-Parameters and topics come from their declarations; endpoints, services and what the nodes of bags declare come from
-nodes made here, on no network. A test fails when the committed page is not what this writes.
+Parameters and topics come from their declarations; endpoints, services and what the nodes of bags
+declare come from nodes made here, on no network. A test fails when the committed page is not what
+this writes.
 """
 
 from __future__ import annotations
@@ -37,11 +39,17 @@ from api_tables import (
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import parameters as simulated_parameters
 from dc_motor_sim.ros import topics as simulated_topics
-from gray_box_observer import identify
-from gray_box_observer.archive import options
-from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS, ParameterSpec
-from gray_box_observer.ros import observer_node, player_arguments, recorder_arguments, running
+from gray_box_observer.identify import command
+from gray_box_observer.identify.archive import archive_options
+from gray_box_observer.ros import running
 from gray_box_observer.ros import topics as observed_topics
+from gray_box_observer.ros.bags import player_arguments, recorder_arguments
+from gray_box_observer.ros.observer import observer_node
+from gray_box_observer.settings.parameters import (
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    ParameterSpec,
+)
 
 PAGE = ROOT / 'docs' / 'API.md'
 
@@ -64,8 +72,8 @@ An executable of `gray_box_observer` ends with
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
 | 1 | `identify`: a defect has stopped a motor; a warning says which, what is known of the others stands |
-| {options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
-| {options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
+| {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
+| {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
 
 Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, and with 1 when the plant
 could not be simulated on.
@@ -81,12 +89,21 @@ def page() -> str:
     nodes = look_at_nodes()
     every = {name.rpartition('/')[2] for name in nodes['motor_sim'].services}
     observer = nodes['gray_box_observer']
-    managed = every | {name.rpartition('/')[2] for name, kind in observer.services.items() if 'lifecycle' in kind}
+    managed = every | {
+        name.rpartition('/')[2] for name, kind in observer.services.items() if 'lifecycle' in kind
+    }
     gone = set(SERVICES) - {name.lstrip('/') for seen in nodes.values() for name in seen.services}
     if gone:
-        raise PageError(f'SERVICES of docs/api_tables.py describes {", ".join(sorted(gone))}, which no node has')
+        raise PageError(
+            f'SERVICES of docs/api_tables.py describes {", ".join(sorted(gone))}, which no node has'
+        )
     lines = [*HEAD.splitlines(), '']
-    lines += ['## observer', '', 'Package `gray_box_observer`, node `gray_box_observer`, a managed node.', '']
+    lines += [
+        '## observer',
+        '',
+        'Package `gray_box_observer`, node `gray_box_observer`, a managed node.',
+        '',
+    ]
     lines += option_lines(parser_of(observer_node))
     lines += topic_lines('gray_box_observer', observer, [observed_topics])
     lines += service_lines('gray_box_observer', observer, managed)
@@ -98,16 +115,29 @@ def page() -> str:
     complain_of_others('observer', observer, [*OBSERVER_PARAMETERS, *of_motor])
     lines += override_lines(observer)
     lines += ['## identify', '', 'Package `gray_box_observer`; needs no ROS.', '']
-    lines += option_lines(identify._parser())
-    of_recorder, of_player = recorder_arguments.RECORDER_PARAMETERS, player_arguments.PLAYER_PARAMETERS
+    lines += option_lines(command._parser())
+    of_recorder, of_player = (
+        recorder_arguments.RECORDER_PARAMETERS,
+        player_arguments.PLAYER_PARAMETERS,
+    )
     lines += bag_lines('recorder', recorder_arguments, of_recorder, nodes['bag_recorder'], every)
     lines += bag_lines('player', player_arguments, of_player, nodes['bag_player'], every)
     lines += simulator_lines(nodes['motor_sim'], every)
     lines += launch_lines(ROOT / 'src')
-    lines += ['## Of every node', '', 'Topics: ' + ', '.join(f'`{name}`' for name in OF_EVERY_NODE) + '.']
+    lines += [
+        '## Of every node',
+        '',
+        'Topics: ' + ', '.join(f'`{name}`' for name in OF_EVERY_NODE) + '.',
+    ]
     lines += ['Services: ' + ', '.join(f'`~/{name}`' for name in sorted(every)) + '.']
-    lines += ['Parameters: ' + ', '.join(f'`{name}`' for name in PARAMETERS_OF_EVERY_NODE) + '.', '']
-    lines += ['The observer, as a managed node, also has ' + ', '.join(f'`~/{n}`' for n in sorted(managed - every))]
+    lines += [
+        'Parameters: ' + ', '.join(f'`{name}`' for name in PARAMETERS_OF_EVERY_NODE) + '.',
+        '',
+    ]
+    lines += [
+        'The observer, as a managed node, also has '
+        + ', '.join(f'`~/{n}`' for n in sorted(managed - every))
+    ]
     lines += ['and publishes ' + ', '.join(f'`~/{name}`' for name in OF_A_MANAGED_NODE) + '.']
     return '\n'.join(lines) + '\n'
 
@@ -118,10 +148,22 @@ def bag_lines(
     """The section of a node that records or replays."""
     parser, node = arguments.make_parser(), f'bag_{name}'
     said = ' '.join((parser.description or '').split())
-    lines = [f'## {name}', '', f'Package `gray_box_observer`, node `{node}`. {said}', '', *option_lines(parser)]
+    lines = [
+        f'## {name}',
+        '',
+        f'Package `gray_box_observer`, node `{node}`. {said}',
+        '',
+        *option_lines(parser),
+    ]
     lines += ['### Topics', '', TOPICS_OF_A_BAG[name], '', *service_lines(node, seen, every)]
     complain_of_others(name, seen, specs)
-    lines += ['### Parameters', '', 'Read once, at the start.', '', *table(PARAMETER_HEAD, spec_rows(specs))]
+    lines += [
+        '### Parameters',
+        '',
+        'Read once, at the start.',
+        '',
+        *table(PARAMETER_HEAD, spec_rows(specs)),
+    ]
     return lines + override_lines(seen)
 
 
@@ -139,7 +181,13 @@ def simulator_lines(seen: Seen, every: set[str]) -> list[str]:
     lines += topic_lines('motor_sim', seen, [simulated_topics])
     lines += service_lines('motor_sim', seen, every)
     rows = simulator_rows(simulated_parameters.NodeParameters)
-    lines += ['### Parameters', '', *table(PARAMETER_HEAD, rows), 'Of each motor, in a group under its name:', '']
+    lines += [
+        '### Parameters',
+        '',
+        *table(PARAMETER_HEAD, rows),
+        'Of each motor, in a group under its name:',
+        '',
+    ]
     excitation = simulated_parameters._EXCITATION_OF_MOTOR.text
     first = ['`<motor>.excitation`', 'string', '', value_text(''), '', 'no', sentence(excitation)]
     motor = simulator_rows(PlantParameters, '<motor>.', live=True)
@@ -157,7 +205,11 @@ def difference(committed: str, wanted: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the page, or say how it differs."""
     parser = argparse.ArgumentParser(prog='make_api', description=(__doc__ or '').split('\n', 1)[0])
-    parser.add_argument('--check', action='store_true', help='write nothing; fail if the page is not what it should be')
+    parser.add_argument(
+        '--check',
+        action='store_true',
+        help='write nothing; fail if the page is not what it should be',
+    )
     options = parser.parse_args(arguments)
     try:
         wanted = page()
@@ -167,7 +219,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.check:
         found = difference(PAGE.read_text(encoding='utf-8') if PAGE.exists() else '', wanted)
         if found:
-            print(f'{found}\nmake_api: error: docs/API.md is not what the code says; run make docs', file=sys.stderr)
+            print(
+                f'{found}\nmake_api: error: docs/API.md is not what the code says; run make docs',
+                file=sys.stderr,
+            )
         return 1 if found else 0
     PAGE.write_text(wanted, encoding='utf-8')
     return 0

@@ -1,4 +1,5 @@
-"""Identifies a motor live: simulator (or a replayed bag), observer and recorder, each a process of its own.
+"""Identifies a motor live: simulator (or a replayed bag), observer and recorder, each a process of
+its own.
 
 Ends with one line of JSON on stdout; everything else goes to stderr. Run it by ``make demo``.
 """
@@ -20,10 +21,17 @@ from pathlib import Path
 from typing import Any
 
 from demo_processes import Children, DemoError
-from demo_result import estimates_text, fit_sentences, load_truth, recorded_samples, result_of, summary
+from demo_result import (
+    estimates_text,
+    fit_sentences,
+    load_truth,
+    recorded_samples,
+    result_of,
+    summary,
+)
 from demo_sources import START_PATIENCE_S, Source, executable, replay, simulator, write_parameters
 
-from gray_box_observer.printable import printable
+from gray_box_observer.safe_io.printable import printable
 
 ROOT = Path(__file__).resolve().parent.parent
 SETTLE_PATIENCE_S = 20.0
@@ -34,8 +42,14 @@ POLL_S = 0.1
 def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
     """Read the command line; refuses what cannot be used with exit code 2."""
     parser = argparse.ArgumentParser(prog='demo', description=(__doc__ or '').split('\n', 1)[0])
-    parser.add_argument('--duration', type=_positive, default=60.0, metavar='S', help='seconds (default 60)')
-    parser.add_argument('--excitation', default='R[5,15]D[1,20]', help='voltage of the simulator (default %(default)s)')
+    parser.add_argument(
+        '--duration', type=_positive, default=60.0, metavar='S', help='seconds (default 60)'
+    )
+    parser.add_argument(
+        '--excitation',
+        default='R[5,15]D[1,20]',
+        help='voltage of the simulator (default %(default)s)',
+    )
     parser.add_argument('--seed', type=int, default=1, help='of everything random (default 1)')
     parser.add_argument(
         '--torque-noise',
@@ -46,8 +60,12 @@ def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
     )
     parser.add_argument('--bag', type=Path, help='replay this bag instead of simulating')
     parser.add_argument('--rate', type=_positive, default=1.0, help='of the replay (default 1)')
-    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help="the observer's parameter file")
-    parser.add_argument('--runs', type=Path, default=ROOT / 'bags' / 'runs', help='where the run is written')
+    parser.add_argument(
+        '--params', type=Path, metavar='FILE.yaml', help="the observer's parameter file"
+    )
+    parser.add_argument(
+        '--runs', type=Path, default=ROOT / 'bags' / 'runs', help='where the run is written'
+    )
     options = parser.parse_args(arguments)
     for path in (options.bag, options.params):
         if path is not None and not path.exists():
@@ -88,7 +106,9 @@ def say(text: str) -> None:
 
 
 def isolate() -> None:
-    """Keep the run to this machine and to a domain that nobody uses, unless the user has chosen one."""
+    """Keep the run to this machine and to a domain that nobody uses, unless the user has chosen
+    one.
+    """
     if 'ROS_DOMAIN_ID' not in os.environ:
         domains = random.SystemRandom().sample(range(1, 101), 100)
         os.environ['ROS_DOMAIN_ID'] = str(next((d for d in domains if _is_free(d)), domains[0]))
@@ -140,7 +160,10 @@ def follow(children: Children, watch: Any, source: Source) -> None:
             watch.update(POLL_S)
             now_s = time.monotonic()
             if now_s > deadline_s:
-                raise DemoError(f'the {source.name} should have ended after {source.duration_s:g} s and still runs')
+                raise DemoError(
+                    f'the {source.name} should have ended after {source.duration_s:g} s and still '
+                    'runs'
+                )
             if started_s is None:
                 started_s = now_s if watch.estimates else None
                 continue
@@ -154,7 +177,9 @@ def follow(children: Children, watch: Any, source: Source) -> None:
 
 
 def settle(children: Children, watch: Any) -> None:
-    """Let the observer use what is on its way: until two of its reports in a row count the same samples."""
+    """Let the observer use what is on its way: until two of its reports in a row count the same
+    samples.
+    """
     deadline_s = time.monotonic() + SETTLE_PATIENCE_S
     reports, counted = watch.diagnostics_count, -1
     while time.monotonic() < deadline_s:
@@ -179,7 +204,10 @@ def identify_bag(run: Path, bag: Path, source: Source) -> None:
     command += ['--truth', source.truth] if source.truth is not None else []
     finished = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
     if finished.returncode != 0:
-        raise DemoError(f'identify ended with exit code {finished.returncode}; its message is above; the bag is {bag}')
+        raise DemoError(
+            f'identify ended with exit code {finished.returncode}; its message is above; the bag '
+            f'is {bag}'
+        )
 
 
 def make_source(options: argparse.Namespace, run: Path) -> Source:
@@ -207,12 +235,19 @@ def run_demo(options: argparse.Namespace) -> None:
     isolate()
     say(f'run {shown(run)}, ROS_DOMAIN_ID {os.environ["ROS_DOMAIN_ID"]}')
     bag = run / 'bag'
-    recording = write_parameters(run / 'recorder.yaml', {'output': str(bag), 'all': source.record_all})
-    observing: list[str | Path] = ['--params-file', source.params] if source.params is not None else []
+    recording = write_parameters(
+        run / 'recorder.yaml', {'output': str(bag), 'all': source.record_all}
+    )
+    observing: list[str | Path] = (
+        ['--params-file', source.params] if source.params is not None else []
+    )
     with Watch() as watch, Children(run / 'log') as children:
-        children.start('observer', [executable('gray_box_observer', 'observer'), '--ros-args', *observing])
         children.start(
-            'recorder', [executable('gray_box_observer', 'recorder'), '--ros-args', '--params-file', recording]
+            'observer', [executable('gray_box_observer', 'observer'), '--ros-args', *observing]
+        )
+        children.start(
+            'recorder',
+            [executable('gray_box_observer', 'recorder'), '--ros-args', '--params-file', recording],
         )
         children.start(source.name, source.command)
         follow(children, watch, source)
@@ -222,18 +257,26 @@ def run_demo(options: argparse.Namespace) -> None:
             children.require_done(name)
         motors = result_of(watch.estimates, watch.stds, load_truth(source.truth))
         if not motors:
-            raise DemoError(f'the observer gave no estimate; see {shown(run / "log" / "observer.log")}')
+            raise DemoError(
+                f'the observer gave no estimate; see {shown(run / "log" / "observer.log")}'
+            )
         identify_bag(run, bag, source)
         say(fit_sentences(run / 'identify.json', coloured=sys.stderr.isatty()))
         say(summary(motors, recorded_samples(bag), watch.samples_used()))
     say(f'report: {shown(run / "report.html")}')
-    print(json.dumps({'bag': shown(bag), 'report': shown(run / 'report.html'), 'motors': motors}), flush=True)
+    print(
+        json.dumps({'bag': shown(bag), 'report': shown(run / 'report.html'), 'motors': motors}),
+        flush=True,
+    )
 
 
 def main() -> int:
-    """Run the demo; 0 when it is through, 1 with one clear message when it could not be, 130 after Ctrl-C."""
+    """Run the demo; 0 when it is through, 1 with one clear message when it could not be, 130 after
+    Ctrl-C.
+    """
     options = parse_arguments()
-    # A background job of a script starts with SIGINT ignored, and so would every process started from it.
+    # A background job of a script starts with SIGINT ignored, and so would every process started
+    # from it.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -1,4 +1,6 @@
-"""The processes of the demo: each in a group of its own, with its output in a file, ended in good order."""
+"""The processes of the demo: each in a group of its own, with its output in a file, ended in good
+order.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ class Children:
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # impatience must not interrupt the orderly end
+        signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # impatience must not interrupt the orderly end
         for name in reversed(list(self._children)):
             self.stop(name)
 
@@ -57,7 +61,8 @@ class Children:
         return self._children[name]
 
     def start(self, name: str, command: Sequence[str | Path]) -> Child:
-        """Start ``command`` in a new session: a Ctrl-C at the terminal reaches the demo alone, which ends the others.
+        """Start ``command`` in a new session: a Ctrl-C at the terminal reaches the demo alone,
+        which ends the others.
 
         Raises:
             DemoError: It cannot be started.
@@ -83,14 +88,19 @@ class Children:
             child = self._children[name]
             code = child.process.poll()
             if code is not None:
-                raise DemoError(f'the {name} ended early with exit code {code}; its last lines:\n{child.last_lines()}')
+                raise DemoError(
+                    f'the {name} ended early with exit code {code}; its last '
+                    f'lines:\n{child.last_lines()}'
+                )
 
     def require_done(self, name: str) -> None:
         """Raise a `DemoError` with its last lines where an ended process has failed."""
         child = self._children[name]
         code = child.process.wait()
         if code != 0:
-            raise DemoError(f'the {name} failed with exit code {code}; its last lines:\n{child.last_lines()}')
+            raise DemoError(
+                f'the {name} failed with exit code {code}; its last lines:\n{child.last_lines()}'
+            )
 
     def stop(self, name: str) -> int:
         """Ask a process to end, insist where it does not, and return its exit code."""
@@ -112,7 +122,9 @@ class Children:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Let SIGINT and SIGTERM wait: one that strikes inside Popen would leave a process that nobody knows of."""
+    """Let SIGINT and SIGTERM wait: one that strikes inside Popen would leave a process that nobody
+    knows of.
+    """
     arrived: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda n, _: arrived.append(n)) for number in numbers}

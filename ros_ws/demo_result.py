@@ -15,10 +15,12 @@ Values = Mapping[str, Mapping[str, float]]
 
 
 def load_truth(path: Path | None) -> Values:
-    """The true parameters by motor from a truth file; of a parameter that changes with time, its last value.
+    """The true parameters by motor from a truth file; of a parameter that changes with time, its
+    last value.
 
     Args:
-        path: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``, or None for an unknown truth.
+        path: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``, or None for an
+            unknown truth.
 
     Raises:
         DemoError: The file is not of that form.
@@ -26,14 +28,17 @@ def load_truth(path: Path | None) -> Values:
     if path is None:
         return {}
     from gray_box_observer.errors import InputError
-    from gray_box_observer.report.truth import read_truth
+    from gray_box_observer.report.run.truth import read_truth
 
     try:
         truth = read_truth(path)
     except InputError as error:
         raise DemoError(str(error)) from error
     return {
-        motor: {name: float(value[1][-1]) if isinstance(value, tuple) else value for name, value in values.items()}
+        motor: {
+            name: float(value[1][-1]) if isinstance(value, tuple) else value
+            for name, value in values.items()
+        }
         for motor, values in truth.items()
     }
 
@@ -48,22 +53,32 @@ def estimates_text(estimates: Values) -> str:
     )
 
 
-def result_of(estimates: Values, stds: Values, truth: Values) -> dict[str, dict[str, dict[str, float | None]]]:
-    """The last live estimate of every parameter with its standard deviation and, where known, its truth.
+def result_of(
+    estimates: Values, stds: Values, truth: Values
+) -> dict[str, dict[str, dict[str, float | None]]]:
+    """The last live estimate of every parameter with its standard deviation and, where known, its
+    truth.
 
     Args:
         estimates: SI units, by motor and parameter.
-        stds: standard deviations, likewise; a missing or non-finite one becomes None, which JSON can say.
+        stds: standard deviations, likewise; a missing or non-finite one becomes None, which JSON
+            can say.
         truth: true values, likewise, as far as they are known.
     """
     motors: dict[str, dict[str, dict[str, float | None]]] = {}
     for motor, values in sorted(estimates.items()):
         motors[motor] = {}
         known = stds.get(motor, {})  # in the observer's own order
-        for name in [*(name for name in known if name in values), *(name for name in values if name not in known)]:
+        for name in [
+            *(name for name in known if name in values),
+            *(name for name in values if name not in known),
+        ]:
             value = values[name]
             std = known.get(name, math.nan)
-            entry: dict[str, float | None] = {'value': value, 'std': std if math.isfinite(std) else None}
+            entry: dict[str, float | None] = {
+                'value': value,
+                'std': std if math.isfinite(std) else None,
+            }
             true = truth.get(motor, {}).get(name)
             if true is not None:
                 entry['truth'] = true
@@ -74,12 +89,18 @@ def result_of(estimates: Values, stds: Values, truth: Values) -> dict[str, dict[
 
 def recorded_samples(bag: Path) -> int | None:
     """Torque messages that the bag says it holds."""
-    from gray_box_observer.bounded_yaml import read_yaml
     from gray_box_observer.errors import InputError
+    from gray_box_observer.safe_io.bounded_yaml import read_yaml
 
     try:
-        topics = read_yaml(bag / 'metadata.yaml')['rosbag2_bagfile_information']['topics_with_message_count']
-        count: int = sum(t['message_count'] for t in topics if t['topic_metadata']['name'].endswith('motor/torque'))
+        topics = read_yaml(bag / 'metadata.yaml')['rosbag2_bagfile_information'][
+            'topics_with_message_count'
+        ]
+        count: int = sum(
+            t['message_count']
+            for t in topics
+            if t['topic_metadata']['name'].endswith('motor/torque')
+        )
         return count
     except (InputError, KeyError, TypeError, AttributeError):
         return None
@@ -93,11 +114,12 @@ def fit_sentences(result: Path, *, coloured: bool) -> str:
         coloured: whether a terminal shows it.
     """
     from gray_box_observer.fit_test import FitAssessment
-    from gray_box_observer.result_text import fit_line
+    from gray_box_observer.identify.result_text import fit_line
 
     motors = json.loads(result.read_text(encoding='utf-8'))['motors']
     fits = {
-        name: FitAssessment.from_dict({**motor['fit'], 'samples': motor['samples']}) for name, motor in motors.items()
+        name: FitAssessment.from_dict({**motor['fit'], 'samples': motor['samples']})
+        for name, motor in motors.items()
     }
     return '\n'.join(fit_line(name, fit, coloured=coloured) for name, fit in fits.items())
 
@@ -113,5 +135,8 @@ def summary(motors: Mapping[str, Any], recorded: int | None, used: int | None) -
             lines.append(f'{motor} {name:<12} {entry["value"]:.6g}{std}{true}')
     if recorded is not None and used is not None:
         lost = recorded - used
-        lines.append(f'{recorded} torque samples recorded, {used} used' + (f', {lost} lost or refused' if lost else ''))
+        lines.append(
+            f'{recorded} torque samples recorded, {used} used'
+            + (f', {lost} lost or refused' if lost else '')
+        )
     return '\n'.join(lines)

@@ -17,8 +17,13 @@ READERS_OF_TORQUE = 2
 START_PATIENCE_S = 60.0
 
 
-DEMO_CONSTANTS = {'torque_constant': 0.01, 'back_emf_constant': 0.01, 'speed_source': 'torque_constant'}
-"""What is known of the simulated motor: its defaults, stated; its speed follows the current, as in the thesis."""
+DEMO_CONSTANTS = {
+    'torque_constant': 0.01,
+    'back_emf_constant': 0.01,
+    'speed_source': 'torque_constant',
+}
+"""What is known of the simulated motor: its defaults, stated; its speed follows the current, as in
+the thesis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +48,16 @@ class Source:
 
 
 def simulator(
-    run: Path, params: Path | None, *, excitation: str, duration_s: float, seed: int, torque_noise: float
+    run: Path,
+    params: Path | None,
+    *,
+    excitation: str,
+    duration_s: float,
+    seed: int,
+    torque_noise: float,
 ) -> Source:
-    """The simulated motor of the thesis; without a parameter file the observer starts three times off.
+    """The simulated motor of the thesis; without a parameter file the observer starts three times
+    off.
 
     Args:
         run: folder for the files that it needs.
@@ -56,7 +68,9 @@ def simulator(
         torque_noise: as a fraction of the standard deviation of the torque.
     """
     truth = run / 'truth.yaml'
-    truth.write_text(yaml.safe_dump({'motors': {'motor': TRUTH}}, sort_keys=False), encoding='utf-8')
+    truth.write_text(
+        yaml.safe_dump({'motors': {'motor': TRUTH}}, sort_keys=False), encoding='utf-8'
+    )
     parameters = {
         'excitation': excitation,
         'duration_s': duration_s,
@@ -82,7 +96,8 @@ def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
     Args:
         run: folder for the files that it needs.
         params: the observer's parameter file, if it needs one.
-        bag: rosbag2 folder or bare MCAP file; a ``truth.yaml`` in or beside it holds the true parameters.
+        bag: rosbag2 folder or bare MCAP file; a ``truth.yaml`` in or beside it holds the true
+            parameters.
         rate: recorded seconds per second.
 
     Raises:
@@ -90,17 +105,23 @@ def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:
     """
     from gray_box_observer.bag.reader import BagReader
     from gray_box_observer.errors import BagError
-    from gray_box_observer.report.truth import find_truth
+    from gray_box_observer.report.run.truth import find_truth
 
     try:
         reader = BagReader(bag)
     except BagError as error:
         raise DemoError(str(error)) from error
-    topics = [name for name in reader.topics if not name.startswith('/gray_box_observer/') and name != '/diagnostics']
+    topics = [
+        name
+        for name in reader.topics
+        if not name.startswith('/gray_box_observer/') and name != '/diagnostics'
+    ]
     duration_s = reader.duration_ns * 1e-9 / rate
     reader.close()
     if not topics:
-        raise DemoError(f'{bag} holds nothing but what an observer said; expected voltage and torque')
+        raise DemoError(
+            f'{bag} holds nothing but what an observer said; expected voltage and torque'
+        )
     parameters = {
         'bag': str(bag.resolve()),
         'topics': topics,
@@ -128,5 +149,8 @@ def executable(package: str, name: str) -> Path:
 
 def write_parameters(path: Path, parameters: Mapping[str, Any]) -> Path:
     """Write a ROS parameter file that serves whichever node reads it."""
-    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}, sort_keys=False), encoding='utf-8')
+    path.write_text(
+        yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}}, sort_keys=False),
+        encoding='utf-8',
+    )
     return path

@@ -24,7 +24,8 @@ _READS_PER_UPDATE = 64
 class Watch:
     """Follows the estimates of a running observer, whatever its motors and parameters are called.
 
-    The topics keep their latest value only, so that reading them a few times a second misses nothing that counts.
+    The topics keep their latest value only, so that reading them a few times a second misses
+    nothing that counts.
 
     Attributes:
         estimates: Latest value in SI units by motor and parameter.
@@ -44,13 +45,18 @@ class Watch:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._subscribed: set[str] = set()
-        self._node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, DIAGNOSTICS.qos)
+        self._node.create_subscription(
+            DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, DIAGNOSTICS.qos
+        )
 
     def __enter__(self) -> Watch:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._executor.shutdown()
         self._node.destroy_node()
@@ -65,7 +71,9 @@ class Watch:
             self._executor.spin_once(timeout_sec=0.0)
 
     def samples_used(self) -> int | None:
-        """Torque samples that the observer says it has used, over all motors; None before it says so."""
+        """Torque samples that the observer says it has used, over all motors; None before it says
+        so.
+        """
         key = 'samples used'
         counts = [int(values[key]) for values in self.diagnostics.values() if key in values]
         return sum(counts) if counts else None
@@ -80,7 +88,9 @@ class Watch:
                 callback = partial(self._on_covariance, motor)
                 self._node.create_subscription(Float64MultiArray, topic, callback, LATCHED_QOS)
             elif leaf in TERMS and 'std_msgs/msg/Float64' in types:
-                self._node.create_subscription(Float64, topic, partial(self._on_value, motor, leaf), LATCHED_QOS)
+                self._node.create_subscription(
+                    Float64, topic, partial(self._on_value, motor, leaf), LATCHED_QOS
+                )
             self._subscribed.add(topic)
 
     def _on_value(self, motor: str, parameter: str, message: Float64) -> None:
@@ -92,7 +102,8 @@ class Watch:
             return
         variances = message.data[:: len(names) + 1]
         self.stds[motor] = {
-            name: math.sqrt(v) if v >= 0 else math.nan for name, v in zip(names, variances, strict=True)
+            name: math.sqrt(v) if v >= 0 else math.nan
+            for name, v in zip(names, variances, strict=True)
         }
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

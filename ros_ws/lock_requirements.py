@@ -1,9 +1,11 @@
-"""Write ``requirements/locked/``: every package that a set-up installs, with its version and the hashes of its files.
+"""Write ``requirements/locked/``: every package that a set-up installs, with its version and the
+hashes of its files.
 
     ros_ws/run.sh python ros_ws/lock_requirements.py [--upgrade]
 
-``uv`` (see CONTRIBUTING) resolves the pinned lists for every Python and platform that a set-up knows. Versions that are
-locked already stay, unless ``--upgrade`` asks for the newest. What no such machine could install is left out.
+``uv`` (see CONTRIBUTING) resolves the pinned lists for every Python and platform that a set-up
+knows. Versions that are locked already stay, unless ``--upgrade`` asks for the newest. What no such
+machine could install is left out.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ REQUIREMENTS = Path(__file__).resolve().parent / 'requirements'
 LOCKED = REQUIREMENTS / 'locked'
 PYTHONS = ('3.11', '3.12', '3.13')
 MACHINES = ('x86_64', 'aarch64')
-"""Of Linux. The wheels of ROS are for the first alone; a distribution of ROS may be on the second."""
+"""Of Linux. The wheels of ROS are for the first alone; a distribution of ROS may be on the second.
+"""
 ONLY_FOR_CUDA = re.compile(r'(nvidia|cuda|triton)\b.*')
 """What torch brings along where it is built for CUDA."""
 
@@ -60,8 +63,12 @@ class Package:
 
 def main() -> int:
     """Write every list; return the exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--upgrade', action='store_true', help='the newest version of what the pinned packages need')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--upgrade', action='store_true', help='the newest version of what the pinned packages need'
+    )
     options = parser.parse_args()
     if shutil.which('uv') is None:
         print('lock_requirements: error: uv is missing; CONTRIBUTING says which', file=sys.stderr)
@@ -71,7 +78,9 @@ def main() -> int:
         versions = Path(name) / 'versions.txt'
         versions.write_text('\n'.join(_pinned(pins)), encoding='utf-8')
         names = [f'{stem}.txt' for stem in ('ros', 'build', 'runtime', 'archive', 'dev', 'bench')]
-        packages = [p for p in map(_package, _resolve(names, versions, Path(name))) if p is not None]
+        packages = [
+            p for p in map(_package, _resolve(names, versions, Path(name))) if p is not None
+        ]
         versions.write_text('\n'.join(p.pin for p in packages), encoding='utf-8')
         needed = {
             stem: {p['name'] for p in _resolve(files, versions, Path(name))}
@@ -96,8 +105,24 @@ def _resolve(names: Sequence[str], versions: Path, folder: Path) -> list[Mapping
     """Return what these lists need, with every file of it, on whatever platform."""
     out = folder / 'pylock.toml'
     out.unlink(missing_ok=True)
-    command = ['uv', 'pip', 'compile', '--no-config', '--quiet', '--universal', '--python-version', PYTHONS[0]]
-    command += ['--format', 'pylock.toml', '--constraints', str(versions), '--output-file', str(out)]
+    command = [
+        'uv',
+        'pip',
+        'compile',
+        '--no-config',
+        '--quiet',
+        '--universal',
+        '--python-version',
+        PYTHONS[0],
+    ]
+    command += [
+        '--format',
+        'pylock.toml',
+        '--constraints',
+        str(versions),
+        '--output-file',
+        str(out),
+    ]
     subprocess.run([*command, *(str(REQUIREMENTS / name) for name in names)], check=True)
     packages: list[Mapping[str, Any]] = tomllib.loads(out.read_text(encoding='utf-8'))['packages']
     return packages
@@ -110,13 +135,18 @@ def _package(entry: Mapping[str, Any]) -> Package | None:
     needed = [place for place in places if marker.evaluate(_environment(*place))]
     if not needed:
         return None
-    wheels = {wheel['url'].rpartition('/')[2]: wheel['hashes']['sha256'] for wheel in entry.get('wheels', ())}
+    wheels = {
+        wheel['url'].rpartition('/')[2]: wheel['hashes']['sha256']
+        for wheel in entry.get('wheels', ())
+    }
     covered = {place: [name for name in wheels if _fits(name, *place)] for place in needed}
     hashes = {wheels[name] for names in covered.values() for name in names}
     if not all(covered.values()) and 'sdist' in entry:
         hashes.add(entry['sdist']['hashes']['sha256'])
     if not hashes:
-        raise SystemExit(f'lock_requirements: error: {entry["name"]} {entry["version"]} has no file for Linux')
+        raise SystemExit(
+            f'lock_requirements: error: {entry["name"]} {entry["version"]} has no file for Linux'
+        )
     condition = '' if needed == places else str(marker)
     return Package(entry['name'], entry['version'], condition, tuple(sorted(hashes)))
 
@@ -139,10 +169,16 @@ def _fits(wheel: str, python: str, machine: str) -> bool:
     """Whether a wheel can be installed there."""
     number = int(python.partition('.')[2])
     for tag in parse_wheel_filename(wheel)[3]:
-        of_platform = tag.platform == 'any' or ('linux' in tag.platform and tag.platform.endswith(machine))
+        of_platform = tag.platform == 'any' or (
+            'linux' in tag.platform and tag.platform.endswith(machine)
+        )
         if not of_platform or tag.platform.startswith('musl'):
             continue
-        if tag.interpreter in ('py3', f'py3{number}', f'cp3{number}') and tag.abi in ('none', 'abi3', f'cp3{number}'):
+        if tag.interpreter in ('py3', f'py3{number}', f'cp3{number}') and tag.abi in (
+            'none',
+            'abi3',
+            f'cp3{number}',
+        ):
             return True
         oldest = re.fullmatch(r'cp3(\d+)', tag.interpreter)
         if oldest and tag.abi == 'abi3' and int(oldest[1]) <= number:
@@ -150,7 +186,9 @@ def _fits(wheel: str, python: str, machine: str) -> bool:
     return False
 
 
-def _groups(packages: Iterable[Package], needed: Mapping[str, set[str]]) -> dict[str, list[Package]]:
+def _groups(
+    packages: Iterable[Package], needed: Mapping[str, set[str]]
+) -> dict[str, list[Package]]:
     """Sort the packages by what they are installed for; each is in one group."""
     groups: dict[str, list[Package]] = {stem: [] for stem in ('torch', 'cuda', *needed)}
     for package in packages:

@@ -1,11 +1,12 @@
-"""Writes the forms of the declared motor: ``forms.py`` for numbers, arrays and tensors, ``forms.h`` for compiled code.
+"""Writes the forms of the declared motor: ``forms.py`` for numbers, arrays and tensors, ``forms.h``
+for compiled code.
 
     make physics        # ros_ws/run.sh python ros_ws/make_forms.py [--check]
 
-sympy differentiates the formulas of ``white_box/declaration.py``. What is no formula but a function of
-``white_box/flow.py``, such as the rate and a Runge-Kutta step, is run once with :class:`written_c.Written` in place of
-numbers, which writes down what it computes. Both files are committed, so that nothing but this needs sympy; a test
-fails until they are what this writes.
+sympy differentiates the formulas of ``white_box/declaration.py``. What is no formula but a function
+of ``white_box/flow.py``, such as the rate and a Runge-Kutta step, is run once with
+:class:`written_c.Written` in place of numbers, which writes down what it computes. Both files are
+committed, so that nothing but this needs sympy; a test fails until they are what this writes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from written_c import Loop, Written, braces, plain, sign, statements
 
 from gray_box_observer.white_box import declaration, flow
 from gray_box_observer.white_box.balance import Balance, Form
-from gray_box_observer.white_box.declaration import COMPILED, CONSTANTS, DRIVES, SIGNALS, TERMS, State
+from gray_box_observer.white_box.declaration import (
+    COMPILED,
+    CONSTANTS,
+    DRIVES,
+    SIGNALS,
+    TERMS,
+    State,
+)
 
 WHITE_BOX = Path(declaration.__file__).resolve().parent
 
@@ -41,7 +49,9 @@ NUMBER = 'number '
 
 Expression = Any
 
-SYMBOLS: dict[str, Expression] = {name: sympy.Symbol(name, real=True) for name in ('voltage', 'torque', *ARGUMENTS)}
+SYMBOLS: dict[str, Expression] = {
+    name: sympy.Symbol(name, real=True) for name in ('voltage', 'torque', *ARGUMENTS)
+}
 
 
 class _Printer(PythonCodePrinter):  # type: ignore[misc]
@@ -55,14 +65,18 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
 
 def parsed(formula: str) -> Expression:
-    """Turn a formula into an expression, in which symbols stand for fractions: these stay as they are written."""
+    """Turn a formula into an expression, in which symbols stand for fractions: these stay as they
+    are written.
+    """
     expression = sympy.sympify(formula, locals=SYMBOLS)
     strange = expression.free_symbols - set(SYMBOLS.values())
     if strange:
         known = ', '.join(SYMBOLS)
         raise SystemExit(f'make_forms: error: {formula!r} names {strange.pop()}; there are {known}')
     numbers = expression.atoms(sympy.Float)
-    return expression.xreplace({n: sympy.Symbol(f'{NUMBER}{float(n)!r}', positive=True) for n in numbers})
+    return expression.xreplace(
+        {n: sympy.Symbol(f'{NUMBER}{float(n)!r}', positive=True) for n in numbers}
+    )
 
 
 def derivative(expression: Expression, by: str) -> Expression:
@@ -75,7 +89,9 @@ def derivative(expression: Expression, by: str) -> Expression:
 
 def following(expression: Expression) -> Expression:
     """Differentiate by the current where the speed follows it."""
-    through = derivative(parsed(declaration.FOLLOWING_SPEED), CURRENT) * derivative(expression, FOLLOWING)
+    through = derivative(parsed(declaration.FOLLOWING_SPEED), CURRENT) * derivative(
+        expression, FOLLOWING
+    )
     return derivative(expression, CURRENT) + through
 
 
@@ -99,11 +115,22 @@ def in_python(expression: Expression) -> str:
 
 def python_forms(fingerprint: int) -> str:
     """Return the text of ``forms.py``."""
-    lines = ['"""Forms of the motor for numbers, arrays and tensors.', '', HEAD, '"""', '# fmt: off', '']
+    lines = [
+        '"""Forms of the motor for numbers, arrays and tensors.',
+        '',
+        HEAD,
+        '"""',
+        '# fmt: off',
+        '',
+    ]
     lines += ['from __future__ import annotations', '', 'from typing import Any', '']
     lines += ['from gray_box_observer.white_box.balance import Form, sign']
     lines += ['from gray_box_observer.white_box.declaration import State', '']
-    lines += [f'FINGERPRINT = {fingerprint}', '"""Of the compiled forms that were written with these."""', '']
+    lines += [
+        f'FINGERPRINT = {fingerprint}',
+        '"""Of the compiled forms that were written with these."""',
+        '',
+    ]
     lines += ['EFFECTS: dict[str, Form] = {']
     for name, term in TERMS.items():
         lines += _form(f"'{name}'", ARGUMENTS, term.formula) if term.formula else []
@@ -125,9 +152,17 @@ def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
     head = f'lambda {", ".join(arguments)}: '
     value = in_python(expression)
     value += f' + 0.0 * {CURRENT}' if expression.is_number else ''  # one for every sample
-    slopes = ',\n         '.join(head + in_python(derivative(expression, signal)) for signal in SIGNALS)
+    slopes = ',\n         '.join(
+        head + in_python(derivative(expression, signal)) for signal in SIGNALS
+    )
     total = in_python(following(expression))
-    return [f'    {key}: Form(', f'        {head}{value},', f'        ({slopes}),', f'        {head}{total},', '    ),']
+    return [
+        f'    {key}: Form(',
+        f'        {head}{value},',
+        f'        ({slopes}),',
+        f'        {head}{total},',
+        '    ),',
+    ]
 
 
 # --- for compiled code
@@ -146,7 +181,9 @@ class _List:
 
 
 class _WhiteBox:
-    """A motor of whatever terms: the balances are those of every motor, with terms that stand in loops."""
+    """A motor of whatever terms: the balances are those of every motor, with terms that stand in
+    loops.
+    """
 
     def balances(self, signal: Written) -> list[Balance]:
         """Return the balance of every state."""
@@ -182,12 +219,16 @@ def _drive(formula: str) -> Form | None:
         return None
     value, *slopes = [parsed(formula), *(derivative(parsed(formula), signal) for signal in SIGNALS)]
     total = following(parsed(formula))
-    functions = [_function(('voltage', *ARGUMENTS), expression) for expression in (value, *slopes, total)]
+    functions = [
+        _function(('voltage', *ARGUMENTS), expression) for expression in (value, *slopes, total)
+    ]
     return Form(functions[0], tuple(functions[1:-1]), functions[-1])
 
 
 def _function(names: Sequence[str], expression: Expression) -> Callable[..., Any]:
-    """Return a function that works out an expression, of numbers as well as of what is written down."""
+    """Return a function that works out an expression, of numbers as well as of what is written
+    down.
+    """
     numbers = sorted((s for s in expression.free_symbols if str(s).startswith(NUMBER)), key=str)
     arguments = [*(SYMBOLS[name] for name in names), *numbers]
     made = sympy.lambdify(arguments, expression, [{'sign': sign}], _Printer, dummify=True)
@@ -203,7 +244,9 @@ def in_c(expression: Expression) -> str:
 
 def c_forms() -> str:
     """Return the text of ``forms.h`` but for its fingerprint."""
-    compiled = {name: term for name, term in TERMS.items() if term.formula and term.state in COMPILED}
+    compiled = {
+        name: term for name, term in TERMS.items() if term.formula and term.state in COMPILED
+    }
     effects = {name.upper(): parsed(term.formula) for name, term in compiled.items()}
     lines = [f'enum {{ {", ".join([*(state.name for state in COMPILED), "STATES"])} }};']
     lines += [f'enum {{ {", ".join(name.upper() for name in TERMS)} }};', '']
@@ -212,18 +255,41 @@ def c_forms() -> str:
     lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
     for name, argument, expression, description in relations():
         lines += [f'/* {description} */']
-        lines += [f'INLINE Real {name}(Real {argument}, Real torque_constant) {{ return {in_c(expression)}; }}', '']
+        lines += [
+            f'INLINE Real {name}(Real {argument}, Real torque_constant) '
+            f'{{ return {in_c(expression)}; }}',
+            '',
+        ]
     lines += ['/* A term for a coefficient of one, and its derivatives. */']
-    lines += [f'INLINE Term term(int64_t code, int speed_measured, {", ".join(f"Real {name}" for name in ARGUMENTS)})']
+    lines += [
+        'INLINE Term term(int64_t code, int speed_measured, '
+        f'{", ".join(f"Real {name}" for name in ARGUMENTS)})'
+    ]
     cases = [line for name, effect in effects.items() for line in _case(name, effect)]
-    body = ['Term t = {{0}, {{0}}};', 'switch (code) {', *cases, 'default: break;', '}', 'return t;']
+    body = [
+        'Term t = {{0}, {{0}}};',
+        'switch (code) {',
+        *cases,
+        'default: break;',
+        '}',
+        'return t;',
+    ]
     lines += [*braces(body), '', '/* Rates of the states and their derivatives: flow.py, rate. */']
     lines += ['INLINE Linear rate_of(']
-    lines += ['    const Physics *box, const Terms of, const Real *state, Real voltage, Real measured)']
+    lines += [
+        '    const Physics *box, const Terms of, const Real *state, Real voltage, Real measured)'
+    ]
     lines += [*braces(['Linear linear;', *_signals(), *_rate(), 'return linear;']), '']
     lines += ['/* flow.py, runge_kutta_step. */', 'INLINE Linear runge_kutta_step(']
-    lines += ['    const Physics *box, const Terms of, const Real *start, const Linear *here, const Interval *over)']
-    lines += [*braces(['Linear linear;', *_runge_kutta_step(), 'return linear;']), '', '/* flow.py, joined. */']
+    lines += [
+        '    const Physics *box, const Terms of, const Real *start, const Linear *here, const '
+        'Interval *over)'
+    ]
+    lines += [
+        *braces(['Linear linear;', *_runge_kutta_step(), 'return linear;']),
+        '',
+        '/* flow.py, joined. */',
+    ]
     lines += ['INLINE Linear joined(const Terms of, const Linear *first, const Linear *then)']
     return '\n'.join([*lines, *braces(['Linear linear;', *_joined(), 'return linear;'])])
 
@@ -255,14 +321,17 @@ def _rate() -> list[str]:
 
 
 def _runge_kutta_step() -> list[str]:
-    interval = flow.Interval(*(Written(f'over->{name}') for name in ('voltage', 'speed', 'end_speed', 'length')))  # type: ignore[arg-type]
+    names = ('voltage', 'speed', 'end_speed', 'length')
+    interval = flow.Interval(*(Written(f'over->{name}') for name in names))  # type: ignore[arg-type]
     number = iter(range(2, 5))
 
     def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
         name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in COMPILED)
         call = f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, {{{len(COMPILED)}}});'
         made = Written(name, (*states, speed), declared=call)
-        return _linear('{0}.').mapped(lambda member: Written(member.text, (made,), every=member.every))
+        return _linear('{0}.').mapped(
+            lambda member: Written(member.text, (made,), every=member.every)
+        )
 
     start = [Written(f'start[{state.name}]') for state in COMPILED]
     return _stored(flow.runge_kutta_step(rate_at, start, _linear('here->'), interval), ['j'])
@@ -286,10 +355,15 @@ def _stored(linear: flow.Linear, places: Sequence[int | str]) -> list[str]:
     results = []
     for s in COMPILED:
         results += [(f'linear.value[{s.name}]', linear.value[s])]
-        results += [(f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in COMPILED]
+        results += [
+            (f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in COMPILED
+        ]
         forced = linear.by_coordinate[s]
         entries = forced if isinstance(forced, list) else [forced]
-        results += [(f'linear.by_coordinate[{s.name}][{p}]', slope) for p, slope in zip(places, entries, strict=True)]
+        results += [
+            (f'linear.by_coordinate[{s.name}][{p}]', slope)
+            for p, slope in zip(places, entries, strict=True)
+        ]
     return statements(results)
 
 
@@ -301,19 +375,31 @@ def forms() -> dict[Path, str]:
     lines = ['/* Forms of the motor for compiled code, LANES motors at a time.', f' * {HEAD} */']
     lines += [f'#ifndef {guard}', f'#define {guard}', '', '#include "white_box/lanes.h"', '']
     lines += [f'#define FORMS_FINGERPRINT {fingerprint}', '', body, '', '#endif', '']
-    return {WHITE_BOX / 'forms.py': python_forms(fingerprint), WHITE_BOX / 'forms.h': '\n'.join(lines)}
+    return {
+        WHITE_BOX / 'forms.py': python_forms(fingerprint),
+        WHITE_BOX / 'forms.h': '\n'.join(lines),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the files, or say which differs."""
-    parser = argparse.ArgumentParser(prog='make_forms', description=(__doc__ or '').split('\n', 1)[0])
-    parser.add_argument('--check', action='store_true', help='write nothing; fail if a file is not what it should be')
+    parser = argparse.ArgumentParser(
+        prog='make_forms', description=(__doc__ or '').split('\n', 1)[0]
+    )
+    parser.add_argument(
+        '--check',
+        action='store_true',
+        help='write nothing; fail if a file is not what it should be',
+    )
     options = parser.parse_args(arguments)
     for path, text in forms().items():
         if not options.check:
             path.write_text(text, encoding='utf-8')
         elif path.read_text(encoding='utf-8') != text:
-            print(f'make_forms: error: {path.name} is not what is declared; run make physics', file=sys.stderr)
+            print(
+                f'make_forms: error: {path.name} is not what is declared; run make physics',
+                file=sys.stderr,
+            )
             return 1
     return 0
 

@@ -241,7 +241,7 @@ build() {
         "$venv/bin/python" -c 'import sys; from colcon_core.command import main; sys.exit(main())' \
             build --base-paths src --symlink-install
     ) || fail 'colcon could not build the workspace; its message is above, its logs are in ros_ws/log'
-    compgen -G "$root/src/gray_box_observer/gray_box_observer/context_nodes/_compiled.*.so" >/dev/null \
+    compgen -G "$root/src/gray_box_observer/gray_box_observer/context_nodes/native/_compiled.*.so" >/dev/null \
         || say 'no C compiler was found, or it failed (ros_ws/log): everything works, learning a sample costs ten times as much'
     printf '%s\n' "$wanted" >"$stamp"
 }

@@ -1,6 +1,8 @@
-"""Stands in for numbers in a function and writes down in C what the function computes, operation by operation.
+"""Stands in for numbers in a function and writes down in C what the function computes, operation by
+operation.
 
-A number that there is one of for every term or coordinate is written inside a loop. What is used twice gets a name.
+A number that there is one of for every term or coordinate is written inside a loop. What is used
+twice gets a name.
 """
 
 from __future__ import annotations
@@ -49,7 +51,11 @@ class Written:
     def __sub__(self, other: Any) -> Written:
         """Deduct; what there is one of for every term is deducted for every term."""
         other = written(other)
-        return Written('-=', (self, other)) if other.every and not self.every else _computed('-', self, other)
+        return (
+            Written('-=', (self, other))
+            if other.every and not self.every
+            else _computed('-', self, other)
+        )
 
     def __mul__(self, other: Any) -> Written:
         return _computed('*', self, other)
@@ -112,7 +118,9 @@ def braces(lines: list[str]) -> list[str]:
 def _wrapped(line: str) -> list[str]:
     words = line.lstrip()
     indent = line[: len(line) - len(words)]
-    form = TextWrapper(100, initial_indent=indent, subsequent_indent=f'{indent}    ', break_long_words=False)
+    form = TextWrapper(
+        100, initial_indent=indent, subsequent_indent=f'{indent}    ', break_long_words=False
+    )
     return form.wrap(words)
 
 
@@ -151,7 +159,9 @@ class _Statements:
             self._prepare(operand, lines if operand.every else self.lines)
         if node.declared:
             self._names[node] = node.text
-            lines.append(node.declared.format(*(_text(operand, self._names) for operand in node.operands)))
+            lines.append(
+                node.declared.format(*(_text(operand, self._names) for operand in node.operands))
+            )
         elif node.text in BINDING and self._uses[node] > 1:
             text = _text(node, self._names)
             lines.append(f'const Real {self._named(node)} = {text};')
@@ -159,7 +169,9 @@ class _Statements:
     def _deduct(self, loop: Loop | None) -> None:
         """Write a loop, with all that is deducted or stored in it."""
         assert loop is not None
-        parts = [node for node in self._uses if node.text == '-=' and node.operands[1].every == loop]
+        parts = [
+            node for node in self._uses if node.text == '-=' and node.operands[1].every == loop
+        ]
         for node in parts:
             self._prepare(node.operands[0], self.lines)
         body = [loop.first] if loop.first else []

@@ -1,4 +1,6 @@
-"""What tests of real nodes share: a domain of their own, the test's own node in it, and the processes it starts."""
+"""What tests of real nodes share: a domain of their own, the test's own node in it, and the
+processes it starts.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from rclpy.qos import QoSProfile
 TIMEOUT_S = 120.0
 ASK_AGAIN_S = 15.0
 DOMAINS = itertools.cycle(random.sample(range(1, 102), 101))
-"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet ephemeral ones."""
+"""In random order, so that test processes side by side rarely meet; above 101 the ports of DDS meet
+ephemeral ones."""
 
 
 def _free_domain() -> int:
@@ -38,9 +41,11 @@ def _free_domain() -> int:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let a test on real DDS be tried once more where its process ended, and only there: a test that fails, fails.
+    """Let a test on real DDS be tried once more where its process ended, and only there: a test
+    that fails, fails.
 
-    Fast DDS has died of a segmentation fault while a participant was being deleted. The run tells of it (``rerun``).
+    Fast DDS has died of a segmentation fault while a participant was being deleted. The run tells
+    of it (``rerun``).
     """
     if not config.pluginmanager.hasplugin('rerunfailures'):
         return
@@ -62,7 +67,9 @@ class Peer:
         self._running: list[subprocess.Popen[str]] = []
 
     def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen[str]:
-        """Start a module or a script; ``motor__resistance=2.0`` sets its parameter ``motor.resistance``."""
+        """Start a module or a script; ``motor__resistance=2.0`` sets its parameter
+        ``motor.resistance``.
+        """
         program = [module] if module.endswith('.py') else ['-m', module]
         command = [sys.executable, *program, *arguments]
         if parameters and '--ros-args' not in arguments:
@@ -71,12 +78,19 @@ class Peer:
             command += ['-p', f'{name.replace("__", ".")}:={value}']
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(self.domain)}
         process = subprocess.Popen(
-            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
         self._running.append(process)
         return process
 
-    def wait(self, condition: Callable[[], object], what: str, timeout_s: float = TIMEOUT_S) -> None:
+    def wait(
+        self, condition: Callable[[], object], what: str, timeout_s: float = TIMEOUT_S
+    ) -> None:
         """Spin until the condition holds; fail after a time-out."""
         until_s = time.monotonic() + timeout_s
         while not condition():
@@ -98,8 +112,8 @@ class Peer:
     def call(self, kind: type, service: str, request: Any = None) -> Any:
         """Call a service, once it is there, and return its answer.
 
-        A server that has not yet discovered the client's reader of answers loses its answer (rmw_fastrtps issue 842).
-        The request is sent again where no answer comes.
+        A server that has not yet discovered the client's reader of answers loses its answer
+        (rmw_fastrtps issue 842). The request is sent again where no answer comes.
         """
         client = self.node.create_client(kind, service)
         self.wait(client.service_is_ready, f'the service {service}')
@@ -117,7 +131,9 @@ class Peer:
         self.node.destroy_client(client)
         return next(future for future in futures if future.done()).result()
 
-    def end(self, process: subprocess.Popen[str], number: int | None = signal.SIGINT) -> tuple[int, str, str]:
+    def end(
+        self, process: subprocess.Popen[str], number: int | None = signal.SIGINT
+    ) -> tuple[int, str, str]:
         """Signal a process if asked to and wait for its end while spinning.
 
         Returns:

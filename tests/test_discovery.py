@@ -1,4 +1,6 @@
-"""Everything that this repository starts stays on this host, unless the user has said anything about discovery."""
+"""Everything that this repository starts stays on this host, unless the user has said anything
+about discovery.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,9 @@ module.main(['name', *sys.argv[2:]] if 'gray_box' in sys.argv[1] else sys.argv[2
 
 NODES = {
     'dc_motor_sim.ros.motor_sim': (),
-    'gray_box_observer.ros.observer_node': (),
-    'gray_box_observer.ros.recorder_node': (),
-    'gray_box_observer.ros.player_node': ('some_bag',),
+    'gray_box_observer.ros.observer.observer_node': (),
+    'gray_box_observer.ros.bags.recorder_node': (),
+    'gray_box_observer.ros.bags.player_node': ('some_bag',),
 }
 
 
@@ -51,7 +53,9 @@ def range_of(module: str, arguments: tuple[str, ...], **variables: str) -> str:
 
 
 @pytest.mark.parametrize(('module', 'arguments'), NODES.items(), ids=NODES)
-def test_an_executable_stays_on_this_host_unless_told_otherwise(module: str, arguments: tuple[str, ...]):
+def test_an_executable_stays_on_this_host_unless_told_otherwise(
+    module: str, arguments: tuple[str, ...]
+):
     assert range_of(module, arguments) == 'LOCALHOST'
     assert range_of(module, arguments, **{RANGE: 'SUBNET'}) == 'SUBNET'
 

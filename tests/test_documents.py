@@ -9,7 +9,7 @@ import pytest
 
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
-from gray_box_observer.report.verdicts import look_of
+from gray_box_observer.report.run.verdict_words import look_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob('*.md'), *(ROOT / 'docs').glob('*.md')])
@@ -19,7 +19,9 @@ LINK = re.compile(r'\[[^]]*\]\(([^)\s]+)\)')
 def anchors(page: Path) -> set[str]:
     """What headings of a page are called in a link."""
     headings = re.findall(r'^#+ (.+)$', page.read_text(encoding='utf-8'), re.MULTILINE)
-    return {re.sub(r'[^\w\- ]', '', heading).strip().lower().replace(' ', '-') for heading in headings}
+    return {
+        re.sub(r'[^\w\- ]', '', heading).strip().lower().replace(' ', '-') for heading in headings
+    }
 
 
 @pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
@@ -40,7 +42,11 @@ def test_every_page_can_be_reached_from_the_readme():
         if page in reached or page.suffix != '.md':
             continue
         reached.add(page)
-        links = [link.partition('#')[0] for link in LINK.findall(page.read_text(encoding='utf-8')) if '://' not in link]
+        links = [
+            link.partition('#')[0]
+            for link in LINK.findall(page.read_text(encoding='utf-8'))
+            if '://' not in link
+        ]
         waiting += [(page.parent / link).resolve() for link in links if link]
     assert set(PAGES) <= reached
 

@@ -1,6 +1,7 @@
 """Launch files start executables, parameters and arguments that exist.
 
-``launch`` has no wheels: small stand-ins with its signatures take its place; the real one is tried where there is one.
+``launch`` has no wheels: small stand-ins with its signatures take its place; the real one is tried
+where there is one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros.parameters import NodeParameters
-from gray_box_observer import configuration
+from gray_box_observer.settings import configuration
 
 ROOT = Path(__file__).resolve().parent.parent
 LAUNCH_FILES = sorted((ROOT / 'src').glob('*/launch/*.launch.py'))
@@ -130,17 +131,23 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-def launched(path: Path, /, environment: dict[str, str] | None = None, **arguments: str) -> tuple[dict, list[Node]]:
+def launched(
+    path: Path, /, environment: dict[str, str] | None = None, **arguments: str
+) -> tuple[dict, list[Node]]:
     """Declared arguments with their defaults, and the nodes that come of them."""
     entities = load(path).generate_launch_description().entities
-    assert {type(e) for e in entities} == {DeclareLaunchArgument, OpaqueFunction}, 'nothing else may be in the file'
+    assert {type(e) for e in entities} == {DeclareLaunchArgument, OpaqueFunction}, (
+        'nothing else may be in the file'
+    )
     declared = {e.name: e.default_value for e in entities if isinstance(e, DeclareLaunchArgument)}
     context = LaunchContext({**declared, **arguments}, environment or {})
     nodes = []
     for entity in entities:
         if isinstance(entity, OpaqueFunction):
             nodes += entity.function(context)
-    for value in (v for node in nodes for p in node.parameters if isinstance(p, dict) for v in p.values()):
+    for value in (
+        v for node in nodes for p in node.parameters if isinstance(p, dict) for v in p.values()
+    ):
         if isinstance(value, ParameterValue) and isinstance(value.value, LaunchConfiguration):
             value.value_type(value.value.perform(context))
     return declared, nodes
@@ -177,7 +184,9 @@ def test_every_parameter_that_is_set_is_one_that_the_node_declares(path: Path):
         | {f'motor.{spec.name}' for spec in configuration.MOTOR_PARAMETERS},
     }
     for node in (n for n in nodes if n.executable in known):
-        assert {name for parameters in node.parameters for name in parameters} <= known[node.executable]
+        assert {name for parameters in node.parameters for name in parameters} <= known[
+            node.executable
+        ]
 
 
 @pytest.mark.usefixtures('stand_ins')
@@ -193,23 +202,32 @@ def test_a_parameter_file_comes_before_the_arguments_that_win_over_it(path: Path
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
 def test_a_parameter_file_that_is_not_there_is_refused_by_name(path: Path):
-    with pytest.raises(Exception, match=r'^params_file: .*nowhere\.yaml: cannot be read: No such file or directory$'):
+    with pytest.raises(
+        Exception,
+        match=r'^params_file: .*nowhere\.yaml: cannot be read: No such file or directory$',
+    ):
         launched(path, params_file='nowhere.yaml')
 
 
 @pytest.mark.usefixtures('stand_ins')
-@pytest.mark.parametrize(('path', 'name'), [(DEMO, 'duration'), (SIMULATOR, 'duration'), (SIMULATOR, 'seed')])
+@pytest.mark.parametrize(
+    ('path', 'name'), [(DEMO, 'duration'), (SIMULATOR, 'duration'), (SIMULATOR, 'seed')]
+)
 def test_a_number_that_is_none_is_refused_by_name(path: Path, name: str):
     with pytest.raises(Exception, match=rf"^{name} is 'abc'; expected a (whole )?number$"):
         launched(path, **{name: 'abc'})
     _, nodes = launched(path, **{name: '7'})
-    (given,) = [p[key] for n in nodes for p in n.parameters for key in p if key in (name, f'{name}_s')]
+    (given,) = [
+        p[key] for n in nodes for p in n.parameters for key in p if key in (name, f'{name}_s')
+    ]
     assert given == 7
 
 
 @pytest.mark.usefixtures('stand_ins')
 def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
-    """``launch_ros`` ends with an error where a managed node is launched and a second end is asked for."""
+    """``launch_ros`` ends with an error where a managed node is launched and a second end is asked
+    for.
+    """
     _, nodes = launched(DEMO)
     assert {n.executable: (type(n), type(n.on_exit)) for n in nodes} == dict.fromkeys(
         ('observer', 'recorder', 'motor_sim'), (Node, Shutdown)
@@ -217,7 +235,9 @@ def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
 
 
 @pytest.mark.usefixtures('stand_ins')
-def test_a_second_demo_in_the_same_folder_has_a_bag_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_second_demo_in_the_same_folder_has_a_bag_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.chdir(tmp_path)
 
     def bag(**arguments: str) -> str:
@@ -231,7 +251,8 @@ def test_a_second_demo_in_the_same_folder_has_a_bag_of_its_own(tmp_path: Path, m
     assert bag() == 'demo_bag_3'
     assert bag(output='yours') == 'yours'
     with pytest.raises(
-        Exception, match=r'^output: mine is there already; expected a new folder, or no word of output$'
+        Exception,
+        match=r'^output: mine is there already; expected a new folder, or no word of output$',
     ):
         bag(output='mine')
 
@@ -242,7 +263,9 @@ def test_the_demo_takes_a_namespace_and_a_parameter_file_for_all_of_its_nodes(tm
     mine.write_text('/**: {ros__parameters: {motors: [left, right]}}')
     _, nodes = launched(DEMO, params_file=str(mine))
     assert [node.parameters[0] for node in nodes] == [str(mine)] * 3
-    assert not any(key.startswith('motor.') for node in nodes for p in node.parameters[1:] for key in p)
+    assert not any(
+        key.startswith('motor.') for node in nodes for p in node.parameters[1:] for key in p
+    )
     assert all(node.namespace.name == 'namespace' for node in nodes)
 
 
@@ -252,7 +275,9 @@ def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: P
     """A variable of the launch itself would cut off whatever an including file launches afterwards."""
     environment = {'HOME': '/home'}
     _, nodes = launched(path, environment)
-    assert [node.additional_env for node in nodes] == [{'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}] * len(nodes)
+    assert [node.additional_env for node in nodes] == [
+        {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    ] * len(nodes)
     assert environment == {'HOME': '/home'}
     _, nodes = launched(path, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'})
     assert [node.additional_env for node in nodes] == [{}] * len(nodes)

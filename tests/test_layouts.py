@@ -1,4 +1,6 @@
-"""Every topic, field and key in the layouts of Foxglove and PlotJuggler is one that the nodes really publish."""
+"""Every topic, field and key in the layouts of Foxglove and PlotJuggler is one that the nodes
+really publish.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +14,9 @@ from typing import Any
 import pytest
 from sensor_msgs.msg import JointState
 
-from gray_box_observer.parameters import MOTOR_PARAMETERS
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.message_types import message_class
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYOUTS = ROOT / 'src' / 'gray_box_observer' / 'layouts'
@@ -25,7 +27,9 @@ MOTOR = 'motor'
 NODE = 'gray_box_observer'
 CONTEXT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
 
-STEP = re.compile(r'\.(?P<field>\w+)|\[(?P<index>\d+|:)\]|\{(?P<key>\w+)=="(?P<value>[^"]*)"\}|\.@(?P<function>\w+)')
+STEP = re.compile(
+    r'\.(?P<field>\w+)|\[(?P<index>\d+|:)\]|\{(?P<key>\w+)=="(?P<value>[^"]*)"\}|\.@(?P<function>\w+)'
+)
 """Steps of Foxglove's message paths that the layout uses."""
 
 FUNCTIONS = {'sqrt'}
@@ -65,12 +69,20 @@ def foxglove_path(text: str) -> LayoutPath:
         if step['key'] is not None:
             steps.append((f'key {step["key"]}', step['value']))
         else:
-            steps.append(next((kind, step[kind]) for kind in ('field', 'index', 'function') if step[kind] is not None))
+            steps.append(
+                next(
+                    (kind, step[kind])
+                    for kind in ('field', 'index', 'function')
+                    if step[kind] is not None
+                )
+            )
     return LayoutPath(topic, tuple(steps))
 
 
 def plotjuggler_path(text: str) -> LayoutPath:
-    """Split `/topic/field[0]`, or `/topic/joint/field` as PlotJuggler calls the values of a JointState."""
+    """Split `/topic/field[0]`, or `/topic/joint/field` as PlotJuggler calls the values of a
+    JointState.
+    """
     topic = max((name for name in DECLARED if text.startswith(f'{name}/')), key=len, default='')
     assert topic, f'{text}: no such topic'
     rest = text.removeprefix(f'{topic}/')
@@ -93,7 +105,9 @@ def plotjuggler_paths() -> list[str]:
     computed = {snippet.attrib['name'] for snippet in PLOTJUGGLER.iter('snippet')}
     curves = [curve.attrib['name'] for curve in PLOTJUGGLER.iter('curve')]
     assert computed <= set(curves), 'computed but never shown'
-    return [c for c in curves if c not in computed] + [e.text or '' for e in PLOTJUGGLER.iter('linked_source')]
+    return [c for c in curves if c not in computed] + [
+        e.text or '' for e in PLOTJUGGLER.iter('linked_source')
+    ]
 
 
 PATHS = [*map(foxglove_path, foxglove_paths()), *map(plotjuggler_path, plotjuggler_paths())]
@@ -138,15 +152,23 @@ def values_at(path: LayoutPath, message: Any) -> list[Any]:
             values = [getattr(entry, value) for entry in values]
         elif step == 'index':
             values = [
-                one for entry in values for one in (entry if value == ':' else entry[int(value) : int(value) + 1])
+                one
+                for entry in values
+                for one in (entry if value == ':' else entry[int(value) : int(value) + 1])
             ]
         elif step.startswith('key '):
-            values = [entry for entry in values if getattr(entry, step.removeprefix('key ')) == value]
+            values = [
+                entry for entry in values if getattr(entry, step.removeprefix('key ')) == value
+            ]
     return values
 
 
 def test_the_check_finds_a_path_that_leads_nowhere():
-    for wrong in ('/motor/voltage.efort[0]', '/motor/voltage.effort.x', '/motor/torque.name[0].@sqrt'):
+    for wrong in (
+        '/motor/voltage.efort[0]',
+        '/motor/voltage.effort.x',
+        '/motor/torque.name[0].@sqrt',
+    ):
         with pytest.raises((AssertionError, KeyError)):
             final_type(foxglove_path(wrong))
     with pytest.raises(AssertionError, match='no such topic'):
@@ -182,29 +204,48 @@ def test_foxglove_takes_header_stamps_only_where_there_is_a_header():
 
 def test_plotjuggler_subscribes_to_exactly_what_it_draws():
     selected = PLOTJUGGLER.find('Plugins/plugin[@ID="ROS2 Topic Subscriber"]/selected_topics')
-    assert set(selected.attrib['value'].split(';')) == {plotjuggler_path(p).topic for p in plotjuggler_paths()}
+    assert set(selected.attrib['value'].split(';')) == {
+        plotjuggler_path(p).topic for p in plotjuggler_paths()
+    }
 
 
 def test_plotjuggler_counts_its_panes_right():
     for splitter in PLOTJUGGLER.iter('DockSplitter'):
-        assert len(splitter) == int(splitter.attrib['count']) == len(splitter.attrib['sizes'].split(';'))
+        assert (
+            len(splitter)
+            == int(splitter.attrib['count'])
+            == len(splitter.attrib['sizes'].split(';'))
+        )
 
 
 def test_what_is_drawn_is_recorded_without_being_asked_for():
     for path in PATHS:
-        assert path.topic in ('/motor/voltage', '/motor/torque', '/diagnostics') or path.topic.startswith(f'/{NODE}/')
+        assert path.topic in (
+            '/motor/voltage',
+            '/motor/torque',
+            '/diagnostics',
+        ) or path.topic.startswith(f'/{NODE}/')
 
 
 @pytest.mark.system
 def test_every_path_leads_to_a_value_in_what_the_nodes_publish(peer: Any):
-    heard = {name: peer.listen(DECLARED[name].type, name, DECLARED[name].qos) for name in {p.topic for p in PATHS}}
-    peer.start('gray_box_observer.ros.observer_node')
+    heard = {
+        name: peer.listen(DECLARED[name].type, name, DECLARED[name].qos)
+        for name in {p.topic for p in PATHS}
+    }
+    peer.start('gray_box_observer.ros.observer.observer_node')
     peer.start('dc_motor_sim.ros.motor_sim', wait_for_subscribers=2)
 
     def missing() -> list[LayoutPath]:
-        return [path for path in PATHS if not any(values_at(path, message) for message in heard[path.topic][-3:])]
+        return [
+            path
+            for path in PATHS
+            if not any(values_at(path, message) for message in heard[path.topic][-3:])
+        ]
 
     try:
         peer.wait(lambda: not missing(), 'every path to lead to a value')
     except AssertionError:
-        raise AssertionError(f'nothing at {missing()}; heard { ({k: len(v) for k, v in heard.items()}) }') from None
+        raise AssertionError(
+            f'nothing at {missing()}; heard { ({k: len(v) for k, v in heard.items()}) }'
+        ) from None

@@ -1,4 +1,6 @@
-"""The packages are what their descriptions say: manifests, entry points, installed files, dependencies, borders."""
+"""The packages are what their descriptions say: manifests, entry points, installed files,
+dependencies, borders.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,17 @@ PACKAGES = ('dc_motor_sim', 'gray_box_observer')
 ROSDEP_KEYS = {'numpy': 'python3-numpy', 'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 WITHOUT_ROSDEP_KEY = {
     name: name
-    for name in ('torch', 'safetensors', 'mcap', 'lz4', 'zstandard', 'plotly', 'dask', 'distributed', 'pyarrow')
+    for name in (
+        'torch',
+        'safetensors',
+        'mcap',
+        'lz4',
+        'zstandard',
+        'plotly',
+        'dask',
+        'distributed',
+        'pyarrow',
+    )
 } | {'mcap_ros2': 'mcap-ros2-support'}
 
 BLOCKED_IMPORT = """
@@ -49,7 +61,9 @@ def core_modules(package: str) -> list[str]:
 
 
 def imported(paths: list[Path]) -> set[str]:
-    """Top-level names of everything that the files import, wherever in them, less the standard library."""
+    """Top-level names of everything that the files import, wherever in them, less the standard
+    library.
+    """
     names: set[str] = set()
     for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
@@ -63,7 +77,11 @@ def imported(paths: list[Path]) -> set[str]:
 def setup_arguments(package: str) -> dict[str, object]:
     """The literal keyword arguments of ``setup(...)``."""
     tree = ast.parse((ROOT / 'src' / package / 'setup.py').read_text(encoding='utf-8'))
-    call = next(n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, 'id', '') == 'setup')
+    call = next(
+        n
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Call) and getattr(n.func, 'id', '') == 'setup'
+    )
     arguments = {}
     for keyword in call.keywords:
         try:
@@ -114,7 +132,11 @@ def test_every_entry_point_names_a_function_that_exists(package: str):
     assert points
     for module, function in points.values():
         path = ROOT / 'src' / package / Path(*module.split('.')).with_suffix('.py')
-        defined = {n.name for n in ast.parse(path.read_text(encoding='utf-8')).body if isinstance(n, ast.FunctionDef)}
+        defined = {
+            n.name
+            for n in ast.parse(path.read_text(encoding='utf-8')).body
+            if isinstance(n, ast.FunctionDef)
+        }
         assert function in defined, f'{module}:{function}'
 
 
@@ -148,7 +170,9 @@ def test_the_manifest_declares_every_import_and_nothing_else(package: str):
         names.update(re.findall(r"package='(\w+)'", path.read_text(encoding='utf-8')))
     names.discard(package)
     used = {ROSDEP_KEYS.get(name, name) for name in names - set(WITHOUT_ROSDEP_KEY)}
-    declared = {dependency.name for dependency in parse_package(ROOT / 'src' / package).exec_depends}
+    declared = {
+        dependency.name for dependency in parse_package(ROOT / 'src' / package).exec_depends
+    }
     assert used == declared
     pinned = {line.partition('==')[0] for line in requirements()}
     assert {WITHOUT_ROSDEP_KEY[name] for name in names & set(WITHOUT_ROSDEP_KEY)} <= pinned
@@ -158,7 +182,9 @@ def test_the_manifest_declares_every_import_and_nothing_else(package: str):
 def test_every_core_module_imports_with_ros_blocked(package: str):
     names = core_modules(package)
     assert len(names) > 5
-    done = subprocess.run([sys.executable, '-c', BLOCKED_IMPORT, *names], capture_output=True, text=True, timeout=100)
+    done = subprocess.run(
+        [sys.executable, '-c', BLOCKED_IMPORT, *names], capture_output=True, text=True, timeout=100
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -178,10 +204,16 @@ def test_observer_and_simulator_do_not_import_each_other():
 
 
 def test_a_section_of_the_method_that_the_code_cites_is_there():
-    headings = re.findall(r'^## (.+)$', (ROOT / 'docs' / 'METHOD.md').read_text(encoding='utf-8'), re.MULTILINE)
+    headings = re.findall(
+        r'^## (.+)$', (ROOT / 'docs' / 'METHOD.md').read_text(encoding='utf-8'), re.MULTILINE
+    )
     cited = {}
-    for path in [p for folder in ('src', 'benchmarks', 'tests') for p in (ROOT / folder).rglob('*.py')]:
-        for title in re.findall(r'docs/METHOD\.md, ([A-Z]\w[\w ]*|`[^`]+`)', path.read_text(encoding='utf-8')):
+    for path in [
+        p for folder in ('src', 'benchmarks', 'tests') for p in (ROOT / folder).rglob('*.py')
+    ]:
+        for title in re.findall(
+            r'docs/METHOD\.md, ([A-Z]\w[\w ]*|`[^`]+`)', path.read_text(encoding='utf-8')
+        ):
             cited[title] = path
     assert len(cited) >= 3
     assert {title: path for title, path in cited.items() if title not in headings} == {}
@@ -189,7 +221,12 @@ def test_a_section_of_the_method_that_the_code_cites_is_there():
 
 def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():
     text = (ROOT / 'CONTRIBUTING.md').read_text(encoding='utf-8')
-    explained = {name for line in text.splitlines() if line.startswith('|') for name in re.findall(r'`([^` ]+)`', line)}
+    explained = {
+        name
+        for line in text.splitlines()
+        if line.startswith('|')
+        for name in re.findall(r'`([^` ]+)`', line)
+    }
     assert requirements()
     for line in requirements():
         name, pin, version = line.partition('==')
@@ -200,12 +237,18 @@ def test_every_requirement_is_pinned_and_has_its_reason_in_contributing():
 def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> None:
     source = ROOT / 'src' / 'gray_box_observer'
     copy = tmp_path / 'gray_box_observer'
-    shutil.copytree(source, copy, ignore=shutil.ignore_patterns('*.so', '__pycache__', '*.egg-info', 'build'))
-    library = f'gray_box_observer/context_nodes/_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
+    shutil.copytree(
+        source, copy, ignore=shutil.ignore_patterns('*.so', '__pycache__', '*.egg-info', 'build')
+    )
+    library = (
+        f'gray_box_observer/context_nodes/native/_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
+    )
     (copy / library).write_text('of an earlier version')
     command = [sys.executable, 'setup.py', '--quiet', 'build_ext', '--inplace']
     environment = os.environ | {'CC': '/bin/false', 'LDSHARED': '/bin/false'}
-    done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        command, cwd=copy, env=environment, capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stderr  # the package is built without it
     assert not (copy / library).exists()
 
@@ -222,4 +265,6 @@ def test_everything_that_is_pinned_is_locked_in_that_version_with_hashes_and_wit
             assert re.search(r'--hash=sha256:[0-9a-f]{64}\b', entry), f'{name} has no hash'
     for line in requirements():
         name, _, version = line.partition('==')
-        assert version in locked.get(re.sub(r'[-_.]+', '-', name).lower(), ()), f'{line} is not locked in this version'
+        assert version in locked.get(re.sub(r'[-_.]+', '-', name).lower(), ()), (
+            f'{line} is not locked in this version'
+        )

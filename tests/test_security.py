@@ -1,4 +1,6 @@
-"""Every node has an SROS2 policy that is well-formed and grants what the running node takes, no more and no less."""
+"""Every node has an SROS2 policy that is well-formed and grants what the running node takes, no
+more and no less.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ RIGHTS = {
     ('service', 'reply'): 'get_service_names_and_types_by_node',
     ('service', 'request'): 'get_client_names_and_types_by_node',
 }
-"""Every right of a policy for topics and services, and where the graph tells what a node takes of it."""
+"""Every right of a policy for topics and services, and where the graph tells what a node takes of
+it."""
 
 SCHEMA: dict[str, tuple[str | None, set[str], set[str]]] = {
     'policy': ('enclaves', {'version'}, set()),
@@ -47,7 +50,8 @@ SCHEMA: dict[str, tuple[str | None, set[str], set[str]]] = {
     'service': (None, set(), set()),
     'action': (None, set(), set()),
 }
-"""The rules of the schema of SROS2 (policy.xsd, version 0.2.0): child, required and optional attributes."""
+"""The rules of the schema of SROS2 (policy.xsd, version 0.2.0): child, required and optional
+attributes."""
 
 
 @dataclass(frozen=True, order=True)
@@ -65,9 +69,16 @@ def complaints(element: ET.Element) -> list[str]:
         return [f'{element.tag} is no element of a policy']
     child, required, optional = SCHEMA[element.tag]
     found = [f'{element.tag} lacks {name}' for name in sorted(required - set(element.attrib))]
-    found += [f'{element.tag} must not have {name}' for name in sorted(set(element.attrib) - required - optional)]
+    found += [
+        f'{element.tag} must not have {name}'
+        for name in sorted(set(element.attrib) - required - optional)
+    ]
     if element.tag in ('topics', 'services', 'actions'):
-        found += [f'{element.tag} {k}={v}' for k, v in element.attrib.items() if v not in ('ALLOW', 'DENY')]
+        found += [
+            f'{element.tag} {k}={v}'
+            for k, v in element.attrib.items()
+            if v not in ('ALLOW', 'DENY')
+        ]
     children = {'topics', 'services', 'actions'} if element.tag == 'profile' else {child} - {None}
     found += [f'{element.tag} must not hold {e.tag}' for e in element if e.tag not in children]
     if children and not len(element):
@@ -95,7 +106,11 @@ def granted(path: Path) -> set[Right]:
                 text = f'{namespace}/{node}{text[1:]}'
             elif not text.startswith('/'):
                 text = f'{namespace}/{text}'
-            full |= {Right(expression.tag, action, text) for action, rule in group.attrib.items() if rule == 'ALLOW'}
+            full |= {
+                Right(expression.tag, action, text)
+                for action, rule in group.attrib.items()
+                if rule == 'ALLOW'
+            }
     return full
 
 
@@ -130,18 +145,28 @@ def start_simulator(peer: Any, folder: Path) -> subprocess.Popen[str]:
 
 
 def start_observer(peer: Any, folder: Path) -> subprocess.Popen[str]:
-    """The observer with everything that takes a right: all context nodes, a horizon, simulated time."""
+    """The observer with everything that takes a right: all context nodes, a horizon, simulated
+    time.
+    """
     nodes = ', '.join(sorted(TERMS, key=lambda name: name != 'inductance'))
     (folder / 'all.yaml').write_text(
         '/**:\n  ros__parameters:\n    use_sim_time: true\n    horizon_s: 0.1\n'
-        f'    motors: [left, right]\n    left: {{speed_source: measured, context_nodes: [{nodes}]}}\n',
+        '    motors: [left, right]\n    left: '
+        f'{{speed_source: measured, context_nodes: [{nodes}]}}\n',
         encoding='utf-8',
     )
-    return peer.start('gray_box_observer.ros.observer_node', '--ros-args', '--params-file', str(folder / 'all.yaml'))
+    return peer.start(
+        'gray_box_observer.ros.observer.observer_node',
+        '--ros-args',
+        '--params-file',
+        str(folder / 'all.yaml'),
+    )
 
 
 def start_recorder(peer: Any, folder: Path) -> subprocess.Popen[str]:
-    """The recorder in simulated time, beside publishers of everything that it records without being asked."""
+    """The recorder in simulated time, beside publishers of everything that it records without being
+    asked.
+    """
     clock = peer.node.create_publisher(Clock, '/clock', simulated.CLOCK_QOS)
     ticks = itertools.count(1)
     peer.node.create_timer(0.05, lambda: clock.publish(Clock(clock=Time(sec=next(ticks)))))
@@ -149,13 +174,17 @@ def start_recorder(peer: Any, folder: Path) -> subprocess.Popen[str]:
         peer.node.create_publisher(topic.type, topic.name, topic.qos)
     command = simulated.VOLTAGE_COMMAND
     peer.node.create_publisher(command.type, command.name, command.qos)
-    peer.node.create_publisher(JointState, '/gray_box_observer/predicted_torque', observed.SIGNAL_QOS)
-    return peer.start('gray_box_observer.ros.recorder_node', '-o', str(folder / 'bag'), use_sim_time=True)
+    peer.node.create_publisher(
+        JointState, '/gray_box_observer/predicted_torque', observed.SIGNAL_QOS
+    )
+    return peer.start(
+        'gray_box_observer.ros.bags.recorder_node', '-o', str(folder / 'bag'), use_sim_time=True
+    )
 
 
 def start_player(peer: Any, folder: Path) -> subprocess.Popen[str]:
     bag = str(ROOT / 'bags' / 'moderate')
-    return peer.start('gray_box_observer.ros.player_node', bag, paused=True, clock=True)
+    return peer.start('gray_box_observer.ros.bags.player_node', bag, paused=True, clock=True)
 
 
 NODES: dict[str, Callable[[Any, Path], subprocess.Popen[str]]] = {
@@ -188,7 +217,10 @@ def test_a_policy_follows_the_schema(path: Path):
         ('<policy version="0.2.0"/>', 'policy is empty'),
         ('<topics publish="YES"><topic>a</topic></topics>', 'topics publish=YES'),
         ('<topics publish="ALLOW"><service>a</service></topics>', 'topics must not hold service'),
-        ('<services publish="ALLOW"><service>a</service></services>', 'services must not have publish'),
+        (
+            '<services publish="ALLOW"><service>a</service></services>',
+            'services must not have publish',
+        ),
         ('<topics publish="ALLOW"><topic> </topic></topics>', 'topic has no name'),
         ('<contexts/>', 'contexts is no element of a policy'),
     ],
@@ -207,7 +239,9 @@ def test_a_policy_grants_nothing_by_a_bare_asterisk(path: Path):
 
 @pytest.mark.system
 @pytest.mark.parametrize('node', NODES)
-def test_a_policy_grants_what_the_running_node_takes_and_nothing_else(node: str, peer: Any, tmp_path: Path):
+def test_a_policy_grants_what_the_running_node_takes_and_nothing_else(
+    node: str, peer: Any, tmp_path: Path
+):
     grants = granted(next(path for path in POLICIES if path.name == f'{node}.policy.xml'))
     NODES[node](peer, tmp_path)
     seen: list[set[Right]] = [set()]
@@ -220,9 +254,12 @@ def test_a_policy_grants_what_the_running_node_takes_and_nothing_else(node: str,
         peer.wait(all_used, f'every right of {node} to be used')
     except AssertionError:
         raise AssertionError(
-            f'{node} never used: {superfluous(seen[-1], grants)}; not granted: {missing(seen[-1], grants)}'
+            f'{node} never used: {superfluous(seen[-1], grants)}; not granted: '
+            f'{missing(seen[-1], grants)}'
         ) from None
-    peer.call(ListParameters, f'/{node}/list_parameters')  # it has come to answer: everything is made
+    peer.call(
+        ListParameters, f'/{node}/list_parameters'
+    )  # it has come to answer: everything is made
     assert missing(taken(peer.node, node), grants) == []
 
 

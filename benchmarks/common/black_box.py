@@ -1,7 +1,8 @@
 """A plain LSTM from voltage (and speed) to torque: what the gray box has to beat on real motors.
 
-It gets every fair chance: inputs and output normalised by the recording, the learning rate chosen among several, and
-early stopping on the same blocks of the recording that judge the residual of the gray box.
+It gets every fair chance: inputs and output normalised by the recording, the learning rate chosen
+among several, and early stopping on the same blocks of the recording that judge the residual of the
+gray box.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import torch
 
 from common.motion import FloatArray
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.training.torch_network import TorchNetwork
 
 LEARNING_RATES = (0.003, 0.01, 0.03)
 WINDOWS = 8
@@ -38,15 +39,29 @@ class BlackBox:
     """
 
     def __init__(
-        self, inputs: Columns, torque_nm: Columns, judging: Columns, *, hidden: int, steps: int, seed: int
+        self,
+        inputs: Columns,
+        torque_nm: Columns,
+        judging: Columns,
+        *,
+        hidden: int,
+        steps: int,
+        seed: int,
     ) -> None:
         torch.set_num_threads(1)
-        taught = np.concatenate([x[~np.asarray(j, bool)] for x, j in zip(inputs, judging, strict=True)])
-        torque = np.concatenate([y[~np.asarray(j, bool)] for y, j in zip(torque_nm, judging, strict=True)])
+        taught = np.concatenate(
+            [x[~np.asarray(j, bool)] for x, j in zip(inputs, judging, strict=True)]
+        )
+        torque = np.concatenate(
+            [y[~np.asarray(j, bool)] for y, j in zip(torque_nm, judging, strict=True)]
+        )
         self._mean, self._size = taught.mean(axis=0), taught.std(axis=0) + 1e-12
         self._torque_mean, self._torque_size = float(torque.mean()), float(torque.std()) + 1e-12
         self._x = [self._tensor(x) for x in inputs]
-        self._y = [torch.as_tensor((y - self._torque_mean) / self._torque_size, dtype=torch.float32) for y in torque_nm]
+        self._y = [
+            torch.as_tensor((y - self._torque_mean) / self._torque_size, dtype=torch.float32)
+            for y in torque_nm
+        ]
         self._judging = [torch.as_tensor(np.asarray(j, dtype=bool)) for j in judging]
         found = [self._taught(hidden, steps, rate, seed) for rate in LEARNING_RATES]
         self.error, weights, self.learning_rate = min(found, key=lambda one: one[0])
@@ -67,8 +82,12 @@ class BlackBox:
     def _tensor(self, inputs: FloatArray) -> torch.Tensor:
         return torch.as_tensor((inputs - self._mean) / self._size, dtype=torch.float32)
 
-    def _taught(self, hidden: int, steps: int, rate: float, seed: int) -> tuple[float, Weights, float]:
-        """Return the lowest judged error on the way, the network that had it, and the learning rate."""
+    def _taught(
+        self, hidden: int, steps: int, rate: float, seed: int
+    ) -> tuple[float, Weights, float]:
+        """Return the lowest judged error on the way, the network that had it, and the learning
+        rate.
+        """
         random = np.random.default_rng([seed, hidden])
         network = TorchNetwork.of(Weights.initial(self._x[0].shape[1], hidden, seed))
         optimiser = torch.optim.AdamW(network.trainable(), rate, weight_decay=1e-3)
@@ -81,24 +100,43 @@ class BlackBox:
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimiser.step()
             if (k + 1) % CHECK == 0 or k + 1 == steps:
-                best = min(best, (self._judged(network), network.export(), rate), key=lambda one: one[0])
+                best = min(
+                    best, (self._judged(network), network.export(), rate), key=lambda one: one[0]
+                )
         return best
 
-    def _windows(self, random: np.random.Generator) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Draw the windows of a step, filled up behind the ends of short recordings with what does not count."""
+    def _windows(
+        self, random: np.random.Generator
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Draw the windows of a step, filled up behind the ends of short recordings with what does
+        not count.
+        """
         lengths = np.array([len(y) for y in self._y])
         drawn = []
         for which in random.choice(lengths.size, WINDOWS, p=lengths / lengths.sum()):
-            start = int(np.clip(random.integers(lengths[which]) - LENGTH // 2, 0, max(0, lengths[which] - LENGTH)))
+            start = int(
+                np.clip(
+                    random.integers(lengths[which]) - LENGTH // 2,
+                    0,
+                    max(0, lengths[which] - LENGTH),
+                )
+            )
             cut = slice(start, start + LENGTH)
-            drawn.append((self._x[which][cut], self._y[which][cut], (~self._judging[which][cut]).float()))
-        x, y, counts = (torch.nn.utils.rnn.pad_sequence(list(part), True) for part in zip(*drawn, strict=True))
+            drawn.append(
+                (self._x[which][cut], self._y[which][cut], (~self._judging[which][cut]).float())
+            )
+        x, y, counts = (
+            torch.nn.utils.rnn.pad_sequence(list(part), True) for part in zip(*drawn, strict=True)
+        )
         return x, y, counts
 
     def _judged(self, network: TorchNetwork) -> float:
-        """Mean absolute error of the free run over the samples that judge, in units of the torque's spread."""
+        """Mean absolute error of the free run over the samples that judge, in units of the torque's
+        spread.
+        """
         with torch.no_grad():
             missed = [
-                (network(x[None])[0] - y)[j].abs() for x, y, j in zip(self._x, self._y, self._judging, strict=True)
+                (network(x[None])[0] - y)[j].abs()
+                for x, y, j in zip(self._x, self._y, self._judging, strict=True)
             ]
         return float(torch.cat(missed).mean())

@@ -16,7 +16,8 @@ START_FACTOR = 3.0
 """Every method starts with every parameter this many times off."""
 
 SOLVER_STEPS_PER_SAMPLE = 5
-"""At least; the plant's solution is then exact to 1e-6 of the torque's spread, far below what is measured."""
+"""At least; the plant's solution is then exact to 1e-6 of the torque's spread, far below what is
+measured."""
 
 
 THESIS_MOTOR = PlantParameters()
@@ -49,7 +50,9 @@ class Case:
     @property
     def form(self) -> Form:
         """The equation with its unknowns."""
-        return Form(self.parameters, self.plant.torque_constant, self.plant.back_emf_constant, self.rotor)
+        return Form(
+            self.parameters, self.plant.torque_constant, self.plant.back_emf_constant, self.rotor
+        )
 
     @property
     def truth(self) -> FloatArray:
@@ -59,9 +62,10 @@ class Case:
     def start(self, seed: int, either_way: bool) -> FloatArray:
         """Where identification starts, shape (parameter,).
 
-        Every parameter three times too large; or ``either_way``: each two to three times too large or too small, drawn
-        anew for every seed. With all too large by the same factor, R/L and K_HS/L are right from the beginning, and a
-        filter that lives in these coordinates is told the truth in passing.
+        Every parameter three times too large; or ``either_way``: each two to three times too large
+        or too small, drawn anew for every seed. With all too large by the same factor, R/L and
+        K_HS/L are right from the beginning, and a filter that lives in these coordinates is told
+        the truth in passing.
         """
         if not either_way:
             return START_FACTOR * self.truth
@@ -71,9 +75,14 @@ class Case:
 
 
 FAST_MOTOR = PlantParameters(
-    inductance=0.003, resistance=0.6, hysteresis=0.0896, torque_constant=0.05, back_emf_constant=0.05
+    inductance=0.003,
+    resistance=0.6,
+    hysteresis=0.0896,
+    torque_constant=0.05,
+    back_emf_constant=0.05,
 )
-"""Electrical time constant 5 ms; at 10 V its steady current is 14.9 A and hysteresis takes 1 V of the 10."""
+"""Electrical time constant 5 ms; at 10 V its steady current is 14.9 A and hysteresis takes 1 V of
+the 10."""
 
 ROTOR_MOTOR = PlantParameters(
     inductance=0.05,
@@ -86,15 +95,17 @@ ROTOR_MOTOR = PlantParameters(
 )
 """At 10 V it runs at about 135 rad/s: back-EMF takes 6.6 V, resistance 2.7 V, hysteresis 0.7 V.
 
-The load's inertia keeps speed nearly straight between samples; what is left of its bend, 4e-4 of the current's spread,
-every method suffers.
+The load's inertia keeps speed nearly straight between samples; what is left of its bend, 4e-4 of
+the current's spread, every method suffers.
 """
 
 CASES = (
     Case('training', 'R[1,2]D[3,3]'),
     Case('long holds', 'R[5,15]D[1,20]'),
     Case('short holds', 'R[5,15]D[0.001,2]'),
-    Case('fast motor', 'R[5,15]D[0.001,0.1]', FAST_MOTOR, rate_hz=1000.0, duration_s=6.0, core=False),
+    Case(
+        'fast motor', 'R[5,15]D[0.001,0.1]', FAST_MOTOR, rate_hz=1000.0, duration_s=6.0, core=False
+    ),
     Case(
         'rotor',
         'R[5,15]D[0.001,2]',
@@ -152,7 +163,9 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Clean:
-    """Noise-free recordings of one case, a motor a seed: noise is added to them as often as it is wanted."""
+    """Noise-free recordings of one case, a motor a seed: noise is added to them as often as it is
+    wanted.
+    """
 
     case: Case
     seeds: tuple[int, ...]
@@ -161,11 +174,14 @@ class Clean:
     torque_nm: FloatArray
     speed_rad_s: FloatArray
 
-    def record(self, seed: int, noise: float, *, outliers: str = '', either_way: bool = False) -> Record:
-        """Add white torque noise, and where asked gross outliers to ``torque`` or ``voltage``, all seeded.
+    def record(
+        self, seed: int, noise: float, *, outliers: str = '', either_way: bool = False
+    ) -> Record:
+        """Add white torque noise, and where asked gross outliers to ``torque`` or ``voltage``, all
+        seeded.
 
-        One sample in a hundred is an outlier, by up to 20 standard deviations: of the torque noise, or for the voltage
-        of the same fraction of its own spread.
+        One sample in a hundred is an outlier, by up to 20 standard deviations: of the torque noise,
+        or for the voltage of the same fraction of its own spread.
         """
         m = self.seeds.index(seed)
         truth, voltage = self.torque_nm[m], self.voltage_v[m]
@@ -180,10 +196,14 @@ class Clean:
             voltage = voltage + noise * float(voltage.std()) * size
         speed = self.speed_rad_s[m] if self.case.rotor else np.full(truth.size, np.nan)
         start = self.case.start(seed, either_way)
-        return Record(self.case, seed, noise, self.stamp_ns, voltage, torque, truth, speed, sigma, start)
+        return Record(
+            self.case, seed, noise, self.stamp_ns, voltage, torque, truth, speed, sigma, start
+        )
 
 
-def simulate(case: Case, seeds: Sequence[int], duration_s: float | None = None, schedule: Sequence[str] = ()) -> Clean:
+def simulate(
+    case: Case, seeds: Sequence[int], duration_s: float | None = None, schedule: Sequence[str] = ()
+) -> Clean:
     """Record a case without noise, one excitation a seed.
 
     Args:

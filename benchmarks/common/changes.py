@@ -1,4 +1,6 @@
-"""Motors that change while they are identified: a step, a slow climb of R, and an hour in which nothing happens."""
+"""Motors that change while they are identified: a step, a slow climb of R, and an hour in which
+nothing happens.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +40,10 @@ class Followed:
     """How a step was followed.
 
     Attributes:
-        settled_s: from the step until the parameter stays within 2 % of its new value; inf if it does not.
-        multiple: shape (parameter,): error at the end, in units of the bound of what was recorded since the step.
+        settled_s: from the step until the parameter stays within 2 % of its new value; inf if it
+            does not.
+        multiple: shape (parameter,): error at the end, in units of the bound of what was recorded
+            since the step.
     """
 
     settled_s: float
@@ -47,7 +51,9 @@ class Followed:
 
 
 def watch(step: Step, case: Case, seed: int, build: Build) -> Followed:
-    """Change a parameter at an instant that differs with the seed, so that no method's own rhythm meets it in step."""
+    """Change a parameter at an instant that differs with the seed, so that no method's own rhythm
+    meets it in step.
+    """
     at_s = 20.0 + float(np.random.default_rng([seed, 30]).uniform(0.0, 4.0))
     value = step.factor * float(getattr(case.plant, step.parameter))
     schedule = [f'motor.{step.parameter}={value:g}@{at_s:.4f}']
@@ -98,7 +104,9 @@ def climb(case: Case, seed: int, build: Build) -> Climbed:
 
 
 def learnt(build: Build, record: Record, stds: FloatArray | None = None) -> FloatArray:
-    """Values after every sample, shape (sample, parameter), inf where the method failed; fill in what it states."""
+    """Values after every sample, shape (sample, parameter), inf where the method failed; fill in
+    what it states.
+    """
     rows = np.full((record.stamp_ns.size, record.case.truth.size), np.inf)
     try:
         estimator = build(record)
@@ -107,16 +115,22 @@ def learnt(build: Build, record: Record, stds: FloatArray | None = None) -> Floa
             rows[k] = estimator.theta
             covariance = estimator.covariance if stds is not None and k % 32 == 0 else None
             if stds is not None:
-                stds[k] = stds[max(k - 1, 0)] if covariance is None else np.sqrt(np.abs(np.diagonal(covariance)))
+                stds[k] = (
+                    stds[max(k - 1, 0)]
+                    if covariance is None
+                    else np.sqrt(np.abs(np.diagonal(covariance)))
+                )
     except (ArithmeticError, ValueError, RuntimeError, np.linalg.LinAlgError):
         rows[k:] = np.inf
     return rows
 
 
 def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
-    """Let the last voltage of a recording go on; return the least ratio of each standard deviation to the one before.
+    """Let the last voltage of a recording go on; return the least ratio of each standard deviation
+    to the one before.
 
-    Before is two seconds into the hold: the transition that the recording ended in still tells of all parameters.
+    Before is two seconds into the hold: the transition that the recording ended in still tells of
+    all parameters.
     """
     before = np.full(record.case.truth.size, np.nan)
     begun = round(2.0 * record.case.rate_hz)
@@ -130,7 +144,9 @@ def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
         stamp = int(record.stamp_ns[-1]) + (k + 1) * step_ns
         volt = float(record.voltage_v[-1])
         estimator.rule.learn(
-            Sample.of_one_motor(stamp, 1e-9 * step_ns, volt, steady[min(k, len(steady) - 1)] + noise[k])
+            Sample.of_one_motor(
+                stamp, 1e-9 * step_ns, volt, steady[min(k, len(steady) - 1)] + noise[k]
+            )
         )
         if k == begun:
             before = np.sqrt(np.diagonal(estimator.covariance))
@@ -140,9 +156,15 @@ def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
 
 
 def _steady_nm(record: Record) -> FloatArray:
-    """The true torque that follows a recording while its last voltage is held, until it has settled."""
+    """The true torque that follows a recording while its last voltage is held, until it has
+    settled.
+    """
     case, count = record.case, 20 * round(record.case.rate_hz)
-    held = Inputs(np.full(count, 1.0 / case.rate_hz), np.full(count, record.voltage_v[-1]), np.full(count + 1, np.nan))
+    held = Inputs(
+        np.full(count, 1.0 / case.rate_hz),
+        np.full(count, record.voltage_v[-1]),
+        np.full(count + 1, np.nan),
+    )
     start = float(record.true_torque_nm[-1]) / case.plant.torque_constant
     motion = solve(case.form, case.truth, start, held, np.full(count + 1, start))
     return case.plant.torque_constant * motion.current_a[1:]

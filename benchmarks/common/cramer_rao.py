@@ -1,8 +1,10 @@
-"""The Cramer-Rao bound: how well anyone could know the parameters from a recording (docs/METHOD.md, The bound).
+"""The Cramer-Rao bound: how well anyone could know the parameters from a recording (docs/METHOD.md,
+The bound).
 
-For white torque noise of standard deviation s, no unbiased estimate has a covariance below ``s^2 (sum_k S_k S_k')^-1``,
-where ``S_k`` is the derivative of the noise-free output by the unknowns: the current before the first sample and the
-parameters. Sensitivities come from the variational equation at the truth, in the benchmarks' own solution.
+For white torque noise of standard deviation s, no unbiased estimate has a covariance below ``s^2
+(sum_k S_k S_k')^-1``, where ``S_k`` is the derivative of the noise-free output by the unknowns: the
+current before the first sample and the parameters. Sensitivities come from the variational equation
+at the truth, in the benchmarks' own solution.
 """
 
 from __future__ import annotations
@@ -18,8 +20,9 @@ from common.motion import FloatArray, solve
 def information(record: Record) -> FloatArray:
     """Return the Fisher information gathered up to each sample, shape (sample, unknown, unknown).
 
-    The unknowns are the first current and the parameters' logarithms, so that deviations are fractions of the value.
-    The noise is that of one percent of the torque's spread where the recording has none, which keeps it finite.
+    The unknowns are the first current and the parameters' logarithms, so that deviations are
+    fractions of the value. The noise is that of one percent of the torque's spread where the
+    recording has none, which keeps it finite.
     """
     case = record.case
     currents = record.true_torque_nm / case.plant.torque_constant
@@ -31,16 +34,23 @@ def information(record: Record) -> FloatArray:
 
 def reference_noise_a(record: Record) -> float:
     """Standard deviation of the current noise; that of one percent where there is none."""
-    return record.noise_a or 0.01 * float(record.true_torque_nm.std()) / record.case.plant.torque_constant
+    return (
+        record.noise_a
+        or 0.01 * float(record.true_torque_nm.std()) / record.case.plant.torque_constant
+    )
 
 
 def bound(record: Record) -> FloatArray:
-    """Smallest standard deviation of each parameter at the end, as a fraction of its value, shape (parameter,)."""
+    """Smallest standard deviation of each parameter at the end, as a fraction of its value, shape
+    (parameter,).
+    """
     return bound_over_time(record, np.array([record.stamp_ns.size - 1]))[0]
 
 
 def bound_over_time(record: Record, samples: FloatArray) -> FloatArray:
-    """The bound of everything up to the given samples, shape (len(samples), parameter); inf where nothing is known."""
+    """The bound of everything up to the given samples, shape (len(samples), parameter); inf where
+    nothing is known.
+    """
     gathered = information(record)[np.asarray(samples, dtype=int)]
     scale = np.sqrt(np.maximum(np.diagonal(gathered, axis1=1, axis2=2), 1e-300))
     normalised = gathered / (scale[:, :, None] * scale[:, None, :])

@@ -43,8 +43,14 @@ class OwnRule:
 
     def __init__(self, name: str, record: Record) -> None:
         case = record.case
-        known = {} if 'back_emf_constant' in case.parameters else {'back_emf_constant': case.plant.back_emf_constant}
-        white_box = MotorWhiteBox(case.parameters, case.plant.torque_constant, known, speed_measured=case.rotor)
+        known = (
+            {}
+            if 'back_emf_constant' in case.parameters
+            else {'back_emf_constant': case.plant.back_emf_constant}
+        )
+        white_box = MotorWhiteBox(
+            case.parameters, case.plant.torque_constant, known, speed_measured=case.rotor
+        )
         self.rule: Any = OWN_RULES[name](white_box, record.start[None, :], record.seed)
         self._samples = samples_of(record)
 
@@ -76,7 +82,9 @@ class OwnRule:
 
 
 def samples_of(record: Record) -> list[Sample]:
-    """Turn a recording into the observer's samples: each with the voltage of the interval that led to it."""
+    """Turn a recording into the observer's samples: each with the voltage of the interval that led
+    to it.
+    """
     inputs = record.inputs
     intervals = np.concatenate([[0.0], inputs.interval_s])
     voltages = np.concatenate([[0.0], inputs.voltage_v])

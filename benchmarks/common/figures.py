@@ -1,4 +1,6 @@
-"""How a benchmark tells its results: figures with goals, plain tables, and one line of JSON at the end."""
+"""How a benchmark tells its results: figures with goals, plain tables, and one line of JSON at the
+end.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ class Figure:
     Attributes:
         name: what it is, with its unit.
         value: None where it was not measured in this run.
-        goal: the largest value that is good enough, or a band (lowest, highest); None where none is stated.
+        goal: the largest value that is good enough, or a band (lowest, highest); None where none is
+            stated.
         counts: whether this run was large enough for a verdict.
     """
 
@@ -35,14 +38,22 @@ class Figure:
 
     def as_dict(self) -> dict[str, object]:
         """Plain values; a number that JSON cannot say becomes null."""
-        value = None if self.value is None or not math.isfinite(self.value) else float(f'{self.value:.6g}')
+        value = (
+            None
+            if self.value is None or not math.isfinite(self.value)
+            else float(f'{self.value:.6g}')
+        )
         goal = [round(g, 4) for g in self.goal] if isinstance(self.goal, tuple) else self.goal
         return {'name': self.name, 'value': value, 'goal': goal, 'met': self.met}
 
 
 def last_line(benchmark: str, seeds: int, figures: Sequence[Figure]) -> str:
     """The one line of JSON that every benchmark ends with."""
-    told = {'benchmark': benchmark, 'seeds': seeds, 'figures': [figure.as_dict() for figure in figures]}
+    told = {
+        'benchmark': benchmark,
+        'seeds': seeds,
+        'figures': [figure.as_dict() for figure in figures],
+    }
     return json.dumps(told, allow_nan=False)
 
 
@@ -52,11 +63,14 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
     def line(row: Sequence[str]) -> str:
         cells = [
-            cell.ljust(w) if j == 0 else cell.rjust(w) for j, (cell, w) in enumerate(zip(row, widths, strict=True))
+            cell.ljust(w) if j == 0 else cell.rjust(w)
+            for j, (cell, w) in enumerate(zip(row, widths, strict=True))
         ]
         return '  '.join(cells).rstrip()
 
-    return '\n'.join([line(header), '  '.join('-' * w for w in widths), *(line(row) for row in rows)])
+    return '\n'.join(
+        [line(header), '  '.join('-' * w for w in widths), *(line(row) for row in rows)]
+    )
 
 
 def figure_table(figures: Sequence[Figure]) -> str:
@@ -64,7 +78,13 @@ def figure_table(figures: Sequence[Figure]) -> str:
     verdicts = {True: 'met', False: 'NOT MET', None: '-'}
     rows = []
     for figure in figures:
-        goal = '-' if figure.goal is None else f'<= {figure.goal:g}' if not isinstance(figure.goal, tuple) else ''
+        goal = (
+            '-'
+            if figure.goal is None
+            else f'<= {figure.goal:g}'
+            if not isinstance(figure.goal, tuple)
+            else ''
+        )
         goal = goal or '{:.2f} to {:.2f}'.format(*figure.goal)  # type: ignore[misc]
         rows.append([figure.name, number(figure.value), goal, verdicts[figure.met]])
     return table(['figure', 'value', 'goal', ''], rows)

@@ -1,9 +1,10 @@
 """Peers: filterpy's extended and unscented Kalman filters with the parameters in the state.
 
-State: current, then the parameters as logarithms (``log``: positive by construction) or as the coordinates in which
-the rate is linear, in units of their start (``linear``: 1/L, R/L, K_HS/L, ...). Prediction is one classical
-Runge-Kutta step over the held voltage; the extended filter's Jacobian is analytic. Everything a careful user would do,
-in plain Python floats, because that is fastest for four or five numbers. The true measurement noise is given to them.
+State: current, then the parameters as logarithms (``log``: positive by construction) or as the
+coordinates in which the rate is linear, in units of their start (``linear``: 1/L, R/L, K_HS/L,
+...). Prediction is one classical Runge-Kutta step over the held voltage; the extended filter's
+Jacobian is analytic. Everything a careful user would do, in plain Python floats, because that is
+fastest for four or five numbers. The true measurement noise is given to them.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ from common.cases import Record
 from common.motion import FloatArray
 
 SMALLEST_NOISE = 1e-4
-"""Measurement noise that the filters assume where there is none, as a fraction of the current's spread."""
+"""Measurement noise that the filters assume where there is none, as a fraction of the current's
+spread."""
 
 SMALLEST_COORDINATE = 1e-3
-"""A linear coordinate is kept between this and its inverse, in units of its start: L must not become negative."""
+"""A linear coordinate is kept between this and its inverse, in units of its start: L must not
+become negative."""
 
 LARGEST_LOGARITHM = 7.0
 """And a logarithm within a factor of e^7 of its start."""
@@ -36,7 +39,8 @@ class KalmanSettings:
         coordinates: ``log`` or ``linear``.
         initial_std: of every parameter, in units of the coordinates.
         walk_std: random walk of every parameter a square root of a second, in the same units.
-        current_std: process noise of the current a square root of a second, as a fraction of its spread.
+        current_std: process noise of the current a square root of a second, as a fraction of its
+            spread.
         alpha: spread of the sigma points (unscented filter only).
     """
 
@@ -57,8 +61,12 @@ class _Problem:
         start_p = _to_linear(self.start)
         self.p0 = start_p.tolist()
         self.z0 = np.log(self.start) if self.logarithmic else np.ones(len(self.start))
-        self.lowest = (self.z0 - LARGEST_LOGARITHM if self.logarithmic else SMALLEST_COORDINATE * self.z0).tolist()
-        self.highest = (self.z0 + LARGEST_LOGARITHM if self.logarithmic else self.z0 / SMALLEST_COORDINATE).tolist()
+        self.lowest = (
+            self.z0 - LARGEST_LOGARITHM if self.logarithmic else SMALLEST_COORDINATE * self.z0
+        ).tolist()
+        self.highest = (
+            self.z0 + LARGEST_LOGARITHM if self.logarithmic else self.z0 / SMALLEST_COORDINATE
+        ).tolist()
         self.kt = case.plant.torque_constant
         self.kb = None if len(self.start) > 3 else case.plant.back_emf_constant
         self.rotor = case.rotor
@@ -71,13 +79,19 @@ class _Problem:
         self.noise_a = max(record.noise_a, SMALLEST_NOISE * spread)
         interval = float(np.median(inputs.interval_s))
         n = len(self.start)
-        self.walk = np.diag([(settings.current_std * spread) ** 2 * interval] + [settings.walk_std**2 * interval] * n)
+        self.walk = np.diag(
+            [(settings.current_std * spread) ** 2 * interval]
+            + [settings.walk_std**2 * interval] * n
+        )
         self.covariance = np.diag([self.noise_a**2] + [settings.initial_std**2] * n)
         self.state = np.concatenate([[self.measured[0]], self.z0])
 
     def coordinates(self, z: list[float]) -> list[float]:
         """Linear coordinates 1/L, R/L, ... of a filter's parameters."""
-        near = [min(max(x, low), high) for x, low, high in zip(z, self.lowest, self.highest, strict=True)]
+        near = [
+            min(max(x, low), high)
+            for x, low, high in zip(z, self.lowest, self.highest, strict=True)
+        ]
         if not self.logarithmic:
             return [p * x for p, x in zip(self.p0, near, strict=True)]
         leading = near[0]
@@ -112,7 +126,9 @@ class _Problem:
         return p[0] * v - drop
 
     def ahead(self, i: float, p: list[float], k: int) -> tuple[float, float]:
-        """Return the current at sample k from that at k - 1, by one Runge-Kutta step, and the one halfway."""
+        """Return the current at sample k from that at k - 1, by one Runge-Kutta step, and the one
+        halfway.
+        """
         h, v = self.interval[k], self.voltage[k]
         w0, w1 = self.speed[k - 1], self.speed[k]
         wm = 0.5 * (w0 + w1)
@@ -123,7 +139,9 @@ class _Problem:
         return i + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), i + 0.5 * h * k2
 
     def jacobian(self, im: float, p: list[float], k: int) -> list[float]:
-        """First row of the transition's Jacobian, the rate linearised halfway: exact to third order in the step."""
+        """First row of the transition's Jacobian, the rate linearised halfway: exact to third order
+        in the step.
+        """
         h, v = self.interval[k], self.voltage[k]
         kt, kb = self.kt, self.kb
         if self.rotor:
@@ -208,7 +226,9 @@ class Unscented:
         self._problem = problem = _Problem(record, settings)
         n = len(problem.state)
         points = MerweScaledSigmaPoints(n, alpha=settings.alpha, beta=2.0, kappa=3.0 - n)
-        self._filter = UnscentedKalmanFilter(dim_x=n, dim_z=1, dt=1.0, hx=lambda x: x[:1], fx=self._move, points=points)
+        self._filter = UnscentedKalmanFilter(
+            dim_x=n, dim_z=1, dt=1.0, hx=lambda x: x[:1], fx=self._move, points=points
+        )
         self._filter.x = problem.state.copy()
         self._filter.P = problem.covariance.copy()
         self._filter.Q = problem.walk + 1e-18 * np.eye(n) * np.diagonal(problem.covariance)

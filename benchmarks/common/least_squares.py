@@ -1,4 +1,6 @@
-"""Peers: padasip's recursive least squares on differences, and scipy's batch output-error least squares."""
+"""Peers: padasip's recursive least squares on differences, and scipy's batch output-error least
+squares.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,10 @@ from common.cases import Record
 from common.motion import FloatArray, solve
 
 START_WINDOW = 20
-"""Samples an equation of the batch's linear start spans (docs/METHOD.md, `context_update: recursive`, 1)."""
+"""Samples an equation of the batch's linear start spans.
+
+Source: docs/METHOD.md, `context_update: recursive`, 1.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +26,8 @@ class RecursiveSettings:
 
     Attributes:
         stride: samples between the two ends of a difference.
-        integrated: average the right-hand side over all samples of a difference; else over its two ends only, as
-            one does who differentiates a decimated signal.
+        integrated: average the right-hand side over all samples of a difference; else over its two
+            ends only, as one does who differentiates a decimated signal.
         forgetting: factor a sample.
         initial: inverse of the first information, the filter's ``eps``.
     """
@@ -34,10 +39,12 @@ class RecursiveSettings:
 
 
 def differences(record: Record, stride: int, integrated: bool) -> tuple[FloatArray, FloatArray]:
-    """Regressors, shape (n, parameter), and target in V of ``mean(V - Kb w) = L di/dt + R mean(i) + K mean(|w| i)``.
+    """Regressors, shape (n, parameter), and target in V of ``mean(V - Kb w) = L di/dt + R mean(i) +
+    K mean(|w| i)``.
 
-    The derivative is the difference over ``stride`` samples; the means are of the trapezoidal rule over all of them,
-    or over their two ends. Row k belongs to the window that ends at sample k + stride.
+    The derivative is the difference over ``stride`` samples; the means are of the trapezoidal rule
+    over all of them, or over their two ends. Row k belongs to the window that ends at sample k +
+    stride.
     """
     case = record.case
     current = record.torque_nm / case.plant.torque_constant
@@ -65,7 +72,9 @@ def differences(record: Record, stride: int, integrated: bool) -> tuple[FloatArr
 
 
 class Recursive:
-    """padasip's FilterRLS on one recording; regressors in units of the start, so that one ``eps`` serves all."""
+    """padasip's FilterRLS on one recording; regressors in units of the start, so that one ``eps``
+    serves all.
+    """
 
     def __init__(self, record: Record, settings: RecursiveSettings) -> None:
         self._stride = settings.stride
@@ -73,7 +82,9 @@ class Recursive:
         self._start = record.start
         self._phi = phi * self._start
         count = len(self._start)
-        self._filter = FilterRLS(n=count, mu=settings.forgetting, eps=settings.initial, w=np.ones(count))
+        self._filter = FilterRLS(
+            n=count, mu=settings.forgetting, eps=settings.initial, w=np.ones(count)
+        )
 
     def learn(self, k: int) -> None:
         """Take sample k."""
@@ -89,12 +100,16 @@ class Recursive:
 
     @property
     def covariance(self) -> None:
-        """None: the residuals of differences are not white, so the filter's matrix is no covariance."""
+        """None: the residuals of differences are not white, so the filter's matrix is no
+        covariance.
+        """
         return
 
 
 def linear_start(record: Record, samples: int) -> FloatArray:
-    """Ordinary least squares of the integrated equation over windows of the first samples, shape (parameter,)."""
+    """Ordinary least squares of the integrated equation over windows of the first samples, shape
+    (parameter,).
+    """
     stride = min(START_WINDOW, max(1, samples // 4))
     phi, target = differences(record, stride, integrated=True)
     used = max(len(record.case.parameters), samples - stride)
@@ -106,11 +121,14 @@ def linear_start(record: Record, samples: int) -> FloatArray:
     return result
 
 
-def output_error(record: Record, samples: int, guess: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+def output_error(
+    record: Record, samples: int, guess: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Batch reference: least squares of measured minus simulated current over the first samples.
 
-    Unknowns are the first current and the logarithms of the parameters; simulation and Jacobian come from the
-    benchmarks' own solution of the equation; Levenberg-Marquardt of ``scipy.optimize.least_squares``.
+    Unknowns are the first current and the logarithms of the parameters; simulation and Jacobian
+    come from the benchmarks' own solution of the equation; Levenberg-Marquardt of
+    ``scipy.optimize.least_squares``.
 
     Args:
         record: the recording.
@@ -136,9 +154,14 @@ def output_error(record: Record, samples: int, guess: FloatArray | None = None) 
         if key not in cache:
             cache.clear()
             try:
-                motion = solve(case.form, np.exp(np.clip(x[1:], -40.0, 40.0)), spread * x[0], inputs, measured)
+                motion = solve(
+                    case.form, np.exp(np.clip(x[1:], -40.0, 40.0)), spread * x[0], inputs, measured
+                )
                 by_log = np.concatenate([[spread], np.exp(x[1:])])
-                cache[key] = (motion.current_a - measured) / spread, motion.sensitivity.T * by_log / spread
+                cache[key] = (
+                    (motion.current_a - measured) / spread,
+                    motion.sensitivity.T * by_log / spread,
+                )
             except ArithmeticError:
                 cache[key] = np.full(samples, 1e3), np.zeros((samples, count))
         return cache[key]

@@ -1,4 +1,6 @@
-"""Motors of the thesis by the thousand, for benchmarks of what they cost: physics, rules, samples as arrays."""
+"""Motors of the thesis by the thousand, for benchmarks of what they cost: physics, rules, samples
+as arrays.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ def rule(motors: int, replay_capacity: int = 4096, device: str | None = None) ->
     from gray_box_observer.context_nodes import RecursiveRules, RecursiveUpdate
 
     rules = RecursiveRules(replay_capacity=replay_capacity)
-    return RecursiveUpdate(white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)), rules=rules, device=device)
+    return RecursiveUpdate(
+        white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)), rules=rules, device=device
+    )
 
 
 def white_box(motors: int) -> Any:
@@ -23,7 +27,9 @@ def white_box(motors: int) -> Any:
     from gray_box_observer.white_box import MotorWhiteBox
 
     constant: Any = 0.01 if motors == 1 else np.full(motors, 0.01)
-    return MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), constant, {'back_emf_constant': constant})
+    return MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'), constant, {'back_emf_constant': constant}
+    )
 
 
 def sample(k: int, voltage_v: Any, torque_nm: Any) -> Any:
@@ -34,14 +40,18 @@ def sample(k: int, voltage_v: Any, torque_nm: Any) -> Any:
     return Sample(k * STEP_NS, interval_s, voltage_v, torque_nm, np.full(voltage_v.size, np.nan))
 
 
-def one_predictor(motors: int, device: str | None = None, replay_capacity: int = 6000) -> tuple[Any, Any]:
+def one_predictor(
+    motors: int, device: str | None = None, replay_capacity: int = 6000
+) -> tuple[Any, Any]:
     """A predictor that is not trained, and the parameters of its motors, shape (motor, parameter)."""
     from gray_box_observer.predictor import Predictor, TrainingRules
 
     theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))
     rules = TrainingRules(period=10**9, replay_capacity=replay_capacity)
     box = white_box(motors)
-    return Predictor(box, motors, theta[0], rules, NoTraining(), speed_measured=False, device=device), theta
+    return Predictor(
+        box, motors, theta[0], rules, NoTraining(), speed_measured=False, device=device
+    ), theta
 
 
 class NoTraining:

@@ -1,8 +1,10 @@
-"""The benchmarks' own solution of the motor equation, with sensitivities: a second opinion on the packages'.
+"""The benchmarks' own solution of the motor equation, with sensitivities: a second opinion on the
+packages'.
 
-``L di/dt = V - R i - Kb w - K_HS |w| i`` (docs/METHOD.md, The form) over held voltages, in the physical parameters
-themselves. All intervals are stepped at once, each from a guess of its start; the guesses are mended by Newton's method
-on the whole sequence, a bidiagonal system, so that a minute of samples takes milliseconds.
+``L di/dt = V - R i - Kb w - K_HS |w| i`` (docs/METHOD.md, The form) over held voltages, in the
+physical parameters themselves. All intervals are stepped at once, each from a guess of its start;
+the guesses are mended by Newton's method on the whole sequence, a bidiagonal system, so that a
+minute of samples takes milliseconds.
 """
 
 from __future__ import annotations
@@ -16,10 +18,12 @@ from scipy.linalg import solve_banded
 FloatArray = NDArray[np.float64]
 
 STEP_TIMES_RATE = 0.1
-"""Largest product of solver step and decay rate: the classical Runge-Kutta step is then exact to 1e-7."""
+"""Largest product of solver step and decay rate: the classical Runge-Kutta step is then exact to
+1e-7."""
 
 RUNGE_KUTTA = ((0.0, 1.0, 0.5), (0.5, 2.0, 0.5), (0.5, 2.0, 1.0), (1.0, 1.0, 0.0))
-"""Where each slope of the classical method is taken, its weight, and how far the next stage goes along it."""
+"""Where each slope of the classical method is taken, its weight, and how far the next stage goes
+along it."""
 
 MAX_SUBSTEPS = 32
 MAX_SWEEPS = 30
@@ -30,8 +34,8 @@ class Form:
     """Which terms of the equation are unknown.
 
     Attributes:
-        parameters: names of the unknowns; the first three are always inductance, resistance and hysteresis, and
-            ``back_emf_constant`` may follow.
+        parameters: names of the unknowns; the first three are always inductance, resistance and
+            hysteresis, and ``back_emf_constant`` may follow.
         torque_constant: Kt in N m/A.
         back_emf_constant: Kb in V s/rad, used where it is not among the unknowns.
         speed_measured: whether w is a signal, linear between samples; else ``w = Kt i``.
@@ -59,7 +63,11 @@ class Inputs:
 
     def first(self, intervals: int) -> Inputs:
         """Return the beginning, so many intervals long."""
-        return Inputs(self.interval_s[:intervals], self.voltage_v[:intervals], self.speed_rad_s[: intervals + 1])
+        return Inputs(
+            self.interval_s[:intervals],
+            self.voltage_v[:intervals],
+            self.speed_rad_s[: intervals + 1],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +109,16 @@ def step_all(
     """Step every interval from its own start.
 
     Returns:
-        The ends, their derivatives by the starts, both shape (n,), and by the parameters, shape (parameter, n).
+        The ends, their derivatives by the starts, both shape (n,), and by the parameters, shape
+        (parameter, n).
     """
     slope = rate(form, theta, start, inputs.voltage_v, inputs.speed_rad_s[:-1])[1]
     fastest = float(np.max(np.abs(slope) * inputs.interval_s))
-    n = min(MAX_SUBSTEPS, max(1, int(np.ceil(fastest / STEP_TIMES_RATE)))) if np.isfinite(fastest) else MAX_SUBSTEPS
+    n = (
+        min(MAX_SUBSTEPS, max(1, int(np.ceil(fastest / STEP_TIMES_RATE))))
+        if np.isfinite(fastest)
+        else MAX_SUBSTEPS
+    )
     h = inputs.interval_s / n
     acceleration = np.diff(inputs.speed_rad_s) / n
     x, by_start, by_theta = start, np.ones_like(start), np.zeros((len(theta), start.size))
@@ -122,7 +135,9 @@ def step_all(
     return x, by_start, by_theta
 
 
-def solve(form: Form, theta: FloatArray, first_a: float, inputs: Inputs, guess_a: FloatArray) -> Motion:
+def solve(
+    form: Form, theta: FloatArray, first_a: float, inputs: Inputs, guess_a: FloatArray
+) -> Motion:
     """Solve the equation over all samples.
 
     Args:
@@ -149,11 +164,15 @@ def solve(form: Form, theta: FloatArray, first_a: float, inputs: Inputs, guess_a
                 forcing[0, 0] = 1.0
                 forcing[1:, 1:] = by_theta.T
                 return Motion(current, _chain(by_start, forcing).T)
-    raise ArithmeticError(f'the motion under {np.round(theta, 6).tolist()} did not settle in {MAX_SWEEPS} sweeps')
+    raise ArithmeticError(
+        f'the motion under {np.round(theta, 6).tolist()} did not settle in {MAX_SWEEPS} sweeps'
+    )
 
 
 def _chain(by_start: FloatArray, forcing: FloatArray) -> FloatArray:
-    """Solve ``y_0 = f_0``, ``y_{k+1} = a_k y_k + f_{k+1}``; forcing has shape (n + 1,) or (n + 1, columns)."""
+    """Solve ``y_0 = f_0``, ``y_{k+1} = a_k y_k + f_{k+1}``; forcing has shape (n + 1,) or (n + 1,
+    columns).
+    """
     bands = np.ones((2, by_start.size + 1))
     bands[1, :-1] = -by_start
     result: FloatArray = solve_banded((1, 0), bands, forcing, check_finite=False)

@@ -1,8 +1,9 @@
 """Peer: do-mpc's moving-horizon estimator.
 
-The motor is a discrete model, one classical Runge-Kutta step a sample; the parameters are estimated in units of the
-coordinates in which the rate is linear, kept positive. The arrival cost on the parameters has a constant weight, as
-do-mpc has it: the larger, the longer the memory beyond the horizon. One non-linear programme is solved a sample.
+The motor is a discrete model, one classical Runge-Kutta step a sample; the parameters are estimated
+in units of the coordinates in which the rate is linear, kept positive. The arrival cost on the
+parameters has a constant weight, as do-mpc has it: the larger, the longer the memory beyond the
+horizon. One non-linear programme is solved a sample.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ class HorizonSettings:
 
     Attributes:
         horizon: samples.
-        memory: weight of the previous parameters against one sample's squared residual in standard deviations.
+        memory: weight of the previous parameters against one sample's squared residual in standard
+            deviations.
     """
 
     horizon: int = 20
@@ -54,7 +56,12 @@ class MovingHorizon:
         mhe.settings.t_step = step_s
         mhe.settings.meas_from_data = True
         mhe.settings.store_full_solution = False
-        mhe.settings.nlpsol_opts = {'ipopt.print_level': 0, 'ipopt.sb': 'yes', 'print_time': 0, 'ipopt.max_iter': 50}
+        mhe.settings.nlpsol_opts = {
+            'ipopt.print_level': 0,
+            'ipopt.sb': 'yes',
+            'print_time': 0,
+            'ipopt.max_iter': 50,
+        }
         noise = max(record.noise_a, SMALLEST_NOISE * spread)
         weight = np.array([[1.0 / noise**2]])
         mhe.set_default_objective(
@@ -75,7 +82,9 @@ class MovingHorizon:
         if k == 0:
             return
         v = self._voltage[k - 1]
-        self._mhe.make_step(np.array([[self._current[k]], [v], [self._speed[k - 1]], [self._speed[k]]]))
+        self._mhe.make_step(
+            np.array([[self._current[k]], [v], [self._speed[k - 1]], [self._speed[k]]])
+        )
 
     @property
     def theta(self) -> FloatArray:
@@ -96,7 +105,9 @@ def _model(record: Record, step_s: float, p0: FloatArray, names: list[str]) -> A
     case = record.case
     model = Model('discrete')
     current = model.set_variable('_x', 'current')
-    voltage, first, last = (model.set_variable('_u', name) for name in ('voltage', 'first_speed', 'last_speed'))
+    voltage, first, last = (
+        model.set_variable('_u', name) for name in ('voltage', 'first_speed', 'last_speed')
+    )
     p = [scale * model.set_variable('_p', name) for scale, name in zip(p0, names, strict=True)]
     kt, kb = case.plant.torque_constant, case.plant.back_emf_constant
 

@@ -1,7 +1,8 @@
 """What a motor-sample costs of very many motors on a device of torch, in wall time.
 
-A million motors with the usual memory of 4,096 samples would need 260 GB, so they remember few (:data:`CAPACITY`):
-after the first minute the update reads a block and one sample more. Their samples are arrays, drawn before the clock.
+A million motors with the usual memory of 4,096 samples would need 260 GB, so they remember few
+(:data:`CAPACITY`): after the first minute the update reads a block and one sample more. Their
+samples are arrays, drawn before the clock.
 """
 
 from __future__ import annotations
@@ -31,12 +32,13 @@ RATE_HZ = 100.0
 
 
 def device_of(asked: str | None) -> str | None:
-    """The device that was asked for; else the GPU that torch sees, if there is torch and it sees one.
+    """The device that was asked for; else the GPU that torch sees, if there is torch and it sees
+    one.
 
     Raises:
         ConfigurationError: there is no such device.
     """
-    from gray_box_observer.device import torch_device
+    from gray_box_observer.settings.device import torch_device
 
     if asked is not None:
         return torch_device(asked) or TORCH_ON_CPU
@@ -47,7 +49,9 @@ def device_of(asked: str | None) -> str | None:
     return 'cuda' if torch.cuda.is_available() else None
 
 
-def rows_on_device(device: str, one: Any, samples: Sequence[tuple[float, float]], *, quick: bool) -> list[Figure]:
+def rows_on_device(
+    device: str, one: Any, samples: Sequence[tuple[float, float]], *, quick: bool
+) -> list[Figure]:
     """Measure and print a row a number of motors; return the figures.
 
     Args:
@@ -56,7 +60,7 @@ def rows_on_device(device: str, one: Any, samples: Sequence[tuple[float, float]]
         samples: voltages and torques without noise that follow.
         quick: fewer motors.
     """
-    from gray_box_observer.device import DEVICE_FROM
+    from gray_box_observer.settings.device import DEVICE_FROM
 
     if device == TORCH_ON_CPU:
         counts = [DEVICE_FROM] if quick else [DEVICE_FROM, 20_000]
@@ -64,23 +68,34 @@ def rows_on_device(device: str, one: Any, samples: Sequence[tuple[float, float]]
         counts = [10_000, 100_000] if quick else [10_000, 100_000, 1_000_000]
     rows, figures = [], []
     for motors in counts:
-        update_us, predict_us = update(device, one, samples, motors), prediction(device, samples, motors)
+        update_us, predict_us = (
+            update(device, one, samples, motors),
+            prediction(device, samples, motors),
+        )
         load = 1e-6 * RATE_HZ * motors * (update_us + predict_us)
         rows.append([f'{motors:,}', f'{update_us:.4f}', f'{predict_us:.4f}', f'{load:.2f}'])
         for name, cost_us in (('update', update_us), ('prediction', predict_us)):
-            figures.append(Figure(f'{name}, {motors:,} motors by torch on {device}, wall us', cost_us, None))
+            figures.append(
+                Figure(f'{name}, {motors:,} motors by torch on {device}, wall us', cost_us, None)
+            )
     header = ['motors', 'update us', 'predict us', f'of the time at {RATE_HZ:.0f} Hz']
     print(f'\nwall time of a motor-sample by torch on {device}\n\n' + table(header, rows))
     return figures
 
 
-def update(device: str, one: Any, samples: Sequence[tuple[float, float]], motors: int, rounds: int = ROUNDS) -> float:
-    """Wall time in us of a motor-sample's update: whole rounds of blocks, the first of which is not counted."""
+def update(
+    device: str, one: Any, samples: Sequence[tuple[float, float]], motors: int, rounds: int = ROUNDS
+) -> float:
+    """Wall time in us of a motor-sample's update: whole rounds of blocks, the first of which is not
+    counted.
+    """
     plain, arrays = one.state()
     arrays = {**arrays, 'replay': arrays['replay'][:, :, -2 * BLOCK :]}
     nodes = rule(motors, CAPACITY, device)
     nodes.restore({**plain, 'anchored': -plain['new']}, arrays, slice(None))
-    nodes.replay.streams[0][...] += 0.0  # memory is handed out by the system at the first touch, once and for all
+    nodes.replay.streams[0][...] += (
+        0.0  # memory is handed out by the system at the first touch, once and for all
+    )
     spent_s = 0.0
     for k, given in enumerate(stream(samples, motors, (rounds + 1) * BLOCK)):
         begin_s = time.perf_counter()
@@ -89,7 +104,9 @@ def update(device: str, one: Any, samples: Sequence[tuple[float, float]], motors
     return 1e6 * spent_s / (rounds * BLOCK) / motors
 
 
-def prediction(device: str, samples: Sequence[tuple[float, float]], motors: int, count: int = BLOCK) -> float:
+def prediction(
+    device: str, samples: Sequence[tuple[float, float]], motors: int, count: int = BLOCK
+) -> float:
     """Wall time in us of predicting and scoring a motor-sample."""
     predictor, theta = one_predictor(motors, device, replay_capacity=BLOCK)
     spent_s = 0.0
@@ -104,4 +121,6 @@ def stream(samples: Sequence[tuple[float, float]], motors: int, count: int) -> I
     """Samples of motors that run alike, each with noise of its own."""
     random = np.random.default_rng(motors)
     for k, (voltage_v, torque_nm) in enumerate(samples[:count], start=1):
-        yield sample(k, np.full(motors, voltage_v), torque_nm + random.normal(0.0, NOISE_NM, motors))
+        yield sample(
+            k, np.full(motors, voltage_v), torque_nm + random.normal(0.0, NOISE_NM, motors)
+        )

@@ -25,7 +25,12 @@ STYLES = {
 }
 
 
-def draw(path: Path, cases: Sequence[Case], runs: Mapping[tuple[str, str], Runs], titles: Mapping[str, str]) -> None:
+def draw(
+    path: Path,
+    cases: Sequence[Case],
+    runs: Mapping[tuple[str, str], Runs],
+    titles: Mapping[str, str],
+) -> None:
     """Draw one panel a parameter and data set: root mean square over seeds, both axes logarithmic.
 
     Args:
@@ -41,14 +46,24 @@ def draw(path: Path, cases: Sequence[Case], runs: Mapping[tuple[str, str], Runs]
 
     parameters = cases[0].parameters
     size = (4.2 * len(cases), 2.5 * len(parameters) + 0.8)
-    figure, axes = plt.subplots(len(parameters), len(cases), figsize=size, sharex='col', sharey=True, squeeze=False)
+    figure, axes = plt.subplots(
+        len(parameters), len(cases), figsize=size, sharex='col', sharey=True, squeeze=False
+    )
     for column, case in enumerate(cases):
         for row, parameter in enumerate(parameters):
             axis = axes[row, column]
-            drawn = [(name, runs[name, case.name]) for name in STYLES if runs.get((name, case.name))]
+            drawn = [
+                (name, runs[name, case.name]) for name in STYLES if runs.get((name, case.name))
+            ]
             for name, traces in drawn:
                 colour, line, width = STYLES[name]
-                axis.plot(*_error(traces, row), line, color=colour, linewidth=width, label=titles.get(name, name))
+                axis.plot(
+                    *_error(traces, row),
+                    line,
+                    color=colour,
+                    linewidth=width,
+                    label=titles.get(name, name),
+                )
             if drawn:
                 bounds = np.array([bounds[:, row] for _, bounds, _ in drawn[0][1]])
                 curve = 100.0 * np.sqrt(np.mean(bounds**2, axis=0))

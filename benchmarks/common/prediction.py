@@ -1,4 +1,6 @@
-"""Free runs of the predictor against simulated motors: what the benchmark of the predictor measures."""
+"""Free runs of the predictor against simulated motors: what the benchmark of the predictor
+measures.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,15 @@ from common.motion import FloatArray
 from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import Predictor, TrainingRules
-from gray_box_observer.predictor.drawing import draw_family
+from gray_box_observer.predictor.initial_network import SHIPPED, fresh, load
 from gray_box_observer.predictor.network import Memory, step
-from gray_box_observer.predictor.pretrain import pretrain
-from gray_box_observer.predictor.relaxation import after, chord, course, flow, relaxation
-from gray_box_observer.predictor.start import SHIPPED, fresh, load
+from gray_box_observer.predictor.steady_state import after, chord, course, flow, relaxation
+from gray_box_observer.predictor.training.pretrain import pretrain
+from gray_box_observer.predictor.training.synthetic_sequences import draw_family
 from gray_box_observer.samples import Sample
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
 NODES = ('inductance', 'resistance', 'hysteresis')
@@ -65,7 +67,10 @@ def motors(count: int, seed: int, off: float) -> list[PlantParameters]:
     """Draw motors whose L, R and K_HS are each off those of the thesis by up to a fraction."""
     factors = np.random.default_rng([seed, 30]).uniform(1.0 - off, 1.0 + off, (count, len(NODES)))
     return [
-        replace(THESIS_MOTOR, **{name: getattr(THESIS_MOTOR, name) * f for name, f in zip(NODES, row, strict=True)})
+        replace(
+            THESIS_MOTOR,
+            **{name: getattr(THESIS_MOTOR, name) * f for name, f in zip(NODES, row, strict=True)},
+        )
         for row in factors
     ]
 
@@ -83,16 +88,23 @@ def record(
     rate_hz: float = 100.0,
     **more: Any,
 ) -> Recording:
-    """Simulate motors together, finely enough that the simulator's error is far below what is measured."""
+    """Simulate motors together, finely enough that the simulator's error is far below what is
+    measured.
+    """
     step_s = 1.0 / (SOLVER_STEPS_PER_SAMPLE * max(rate_hz, 100.0))
     named = {f'motor{k}': plant for k, plant in enumerate(plants)}
-    made = Simulation(named, excitation, seed=seed, sample_rate_hz=rate_hz, solver_step_s=step_s, **more)
+    made = Simulation(
+        named, excitation, seed=seed, sample_rate_hz=rate_hz, solver_step_s=step_s, **more
+    )
     return made.record(duration_s)
 
 
 def white_box(plants: Sequence[PlantParameters]) -> MotorWhiteBox:
     """The physics of motors with known Kt and Kb; scalars for a single one."""
-    constants = [np.array([getattr(p, name) for p in plants]) for name in ('torque_constant', 'back_emf_constant')]
+    constants = [
+        np.array([getattr(p, name) for p in plants])
+        for name in ('torque_constant', 'back_emf_constant')
+    ]
     kt, kb = (float(c[0]) if len(plants) == 1 else c for c in constants)
     return MotorWhiteBox(NODES, kt, {'back_emf_constant': kb})
 
@@ -121,9 +133,16 @@ def free_run(
     network: dict[str, FloatArray] | None,
     start: str,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict every sample from voltages alone; return the network's and the white box's torque, (motor, sample)."""
+    """Predict every sample from voltages alone; return the network's and the white box's torque,
+    (motor, sample).
+    """
     made = Predictor(
-        white_box(plants), len(plants), theta[0], TrainingRules(start=start), NoTraining(), speed_measured=False
+        white_box(plants),
+        len(plants),
+        theta[0],
+        TrainingRules(start=start),
+        NoTraining(),
+        speed_measured=False,
     )
     if network is not None:
         made.restore(network)
@@ -194,7 +213,9 @@ class OneStep:
 
 
 def one_step(duration: float, count: int, seed: int) -> OneStep:
-    """Forecast motors of every kind (brushes and all four quadrants among them) over one interval of a given length."""
+    """Forecast motors of every kind (brushes and all four quadrants among them) over one interval
+    of a given length.
+    """
     drawn = draw_family(np.random.default_rng([seed, 40]), count, 1)
     columns, zero = list(drawn.theta.T), np.zeros(count)
     way = course(np, drawn.white_box, columns, drawn.voltage_v[:, 0], zero, zero)
@@ -209,17 +230,28 @@ def one_step(duration: float, count: int, seed: int) -> OneStep:
     return OneStep(duration, missed[0], missed[1])
 
 
-def after_a_step(seed: int, step_s: float = 30.0, duration_s: float = 60.0) -> tuple[float, float, float, float]:
+def after_a_step(
+    seed: int, step_s: float = 30.0, duration_s: float = 60.0
+) -> tuple[float, float, float, float]:
     """Let R rise by 30 % under the live observer, 1 % torque noise.
 
     Returns:
-        Seconds after the step until the identified R stays within 2 %, and until the prediction, and the white box's
-        rollout with the same estimates, stay within 2 % of the torque's standard deviation; and the mean error of the
-        prediction in the last third of the run, in %.
+        Seconds after the step until the identified R stays within 2 %, and until the prediction,
+        and the white box's rollout with the same estimates, stay within 2 % of the torque's
+        standard deviation; and the mean error of the prediction in the last third of the run, in %.
     """
     change = f'motor0.resistance={1.3 * THESIS_MOTOR.resistance}@{step_s:g}'
-    recording = record([THESIS_MOTOR], 'R[5,15]D[1,3]', seed, duration_s, torque_noise_relative=0.01, schedule=[change])
-    observer = Observer(Configuration.from_flat({'motors': ['motor0']}), lambda configuration: NoTraining())
+    recording = record(
+        [THESIS_MOTOR],
+        'R[5,15]D[1,3]',
+        seed,
+        duration_s,
+        torque_noise_relative=0.01,
+        schedule=[change],
+    )
+    observer = Observer(
+        Configuration.from_flat({'motors': ['motor0']}), lambda configuration: NoTraining()
+    )
     said, found, resistance = [], [], np.nan
     for result in feed(observer, recording):
         said.append((result.prediction.torque_nm[0], result.prediction.white_box_torque_nm[0]))
@@ -229,14 +261,25 @@ def after_a_step(seed: int, step_s: float = 30.0, duration_s: float = 60.0) -> t
     missed = np.abs(np.array(said).T - true[: len(said)]) / true.std()
     off = np.abs(np.array(found) / (1.3 * THESIS_MOTOR.resistance) - 1.0)
     first = round(100.0 * step_s)
-    later_s = [(int(np.flatnonzero(series[first:] > 0.02)[-1]) + 1) / 100.0 for series in (off, *missed)]
-    return later_s[0], later_s[1], later_s[2], 100.0 * float(missed[0, -missed.shape[1] // 3 :].mean())
+    later_s = [
+        (int(np.flatnonzero(series[first:] > 0.02)[-1]) + 1) / 100.0 for series in (off, *missed)
+    ]
+    return (
+        later_s[0],
+        later_s[1],
+        later_s[2],
+        100.0 * float(missed[0, -missed.shape[1] // 3 :].mean()),
+    )
 
 
 def microseconds(recording: Recording) -> tuple[float, float]:
-    """Median time of one prediction (network, steady state and rollout) and of learning the sample, one motor."""
+    """Median time of one prediction (network, steady state and rollout) and of learning the sample,
+    one motor.
+    """
     theta = theta_of([THESIS_MOTOR])
-    made = Predictor(white_box([THESIS_MOTOR]), 1, theta[0], TrainingRules(), NoTraining(), speed_measured=False)
+    made = Predictor(
+        white_box([THESIS_MOTOR]), 1, theta[0], TrainingRules(), NoTraining(), speed_measured=False
+    )
     times = []
     for sample in samples(recording):
         start = time.perf_counter()

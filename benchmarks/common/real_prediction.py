@@ -1,7 +1,7 @@
 """Free runs on measurements of real motors: who predicts what nobody has seen.
 
-Every log goes the way of a user's log, CSV to bag, bag through the observer; what scores is never in what identifies,
-teaches, normalises or chooses.
+Every log goes the way of a user's log, CSV to bag, bag through the observer; what scores is never
+in what identifies, teaches, normalises or chooses.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import numpy as np
 from common.black_box import BlackBox
 from common.motion import FloatArray
 from common.prediction import NoTraining
-from gray_box_observer import offline
-from gray_box_observer.bag.csv_log import csv_to_bag
-from gray_box_observer.bag.csv_mapping import FIRST_STAMP_NS, CsvMapping
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.csv_import.column_mapping import FIRST_STAMP_NS, CsvMapping
+from gray_box_observer.csv_import.log_conversion import csv_to_bag
+from gray_box_observer.identify import offline_run
+from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import Predictor, TrainingRules
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.physics_trainer import PhysicsTrainer
-from gray_box_observer.predictor.residual import Correction
-from gray_box_observer.predictor.residual_trainer import STEPS, judging
+from gray_box_observer.predictor.residual_model import Correction
+from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
+from gray_box_observer.predictor.training.residual_trainer import STEPS, judging
 from gray_box_observer.samples import Sample
+from gray_box_observer.settings.configuration import Configuration
 
 SIZES = (10, 20)
-"""Hidden units of the plain LSTMs: the first learns at least as many numbers as the residual, the second as many as the
-residual and the network that knows the physics together."""
+"""Hidden units of the plain LSTMs: the first learns at least as many numbers as the residual, the
+second as many as the residual and the network that knows the physics together."""
 
 APART_NS = 20_000_000_000
 """Between the first stamps of logs that are read one after another: far more than a gap."""
@@ -97,7 +97,8 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
         task: what.
         seed: of everything random in training.
         rounds: of the residual's training.
-        patience: steps of the black box at each of its learning rates, as a multiple of those of the residual.
+        patience: steps of the black box at each of its learning rates, as a multiple of those of
+            the residual.
     """
     observer, histories = identified(task)
     motor = observer.motors['motor']
@@ -110,12 +111,18 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     learnt = Correction.of(network)
     steps = round(patience * rounds * STEPS)
     black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
-    counts = {'residual': 0 if learnt is None else learnt.learnt} | {name: one.learnt for name, one in black.items()}
+    counts = {'residual': 0 if learnt is None else learnt.learnt} | {
+        name: one.learnt for name, one in black.items()
+    }
     outcomes = []
     for log in task.asked:
         test = max(histories_of([log], {**task.parameters, 'motor.delay': delay_s}), key=len)
         plain, rollout = free_run(observer, test, theta, alone)
-        said = {'white box': rollout, 'no residual': plain, 'residual': free_run(observer, test, theta, network)[0]}
+        said = {
+            'white box': rollout,
+            'no residual': plain,
+            'residual': free_run(observer, test, theta, network)[0],
+        }
         said |= {name: one.predict(_inputs(series(test))) for name, one in black.items()}
         share = None if learnt is None else learnt.share
         outcomes.append(Outcome(_scores(test, said, task.scored_from_s), share, found, counts))
@@ -131,11 +138,16 @@ def _scores(test: Sequence[Sample], said: dict[str, FloatArray], from_s: float) 
         return {name: float('nan') for name in (*said, 'persistence')}
     all_said = {**said, 'persistence': np.concatenate([[np.nan], true[:-1]])}
     size = float(true[counts].std())
-    return {name: 100.0 * float(np.abs(one - true)[counts].mean()) / size for name, one in all_said.items()}
+    return {
+        name: 100.0 * float(np.abs(one - true)[counts].mean()) / size
+        for name, one in all_said.items()
+    }
 
 
 def identified(task: Task) -> tuple[Observer, list[list[Sample]]]:
-    """Run the observer over what is known; return it and the signal histories with the delay that it has found."""
+    """Run the observer over what is known; return it and the signal histories with the delay that
+    it has found.
+    """
     observer, _ = _run(task.known, task.parameters)
     delay_s = observer.delays()['motor'].applied_s
     return observer, histories_of(task.known, {**task.parameters, 'motor.delay': delay_s})
@@ -158,11 +170,16 @@ def _run(logs: Sequence[Log], parameters: dict[str, object]) -> tuple[Observer, 
         for k, log in enumerate(logs):
             cut = Path(folder) / f'log{k}{log.path.suffix}'
             cut.write_text(_first_rows(log))
-            mapping = replace(CsvMapping.from_options(log.columns), first_stamp_ns=FIRST_STAMP_NS + k * APART_NS)
+            mapping = replace(
+                CsvMapping.from_options(log.columns), first_stamp_ns=FIRST_STAMP_NS + k * APART_NS
+            )
             bags.append(Path(folder) / f'bag{k}')
             csv_to_bag(cut, bags[-1], mapping)
-        outcome = offline.run(
-            bags, Configuration.from_flat(parameters), None, lambda result: samples.append(result.sample)
+        outcome = offline_run.run(
+            bags,
+            Configuration.from_flat(parameters),
+            None,
+            lambda result: samples.append(result.sample),
         )
     return outcome.observer, samples
 
@@ -172,19 +189,30 @@ def _first_rows(log: Log) -> str:
     lines = log.path.read_text().splitlines(keepends=True)
     head = next((k for k, line in enumerate(lines) if line[:1] in '-.0123456789'), len(lines))
     wanted = lines if log.rows is None else lines[: head + log.rows]
-    return ''.join(wanted if log.early is None else [*wanted[:head], *_moved(wanted, head, *log.early)])
+    return ''.join(
+        wanted if log.early is None else [*wanted[:head], *_moved(wanted, head, *log.early)]
+    )
 
 
 def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
-    """Rows of comma-separated numbers under a line of names, one column so many rows later; its first number holds."""
-    rows, at = [line.split(',') for line in lines[head:]], lines[head - 1].strip().split(',').index(column)
+    """Rows of comma-separated numbers under a line of names, one column so many rows later; its
+    first number holds.
+    """
+    rows, at = (
+        [line.split(',') for line in lines[head:]],
+        lines[head - 1].strip().split(',').index(column),
+    )
     early = [row[at] for row in rows]
     late = [early[0]] * by + early
-    return [','.join([*row[:at], value, *row[at + 1 :]]) for row, value in zip(rows, late, strict=False)]
+    return [
+        ','.join([*row[:at], value, *row[at + 1 :]]) for row, value in zip(rows, late, strict=False)
+    ]
 
 
 def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
-    """Signals of a history, each of shape (time,); a speed that did not come is that of the sample before."""
+    """Signals of a history, each of shape (time,); a speed that did not come is that of the sample
+    before.
+    """
     names = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
     made = {name: np.array([getattr(sample, name)[0] for sample in history]) for name in names}
     known = np.isfinite(made['speed_rad_s'])
@@ -194,13 +222,19 @@ def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
     return made
 
 
-def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int, rounds: int) -> dict[str, Any]:
-    """Run rounds of the package's trainer over all histories; return the arrays of networks and correction."""
+def trained(
+    observer: Observer, histories: Sequence[Sequence[Sample]], seed: int, rounds: int
+) -> dict[str, Any]:
+    """Run rounds of the package's trainer over all histories; return the arrays of networks and
+    correction.
+    """
     motor = observer.motors['motor']
     estimate = motor.estimate
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
-    seen = OperatingRange().grown(signals['voltage_v'], signals['interval_s'], signals['speed_rad_s'])
+    seen = OperatingRange().grown(
+        signals['voltage_v'], signals['interval_s'], signals['speed_rad_s']
+    )
     job = {
         **signals,
         'number': np.arange(signals['voltage_v'].shape[1]),
@@ -208,7 +242,9 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
         'covariance': estimate.covariance,
         'seen': seen.to_dict(),
     }
-    trainer = PhysicsTrainer({'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed})
+    trainer = PhysicsTrainer(
+        {'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed}
+    )
     network: dict[str, Any] = {}
     for _ in range(rounds):
         told = trainer.train({**job, 'residual': True})
@@ -219,9 +255,13 @@ def trained(observer: Observer, histories: Sequence[Sequence[Sample]], seed: int
 def free_run(
     observer: Observer, test: Sequence[Sample], theta: FloatArray, network: dict[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict a history from its voltages (and speeds); return the predictor's torque and the white box's, (time,)."""
+    """Predict a history from its voltages (and speeds); return the predictor's torque and the white
+    box's, (time,).
+    """
     box = observer.motors['motor'].white_box
-    made = Predictor(box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured)
+    made = Predictor(
+        box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured
+    )
     made.restore(network)
     made.training.freeze(True)  # what was learnt is asked, nothing is learnt any more
     said = []
@@ -233,7 +273,9 @@ def free_run(
     return both[:, 0], both[:, 1]
 
 
-def black_box(histories: Sequence[Sequence[Sample]], hidden: int, steps: int, seed: int) -> BlackBox:
+def black_box(
+    histories: Sequence[Sequence[Sample]], hidden: int, steps: int, seed: int
+) -> BlackBox:
     """Teach a plain LSTM on the same histories with the same blocks held out."""
     parts = [series(history) for history in histories]
     sizes = [part['torque_nm'].size for part in parts]
@@ -243,7 +285,9 @@ def black_box(histories: Sequence[Sequence[Sample]], hidden: int, steps: int, se
 
 
 def _inputs(part: dict[str, FloatArray]) -> FloatArray:
-    """Voltage of the interval and, where it is measured, the speed at its beginning: what the gray box is shown."""
+    """Voltage of the interval and, where it is measured, the speed at its beginning: what the gray
+    box is shown.
+    """
     columns = [part['voltage_v']]
     if np.all(np.isfinite(part['speed_rad_s'])):
         columns.append(np.concatenate([part['speed_rad_s'][:1], part['speed_rad_s'][:-1]]))

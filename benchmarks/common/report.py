@@ -45,8 +45,8 @@ class Results:
         plan: what was asked for.
         times: microseconds a sample by method.
         alarms: false alarms in the hours of the core sets; None where they were not run.
-        held: of each core set, shape (parameter,): least ratio of the standard deviations in an hour of constant
-            voltage to those before; None where they were not run.
+        held: of each core set, shape (parameter,): least ratio of the standard deviations in an
+            hour of constant voltage to those before; None where they were not run.
     """
 
     outcomes: Sequence[Outcome]
@@ -95,9 +95,13 @@ def _table(results: Results, case: Case, noise: float, either_way: bool) -> str:
         row = results.summary(method, case, noise, either_way)
         if row is not None:
             rows.append([titles()[method], *_cells(row), *_time_cells(results.times, method)])
-    runs = gather(results.outcomes, own_rule(results.plan.methods) or BATCH, case.name, noise, either_way)
+    runs = gather(
+        results.outcomes, own_rule(results.plan.methods) or BATCH, case.name, noise, either_way
+    )
     if runs and noise > 0.0:
-        limits = np.sqrt(np.mean([bounds[-1] ** 2 for _, bounds, _ in runs[: results.plan.seeds]], axis=0))
+        limits = np.sqrt(
+            np.mean([bounds[-1] ** 2 for _, bounds, _ in runs[: results.plan.seeds]], axis=0)
+        )
         blank = [''] * (len(header) - 1 - len(symbols))
         rows.append(['Cramer-Rao bound', *(number(100.0 * v) for v in limits), *blank])
     length = f'{runs[0][2][-1]:.0f} s at {case.rate_hz:g} Hz' if runs else ''
@@ -108,7 +112,13 @@ def _table(results: Results, case: Case, noise: float, either_way: bool) -> str:
 def _cells(row: Summary) -> list[str]:
     errors = [number(100.0 * v) for v in row.error]
     multiples = [number(v) for v in row.multiple]
-    return [*errors, *multiples, number(row.settle_s), number(row.nees), f'{row.diverged}/{row.runs}']
+    return [
+        *errors,
+        *multiples,
+        number(row.settle_s),
+        number(row.nees),
+        f'{row.diverged}/{row.runs}',
+    ]
 
 
 def _time_cells(times: dict[str, float], method: str) -> list[str]:
@@ -132,7 +142,15 @@ def _robustness_table(results: Results) -> str:
             if any(value is not None for value in moved):
                 followed = [_settled(results, method, case, step.title) for step in STEPS]
                 cells = [number(value) if value is not None else '' for value in followed]
-                rows.append([titles()[method], case.name, *map(number, moved), *cells, *_climb(results, method, case)])
+                rows.append(
+                    [
+                        titles()[method],
+                        case.name,
+                        *map(number, moved),
+                        *cells,
+                        *_climb(results, method, case),
+                    ]
+                )
     return table(header, rows)
 
 
@@ -140,13 +158,22 @@ def _settled(results: Results, method: str, case: Case, step: str) -> float | No
     """Longest time of any seed until a step was followed; None where it was not run."""
     key = (method, step)
     return max(
-        (o.steps[key].settled_s for o in results.outcomes if o.case == case.name and key in o.steps), default=None
+        (
+            o.steps[key].settled_s
+            for o in results.outcomes
+            if o.case == case.name and key in o.steps
+        ),
+        default=None,
     )
 
 
 def _climb(results: Results, method: str, case: Case) -> list[str]:
-    """Root mean square error of each parameter during a slow climb of R, in % and in stated standard deviations."""
-    climbs = [o.climbs[method] for o in results.outcomes if o.case == case.name and method in o.climbs]
+    """Root mean square error of each parameter during a slow climb of R, in % and in stated
+    standard deviations.
+    """
+    climbs = [
+        o.climbs[method] for o in results.outcomes if o.case == case.name and method in o.climbs
+    ]
     if not climbs:
         return []
     errors = 100.0 * np.sqrt(np.mean([c.error**2 for c in climbs], axis=0))
@@ -155,8 +182,14 @@ def _climb(results: Results, method: str, case: Case) -> list[str]:
 
 
 def _moved(results: Results, method: str, case: Case, kind: str) -> float | None:
-    """How far outliers move an estimate, in units of its error without them; the worst parameter, RMS over seeds."""
-    moves = [o.moved[method, kind] for o in results.outcomes if o.case == case.name and (method, kind) in o.moved]
+    """How far outliers move an estimate, in units of its error without them; the worst parameter,
+    RMS over seeds.
+    """
+    moves = [
+        o.moved[method, kind]
+        for o in results.outcomes
+        if o.case == case.name and (method, kind) in o.moved
+    ]
     row = results.summary(method, case, 0.01, either_way=False)
     if not moves or row is None:
         return None
@@ -169,20 +202,35 @@ def figures(results: Results) -> list[Figure]:
     method, plan = own_rule(results.plan.methods), results.plan
     found: list[Figure] = []
     for case in CASES:
-        found += _figures_of_core(results, method, case) if case.core else _figures_of_other(results, method, case)
+        found += (
+            _figures_of_core(results, method, case)
+            if case.core
+            else _figures_of_other(results, method, case)
+        )
         for either_way in (False, True):
             found += _against_peers(results, method, case, either_way)
     for step in STEPS:
         found += _figures_of_step(results, method, step)
     ours, filter_time = results.times.get(method), results.times.get('ekf')
     found += [
-        Figure('time a sample / filterpy EKF', ours / filter_time if ours and filter_time else None, 1.0, plan.counts),
+        Figure(
+            'time a sample / filterpy EKF',
+            ours / filter_time if ours and filter_time else None,
+            1.0,
+            plan.counts,
+        ),
         Figure('false alarms in an hour of each core set (--long)', results.alarms, 0.0),
     ]
-    if results.held is not None:  # what the level cannot tell: everything but what heats; given as a ratio to pass
+    if (
+        results.held is not None
+    ):  # what the level cannot tell: everything but what heats; given as a ratio to pass
         least = float(min(np.min(np.delete(ratio, 1)) for ratio in results.held))
         found.append(
-            Figure('hour of constant voltage: std before / after, L and K_HS, worst (--long)', 1.0 / least, 1.01)
+            Figure(
+                'hour of constant voltage: std before / after, L and K_HS, worst (--long)',
+                1.0 / least,
+                1.01,
+            )
         )
     return found
 
@@ -198,7 +246,12 @@ def _figures_of_step(results: Results, method: str, step: Step) -> list[Figure]:
     return [
         Figure(f'{step.title}: s until within 2 % to stay, worst seed', max(times), goal, counts),
         Figure(f'{step.title}: the same, median seed', float(np.median(times)), None),
-        Figure(f'{step.title}: error 10 s later / bound of these 10 s, worst parameter', multiple, 1.2, counts),
+        Figure(
+            f'{step.title}: error 10 s later / bound of these 10 s, worst parameter',
+            multiple,
+            1.2,
+            counts,
+        ),
     ]
 
 
@@ -208,30 +261,56 @@ def _figures_of_core(results: Results, method: str, case: Case) -> list[Figure]:
     if row is None:
         return []
     for name, value in zip(case.parameters, row.multiple, strict=True):
-        found.append(Figure(f'{case.name}: RMS error of {name} / bound', float(value), 1.2, plan.counts))
+        found.append(
+            Figure(f'{case.name}: RMS error of {name} / bound', float(value), 1.2, plan.counts)
+        )
     clean = results.summary(method, case, 0.0, False)
     batch, same = (results.summary(name, case, 0.01, False) for name in (BATCH, method))
     ratio = same.settle_s / batch.settle_s if batch and same and batch.settle_s < np.inf else None
     rare = row.overconfident / row.identified if row.identified else None
     found += [
-        Figure(f'{case.name}: diverged seeds of {row.runs}', row.diverged, 0.0, plan.counts and row.runs >= 100),
-        Figure(f'{case.name}: noise-free worst error in %', 100.0 * clean.worst if clean else None, 0.01, plan.counts),
+        Figure(
+            f'{case.name}: diverged seeds of {row.runs}',
+            row.diverged,
+            0.0,
+            plan.counts and row.runs >= 100,
+        ),
+        Figure(
+            f'{case.name}: noise-free worst error in %',
+            100.0 * clean.worst if clean else None,
+            0.01,
+            plan.counts,
+        ),
         Figure(f'{case.name}: time to 1 % / batch', ratio, 1.5, plan.counts),
-        Figure(f'{case.name}: mean NEES', row.nees, nees_band(len(case.parameters), row.runs), plan.counts),
+        Figure(
+            f'{case.name}: mean NEES',
+            row.nees,
+            nees_band(len(case.parameters), row.runs),
+            plan.counts,
+        ),
         Figure(f'{case.name}: identified but beyond 3 std, fraction', rare, 0.01, plan.counts),
         Figure(f'{case.name}: false alarms in {row.runs} recordings', row.alarms, 0.0, plan.counts),
     ]
-    climbs = [o.climbs[method] for o in results.outcomes if o.case == case.name and method in o.climbs]
+    climbs = [
+        o.climbs[method] for o in results.outcomes if o.case == case.name and method in o.climbs
+    ]
     if climbs:
         stds = float(np.max(np.sqrt(np.mean([c.stds**2 for c in climbs], axis=0))))
         errors = 100.0 * np.max(np.sqrt(np.mean([c.error**2 for c in climbs], axis=0)))
         found += [
             Figure(f'{case.name}: R climbs 20 %: error in %, worst parameter', float(errors), None),
-            Figure(f'{case.name}: R climbs 20 %: error in stated std, worst parameter', stds, 2.0, plan.counts),
+            Figure(
+                f'{case.name}: R climbs 20 %: error in stated std, worst parameter',
+                stds,
+                2.0,
+                plan.counts,
+            ),
         ]
     for kind in OUTLIERS:
         moved = _moved(results, method, case, kind)
-        found.append(Figure(f'{case.name}: moved by {kind} outliers / error', moved, 2.0, plan.counts))
+        found.append(
+            Figure(f'{case.name}: moved by {kind} outliers / error', moved, 2.0, plan.counts)
+        )
     return found
 
 
@@ -243,12 +322,16 @@ def _figures_of_other(results: Results, method: str, case: Case) -> list[Figure]
     band = nees_band(len(case.parameters), row.runs)
     return [
         Figure(f'{case.name}: RMS error / bound, worst parameter', worst, None),
-        Figure(f'{case.name}: mean NEES, consistent in {band[0]:.2f} to {band[1]:.2f}', row.nees, None),
+        Figure(
+            f'{case.name}: mean NEES, consistent in {band[0]:.2f} to {band[1]:.2f}', row.nees, None
+        ),
     ]
 
 
 def _against_peers(results: Results, method: str, case: Case, either_way: bool) -> list[Figure]:
-    """Ours over the best online peer: root mean square multiple of the bound over parameters and all common seeds."""
+    """Ours over the best online peer: root mean square multiple of the bound over parameters and
+    all common seeds.
+    """
     ratios = {}
     for name in [name for name in results.plan.methods if name in PEERS]:
         seeds = results.plan.own_seeds if name in results.plan.rivals else results.plan.seeds

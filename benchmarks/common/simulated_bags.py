@@ -14,8 +14,11 @@ MOTOR = 'motor'
 SAMPLE_RATE_HZ = 100.0
 
 
-def write_bag(folder: Path, seed: int, duration_s: float, *, start_ns: int, resistance: float = 1.0) -> None:
-    """Record the motor of the thesis at 100 Hz, torque noise of 1 %, in chunks of a second as the recorder writes them.
+def write_bag(
+    folder: Path, seed: int, duration_s: float, *, start_ns: int, resistance: float = 1.0
+) -> None:
+    """Record the motor of the thesis at 100 Hz, torque noise of 1 %, in chunks of a second as the
+    recorder writes them.
 
     Args:
         folder: of the rosbag2 bag; must not exist.
@@ -37,7 +40,9 @@ def write_bag(folder: Path, seed: int, duration_s: float, *, start_ns: int, resi
     with BagWriter(folder, BagOptions(flush_period_s=1e9, library='gray_box_observer')) as bag:
         for topic in ('/motor/voltage', '/motor/torque'):
             bag.add_topic(topic, TYPE_NAME, schema)
-        signals = zip(recording.stamp_ns, recording.voltage_v[0], recording.torque_nm[0], strict=True)
+        signals = zip(
+            recording.stamp_ns, recording.voltage_v[0], recording.torque_nm[0], strict=True
+        )
         for k, (stamp, voltage_v, torque_nm) in enumerate(signals):
             stamp_ns = int(stamp)
             for topic, value in (('/motor/voltage', voltage_v), ('/motor/torque', torque_nm)):

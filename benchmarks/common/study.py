@@ -1,4 +1,6 @@
-"""The runs behind the figures: one unit of work is one seed of one case, so that two processes can share them."""
+"""The runs behind the figures: one unit of work is one seed of one case, so that two processes can
+share them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from common.tuning import estimators
 OUTLIERS = ('torque', 'voltage')
 HORIZON_SLOW = 'mhe'
 ROBUSTNESS = (*OWN_RULES, 'ekf')
-"""Methods that are also run with outliers and with a step of R; the filter beside the rules, for information."""
+"""Methods that are also run with outliers and with a step of R; the filter beside the rules, for
+information."""
 
 BATCH = 'batch'
 
@@ -62,7 +65,8 @@ class Outcome:
         traces: by method, case, noise and kind of start.
         bounds: by noise, shape (mark, parameter): the Cramer-Rao bound as a fraction of the value.
         time_s: shape (mark,).
-        moved: by rule and kind of outlier, shape (parameter,): how far outliers moved the estimate, a fraction.
+        moved: by rule and kind of outlier, shape (parameter,): how far outliers moved the estimate,
+            a fraction.
         steps: by rule and step, how it was followed.
         climbs: by rule, how a slow climb of R was followed.
     """
@@ -90,14 +94,20 @@ def carry_out(work: Work) -> Outcome:
             outcome.bounds[noise] = bound_over_time(record, marks)
             builders = estimators(case)
             for method in work.methods:
-                run = grow(record, marks) if method == BATCH else follow(builders[method], record, marks)
+                run = (
+                    grow(record, marks)
+                    if method == BATCH
+                    else follow(builders[method], record, marks)
+                )
                 outcome.traces[method, case.name, noise, either_way] = run
     if work.robustness:
         for rule in [name for name in ROBUSTNESS if name in work.methods]:
             _hit_with_outliers(outcome, clean, rule)
             outcome.climbs[rule] = changes.climb(case, work.seed, estimators(case)[rule])
             for step in changes.STEPS if case.name == 'short holds' else ():
-                outcome.steps[rule, step.title] = changes.watch(step, case, work.seed, estimators(case)[rule])
+                outcome.steps[rule, step.title] = changes.watch(
+                    step, case, work.seed, estimators(case)[rule]
+                )
     return outcome
 
 
@@ -115,7 +125,9 @@ def _hit_with_outliers(outcome: Outcome, clean: Clean, rule: str) -> None:
 def microseconds_per_sample(
     record: Record, builders: dict[str, Callable[[Record], Online]], repeats: int = 3
 ) -> dict[str, float]:
-    """Mean time to learn one sample, the least of some repeats, taken in turns so that all meet the same weather."""
+    """Mean time to learn one sample, the least of some repeats, taken in turns so that all meet the
+    same weather.
+    """
     spent: dict[str, list[float]] = {name: [] for name in builders}
     for _ in range(repeats):
         for name, build in builders.items():
@@ -138,7 +150,9 @@ def false_alarms_in_an_hour(case: Case, rule: str, seed: int) -> int:
 
 
 def constant_hour(case: Case, rule: str, seed: int) -> FloatArray:
-    """Learn a recording, then an hour of its last voltage: by what the standard deviations were multiplied at least."""
+    """Learn a recording, then an hour of its last voltage: by what the standard deviations were
+    multiplied at least.
+    """
     record = simulate(case, [seed]).record(seed, 0.01)
     estimator = OwnRule(rule, record)
     for k in range(record.stamp_ns.size):
@@ -147,11 +161,18 @@ def constant_hour(case: Case, rule: str, seed: int) -> FloatArray:
 
 
 def gather(
-    outcomes: Sequence[Outcome], method: str, case: str, noise: float, either_way: bool, seeds: int | None = None
+    outcomes: Sequence[Outcome],
+    method: str,
+    case: str,
+    noise: float,
+    either_way: bool,
+    seeds: int | None = None,
 ) -> list[tuple[Trace, FloatArray, FloatArray]]:
     """Traces of one method on one case with their bounds and times, in the order of the seeds."""
     key = (method, case, noise, either_way)
-    chosen = sorted((o for o in outcomes if o.case == case and key in o.traces), key=lambda o: o.seed)
+    chosen = sorted(
+        (o for o in outcomes if o.case == case and key in o.traces), key=lambda o: o.seed
+    )
     return [(o.traces[key], o.bounds[noise], o.time_s) for o in chosen[:seeds]]
 
 

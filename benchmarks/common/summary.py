@@ -1,4 +1,6 @@
-"""From traces to the numbers of a row: root mean squares over seeds, multiples of the bound, settling, consistency."""
+"""From traces to the numbers of a row: root mean squares over seeds, multiples of the bound,
+settling, consistency.
+"""
 
 from __future__ import annotations
 
@@ -51,10 +53,14 @@ class Summary:
 
 def summarise(runs: Sequence[tuple[Trace, FloatArray, FloatArray]], noise: float) -> Summary:
     """Put the seeds together; a failed run counts as infinitely wrong, it is never left out."""
-    final = np.nan_to_num(np.abs([trace.error[-1] for trace, _, _ in runs]), nan=np.inf, posinf=np.inf)
+    final = np.nan_to_num(
+        np.abs([trace.error[-1] for trace, _, _ in runs]), nan=np.inf, posinf=np.inf
+    )
     limits = np.array([bounds[-1] for _, bounds, _ in runs])
     multiples = final / limits if noise > 0.0 else np.full_like(final, np.nan)
-    settle = [settled_s(np.max(np.abs(trace.error), axis=1), time_s, SETTLED) for trace, _, time_s in runs]
+    settle = [
+        settled_s(np.max(np.abs(trace.error), axis=1), time_s, SETTLED) for trace, _, time_s in runs
+    ]
     squares = np.mean(multiples**2, axis=0)
     return Summary(
         runs=len(runs),
@@ -72,6 +78,8 @@ def summarise(runs: Sequence[tuple[Trace, FloatArray, FloatArray]], noise: float
 
 
 def nees_band(parameters: int, runs: int) -> tuple[float, float]:
-    """Where the mean NEES of a consistent estimator lies in 95 of 100 studies (Bar-Shalom, Li, Kirubarajan 2001)."""
+    """Where the mean NEES of a consistent estimator lies in 95 of 100 studies (Bar-Shalom, Li,
+    Kirubarajan 2001).
+    """
     low, high = chi2.ppf([0.025, 0.975], parameters * runs) / runs
     return float(low), float(high)

@@ -22,7 +22,8 @@ class Trace:
     Attributes:
         error: shape (mark, parameter): deviation as a fraction of the truth, signed.
         nees: normalised estimation error squared at the end; NaN where no covariance is stated.
-        identified: parameters called ``identified``, summed over the marks (the package's rules only).
+        identified: parameters called ``identified``, summed over the marks (the package's rules
+            only).
         overconfident: those of them whose error exceeded three stated standard deviations.
         alarms: drifts announced (the package's rules only).
         failure: what ended it early; empty where nothing did.
@@ -49,7 +50,9 @@ def follow(build: Callable[[Record], Online], record: Record, marks: NDArray[np.
     next_mark, identified, overconfident, alarms, nees = 0, 0, 0, 0, np.nan
     failure = ''
     with warnings.catch_warnings():
-        warnings.simplefilter('ignore')  # a diverging filter says so many times; the failure is kept below
+        warnings.simplefilter(
+            'ignore'
+        )  # a diverging filter says so many times; the failure is kept below
         try:
             estimator = build(record)
             for k in range(record.stamp_ns.size):
@@ -82,7 +85,8 @@ def grow(record: Record, marks: NDArray[np.intp]) -> Trace:
             guess = None
             continue
         error[row] = theta / truth - 1.0
-        # An early fit may have run away along what is not yet known: the next one then starts afresh.
+        # An early fit may have run away along what is not yet known: the next one then starts
+        # afresh.
         guess = theta if np.all(np.abs(np.log(theta / record.start)) < 5.0) else None
     return Trace(error, _nees(theta - truth, covariance))
 
@@ -92,4 +96,6 @@ def _nees(deviation: FloatArray, covariance: FloatArray | None) -> float:
         return float('nan')
     scale = np.sqrt(np.maximum(np.diagonal(covariance), 1e-300))
     normalised = covariance / scale[:, None] / scale[None, :]
-    return float((deviation / scale) @ np.linalg.pinv(normalised, hermitian=True) @ (deviation / scale))
+    return float(
+        (deviation / scale) @ np.linalg.pinv(normalised, hermitian=True) @ (deviation / scale)
+    )

@@ -1,10 +1,12 @@
-"""How the peers are tuned: a grid over held-out seeds, each data set for itself, which is more than a user can do.
+"""How the peers are tuned: a grid over held-out seeds, each data set for itself, which is more than
+a user can do.
 
-For every data set the setting wins whose error at the end of the recording, in multiples of the Cramer-Rao bound and
-averaged over seeds on a logarithmic scale (so that one diverged run does not decide), is smallest. The starts are two
-to three times off either way, because a user does not know the direction; the winner then runs from every start. The
-winners stand in ``tuned_peers.json``; ``identification.py --tune`` makes it anew. Nothing of this project's own is
-tuned: its defaults run everywhere.
+For every data set the setting wins whose error at the end of the recording, in multiples of the
+Cramer-Rao bound and averaged over seeds on a logarithmic scale (so that one diverged run does not
+decide), is smallest. The starts are two to three times off either way, because a user does not know
+the direction; the winner then runs from every start. The winners stand in ``tuned_peers.json``;
+``identification.py --tune`` makes it anew. Nothing of this project's own is tuned: its defaults run
+everywhere.
 """
 
 from __future__ import annotations
@@ -59,7 +61,11 @@ PEERS = {
         'RLS on differences (padasip)',
         Recursive,
         RecursiveSettings,
-        {'stride': (1, 2, 5, 10, 20, 50), 'forgetting': (1.0, 0.9999, 0.999), 'initial': (1e-3, 1e-6)},
+        {
+            'stride': (1, 2, 5, 10, 20, 50),
+            'forgetting': (1.0, 0.9999, 0.999),
+            'initial': (1e-3, 1e-6),
+        },
         4,
     ),
     'rls integrated': Peer(
@@ -112,7 +118,9 @@ PEERS = {
 
 def estimators(case: Case) -> dict[str, Callable[[Record], Online]]:
     """Everything that runs online on a case, by name: the package's rules, then the tuned peers."""
-    made: dict[str, Callable[[Record], Online]] = {name: partial(OwnRule, name) for name in OWN_RULES}
+    made: dict[str, Callable[[Record], Online]] = {
+        name: partial(OwnRule, name) for name in OWN_RULES
+    }
     for name, peer in PEERS.items():
         made[name] = partial(peer.build, settings=tuned(name, case))
     return made
@@ -134,7 +142,9 @@ def jobs() -> list[tuple[str, Case]]:
 
 
 def tune(name: str, case: Case) -> tuple[str, dict[str, Any], float]:
-    """Find the best settings of a peer; return their key, their values and their error in multiples of the bound."""
+    """Find the best settings of a peer; return their key, their values and their error in multiples
+    of the bound.
+    """
     peer = PEERS[name]
     seeds = range(FIRST_SEED, FIRST_SEED + peer.seeds)
     clean = simulate(case, seeds, peer.part * case.duration_s)
@@ -145,8 +155,12 @@ def tune(name: str, case: Case) -> tuple[str, dict[str, Any], float]:
         settings = peer.settings(**dict(zip(peer.grid, values, strict=True)))
         score = 0.0
         for record, limit in zip(records, bounds, strict=True):
-            end = follow(partial(peer.build, settings=settings), record, np.array([record.stamp_ns.size - 1]))
+            end = follow(
+                partial(peer.build, settings=settings), record, np.array([record.stamp_ns.size - 1])
+            )
             multiple = float(np.sqrt(np.mean((end.error[-1] / limit) ** 2)))
-            score += np.log(min(multiple, WORST_MULTIPLE) if np.isfinite(multiple) else WORST_MULTIPLE)
+            score += np.log(
+                min(multiple, WORST_MULTIPLE) if np.isfinite(multiple) else WORST_MULTIPLE
+            )
         best = min(best, (score / len(records), asdict(settings)), key=lambda pair: pair[0])
     return _key(name, case), best[1], float(np.exp(best[0]))

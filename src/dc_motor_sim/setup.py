@@ -15,7 +15,10 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', [str(path) for path in Path('config').glob('*.yaml')]),
         (f'share/{PACKAGE}/launch', [str(path) for path in Path('launch').glob('*.launch.py')]),
-        (f'share/{PACKAGE}/security', [str(path) for path in Path('security').glob('*.policy.xml')]),
+        (
+            f'share/{PACKAGE}/security',
+            [str(path) for path in Path('security').glob('*.policy.xml')],
+        ),
     ],
     install_requires=['setuptools', 'numpy'],
     extras_require={'test': ['pytest']},

@@ -7,13 +7,15 @@ from setuptools.command.build_ext import build_ext
 
 PACKAGE = 'gray_box_observer'
 
-# Without a C compiler the package is built all the same: numpy then learns what this would, only slower.
+# Without a C compiler the package is built all the same: numpy then learns what this would, only
+# slower.
 COMPILED = Extension(
-    f'{PACKAGE}.context_nodes._compiled',
-    [f'{PACKAGE}/context_nodes/ordinary_{what}.c' for what in ('block', 'estimate')],
+    f'{PACKAGE}.context_nodes.native._compiled',
+    [f'{PACKAGE}/context_nodes/native/regular_{what}.c' for what in ('block', 'estimate')],
     include_dirs=[PACKAGE],
     depends=[str(path) for path in sorted(Path(PACKAGE, 'white_box').glob('*.h'))],
-    # Products fused with sums would make results depend on the processor; vectors are passed inside one file only.
+    # Products fused with sums would make results depend on the processor; vectors are passed inside
+    # one file only.
     extra_compile_args=['-O2', '-std=gnu11', '-ffp-contract=off', '-fno-math-errno', '-Wno-psabi'],
     libraries=['m'],
     optional=True,
@@ -43,11 +45,24 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', [str(path) for path in sorted(Path('config').glob('*.*ml'))]),
-        (f'share/{PACKAGE}/launch', [str(path) for path in sorted(Path('launch').glob('*.launch.py'))]),
+        (
+            f'share/{PACKAGE}/launch',
+            [str(path) for path in sorted(Path('launch').glob('*.launch.py'))],
+        ),
         (f'share/{PACKAGE}/layouts', [str(path) for path in sorted(Path('layouts').iterdir())]),
-        (f'share/{PACKAGE}/security', [str(path) for path in sorted(Path('security').glob('*.policy.xml'))]),
+        (
+            f'share/{PACKAGE}/security',
+            [str(path) for path in sorted(Path('security').glob('*.policy.xml'))],
+        ),
     ],
-    package_data={PACKAGE: ['report/*.js', 'report/*.css', 'report/*.html', 'predictor/*.safetensors']},
+    package_data={
+        PACKAGE: [
+            'report/run/*.js',
+            'report/run/*.css',
+            'report/run/*.html',
+            'predictor/*.safetensors',
+        ]
+    },
     install_requires=['setuptools', 'numpy', 'PyYAML'],
     extras_require={'archive': ['distributed', 'pyarrow'], 'test': ['pytest']},
     zip_safe=False,

@@ -1,4 +1,6 @@
-"""The bound: against its published values, against its own limit in time, and reached by the offline reference."""
+"""The bound: against its published values, against its own limit in time, and reached by the
+offline reference.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def test_too_few_samples_tell_nothing() -> None:
 
 
 def test_offline_least_squares_reaches_the_bound() -> None:
-    least_squares = pytest.importorskip('common.least_squares', reason='needs the peers of requirements/bench.txt')
+    least_squares = pytest.importorskip(
+        'common.least_squares', reason='needs the peers of requirements/bench.txt'
+    )
     clean = simulate(CASES[2], range(12), 20.0)
     multiples = []
     for seed in clean.seeds:

@@ -18,7 +18,9 @@ PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'identification.p
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, str(PROGRAM), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+    )
 
 
 @pytest.fixture

@@ -1,4 +1,6 @@
-"""The benchmarks' own solution: against the closed form, against differences, and against the package's."""
+"""The benchmarks' own solution: against the closed form, against differences, and against the
+package's.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,13 @@ def test_sensitivities_are_the_derivatives_of_the_motion(case: Case) -> None:
         step = np.zeros(unknowns.size)
         step[j] = 1e-5 * value
         above, below = (
-            solve(case.form, (unknowns + s)[1:], (unknowns + s)[0], record.inputs, currents) for s in (step, -step)
+            solve(case.form, (unknowns + s)[1:], (unknowns + s)[0], record.inputs, currents)
+            for s in (step, -step)
         )
         difference = (above.current_a - below.current_a) / (2e-5 * value)
-        np.testing.assert_allclose(motion.sensitivity[j], difference, atol=1e-6 * np.abs(difference).max())
+        np.testing.assert_allclose(
+            motion.sensitivity[j], difference, atol=1e-6 * np.abs(difference).max()
+        )
 
 
 @pytest.mark.parametrize('case', CASES, ids=lambda case: case.name)
@@ -51,7 +56,9 @@ def test_the_motion_agrees_with_the_simulator(case: Case) -> None:
     record = simulate(case, [4], 400 / case.rate_hz).record(4, 0.0)
     currents = record.true_torque_nm / case.plant.torque_constant
     found = solve(case.form, case.truth, 0.0, record.inputs, currents).current_a
-    allowed = 1e-3 if case.rotor else 2e-5  # the rotor's speed is not quite straight between samples
+    allowed = (
+        1e-3 if case.rotor else 2e-5
+    )  # the rotor's speed is not quite straight between samples
     assert np.abs(found - currents).max() < allowed * currents.std()
 
 
@@ -61,15 +68,22 @@ def test_one_step_agrees_with_the_package_that_works_in_other_coordinates(case: 
     inputs = record.inputs
     start = record.true_torque_nm[:-1] / case.plant.torque_constant
     end, by_start, by_theta = step_all(case.form, case.truth, start, inputs)
-    known = {} if 'back_emf_constant' in case.parameters else {'back_emf_constant': case.plant.back_emf_constant}
-    white_box = MotorWhiteBox(case.parameters, case.plant.torque_constant, known, speed_measured=case.rotor)
+    known = (
+        {}
+        if 'back_emf_constant' in case.parameters
+        else {'back_emf_constant': case.plant.back_emf_constant}
+    )
+    white_box = MotorWhiteBox(
+        case.parameters, case.plant.torque_constant, known, speed_measured=case.rotor
+    )
     p = to_coordinates(case.truth[None, :])
     speed = inputs.speed_rad_s
     signals = inputs.voltage_v[None], speed[None, :-1], speed[None, 1:], inputs.interval_s[None]
     theirs, slope, forced = flow(white_box, p, [start[None]], *signals).of_state(State.CURRENT)
     by_p = by_theta / p[0, 0]  # theta_0 = 1 / p_0, theta_j = p_j / p_0
     by_p[0] = -(by_theta[0] + p[0, 1:] @ by_theta[1:]) / p[0, 0] ** 2
-    # One step of theirs is enough for the estimate; ours is cut finer, which shows at the fast motor.
+    # One step of theirs is enough for the estimate; ours is cut finer, which shows at the fast
+    # motor.
     np.testing.assert_allclose(theirs[0], end, rtol=3e-5)
     np.testing.assert_allclose(slope[0], by_start, rtol=1e-3)
     scale = np.abs(by_p).max(axis=1, keepdims=True)

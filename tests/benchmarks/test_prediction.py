@@ -1,4 +1,6 @@
-"""The benchmark of the predictor: its scores against their formula, and its plan against what it must cover."""
+"""The benchmark of the predictor: its scores against their formula, and its plan against what it
+must cover.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ def test_the_error_is_the_mean_behind_the_first_second_in_percent_of_the_spread(
     recording = record([THESIS_MOTOR], 'R[5,15]D[0.2,2]', 1, 3.0)
     said = recording.true_torque_nm + 0.002
     said[:, :100] += 7.0
-    np.testing.assert_allclose(errors(said, recording), 0.2 / recording.true_torque_nm.std(), rtol=1e-12)
+    np.testing.assert_allclose(
+        errors(said, recording), 0.2 / recording.true_torque_nm.std(), rtol=1e-12
+    )
 
 
 def test_the_white_box_with_the_true_parameters_is_the_truth_and_untrained_is_worse() -> None:

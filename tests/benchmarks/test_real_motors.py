@@ -17,7 +17,9 @@ PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'real_motors.py'
 def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+    )
 
 
 @pytest.fixture
@@ -29,7 +31,9 @@ def servo_log(tmp_path: Path) -> Path:
         if step % 40 == 0:
             duty = float(random.uniform(0.4, 1.0))
         voltage = duty * 2000 * 2.466e-3
-        lines.append(f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1')
+        lines.append(
+            f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
+        )
         for _ in range(20):
             drop = 0.455 * current / (abs(current) + 0.02)
             current += period_s / 20 / 0.002 * (voltage - 8.0 * current - drop)
@@ -54,7 +58,9 @@ def test_the_servo_alone_gives_its_figure_and_none_of_the_robots(servo_log: Path
 def test_a_folder_without_measurements_is_one_clear_line(tmp_path: Path, folder: str) -> None:
     done = run('--data', tmp_path / folder)
     assert done.returncode == 2
-    assert done.stderr.startswith(f'real_motors: error: no measurements in {tmp_path / folder}: expected ')
+    assert done.stderr.startswith(
+        f'real_motors: error: no measurements in {tmp_path / folder}: expected '
+    )
     assert done.stderr.count('\n') == 1
 
 

@@ -14,11 +14,11 @@ from common.black_box import BlackBox
 from common.real_prediction import SIZES, Log, Task, histories_of, identified, solve
 
 from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import BENDS, FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual import BINS, INPUTS, Correction
-from gray_box_observer.predictor.residual_trainer import HIDDEN
-from gray_box_observer.predictor.start import first_network
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, Correction
+from gray_box_observer.predictor.training.residual_trainer import HIDDEN
 
 PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'real_prediction.py'
 COLUMNS = ('time=t', 'voltage=u', 'current=i', 'torque_constant=0.05')
@@ -58,7 +58,9 @@ def test_what_scores_is_not_in_what_teaches(log: Path) -> None:
     kept = log.read_text().splitlines()
     task = Task('motor', (Log(log, COLUMNS, 400),), (Log(log, COLUMNS),), 0.4, PARAMETERS)
     observer, histories = identified(task)
-    log.write_text('\n'.join([*kept[:401], *(f'{row.split(",")[0]},0,7' for row in kept[401:])]) + '\n')
+    log.write_text(
+        '\n'.join([*kept[:401], *(f'{row.split(",")[0]},0,7' for row in kept[401:])]) + '\n'
+    )
     other, again = identified(task)
     assert [s.stamp_ns for h in histories for s in h] == [s.stamp_ns for h in again for s in h]
     np.testing.assert_array_equal(observer.motors['motor'].theta, other.motors['motor'].theta)
@@ -82,9 +84,14 @@ def test_the_black_box_learns_a_filter_and_stops_by_blocks_that_did_not_teach() 
 @pytest.mark.parametrize('inputs', [1, 2])
 def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inputs: int) -> None:
     data, judging = [np.zeros((600, inputs))], [np.arange(600) // 50 % 4 == 3]
-    counts = [BlackBox(data, [np.zeros(600)], judging, hidden=hidden, steps=0, seed=1).learnt for hidden in SIZES]
+    counts = [
+        BlackBox(data, [np.zeros(600)], judging, hidden=hidden, steps=0, seed=1).learnt
+        for hidden in SIZES
+    ]
     network, linear = Weights.initial(INPUTS, HIDDEN, 0), LinearPart.silent()
-    residual = Correction(network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01).learnt
+    residual = Correction(
+        network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01
+    ).learnt
     physics = sum(array.size for array in first_network(TrainingRules(), 0).arrays().values())
     assert residual == 4 * HIDDEN * (INPUTS + HIDDEN + 1) + HIDDEN + 1 + FEATURES + BENDS.size
     assert counts == [4 * hidden * (inputs + hidden + 1) + hidden + 1 for hidden in SIZES]
@@ -96,9 +103,13 @@ def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inpu
 def test_a_folder_without_measurements_is_one_clear_line(tmp_path: Path, folder: str) -> None:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, '--data', tmp_path / folder]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+    )
     assert done.returncode == 2
-    assert done.stderr.startswith(f'real_prediction: error: no measurements in {tmp_path / folder}: expected ')
+    assert done.stderr.startswith(
+        f'real_prediction: error: no measurements in {tmp_path / folder}: expected '
+    )
     assert done.stderr.count('\n') == 1
 
 
@@ -108,15 +119,24 @@ def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> N
     for k in range(160):
         duty = 0.4 if (k // 20) % 2 else 0.8
         voltage = duty * 2000 * 2.466e-3
-        lines.append(f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1')
+        lines.append(
+            f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
+        )
         for _ in range(20):
-            current += period_s / 20 / 0.002 * (voltage - 8.0 * current - 0.455 * current / (abs(current) + 0.02))
+            current += (
+                period_s
+                / 20
+                / 0.002
+                * (voltage - 8.0 * current - 0.455 * current / (abs(current) + 0.02))
+            )
     log = tmp_path / 'openservocore' / 'rl-probe-bench.csv'
     log.parent.mkdir()
     log.write_text('\n'.join(lines) + '\n')
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, '--data', tmp_path, '--quick']
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+    )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
     assert (told['benchmark'], told['seeds']) == ('real_prediction', 1)

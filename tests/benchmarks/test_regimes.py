@@ -51,6 +51,8 @@ def test_every_motor_but_the_last_lacks_something() -> None:
 def test_fewer_seeds_than_none_are_refused() -> None:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, PROGRAM, '--seeds', '-1']
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=False)
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=False
+    )
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].endswith('--seeds must be at least 1, got -1')

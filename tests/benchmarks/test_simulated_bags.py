@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from common.simulated_bags import write_bag
 
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.offline import run
+from gray_box_observer.identify.offline_run import run
+from gray_box_observer.settings.configuration import Configuration
 
 
 def test_the_same_seed_makes_the_same_bag_and_another_one_another(tmp_path: Path) -> None:
@@ -21,4 +21,6 @@ def test_a_bag_is_of_the_motor_that_was_asked_for(tmp_path: Path) -> None:
     outcome = run([tmp_path / 'bag'], Configuration.from_flat({}), None)
     assert outcome.courses['motor'].first_ns == 10**18
     assert outcome.observer.counts('motor').used == 2000
-    np.testing.assert_allclose(outcome.observer.estimates()['motor'].value, [[0.5, 2.0, 10.0]], rtol=0.02)
+    np.testing.assert_allclose(
+        outcome.observer.estimates()['motor'].value, [[0.5, 2.0, 10.0]], rtol=0.02
+    )

@@ -1,4 +1,6 @@
-"""Table 5.1 made again: its scores against closed forms, its data apart, the thesis's numbers, and a tiny run."""
+"""Table 5.1 made again: its scores against closed forms, its data apart, the thesis's numbers, and
+a tiny run.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,9 @@ TINY = Amount(training_s=24.0, test_s=12.0, epochs=2, passes=1)
 def ramp(slope_nm: float, samples: int = 500) -> Series:
     """One set whose torque rises by the same amount every sample."""
     torque = slope_nm * np.arange(samples)[None, :]
-    return Series(('ramp',), 0, np.arange(samples, dtype=np.int64) * 10_000_000, np.ones_like(torque), torque)
+    return Series(
+        ('ramp',), 0, np.arange(samples, dtype=np.int64) * 10_000_000, np.ones_like(torque), torque
+    )
 
 
 @pytest.fixture(scope='module')
@@ -71,10 +75,14 @@ def test_a_shifted_prediction_has_a_perfect_difference_score_and_a_wrong_torque(
     series = ramp(1e-3)
     found = score(series, series.torque_nm + 0.5)
     assert found.difference_nm == pytest.approx([0.0], abs=1e-15)
-    assert found.error_percent[0] == pytest.approx(100.0 * 0.5 / series.torque_nm[:, WARM_UP:].std())
+    assert found.error_percent[0] == pytest.approx(
+        100.0 * 0.5 / series.torque_nm[:, WARM_UP:].std()
+    )
 
 
-def test_a_prediction_that_is_missing_where_it_is_judged_is_infinitely_wrong_and_before_that_is_not() -> None:
+def test_a_prediction_that_is_missing_where_it_is_judged_is_infinitely_wrong_and_before_that_is_not() -> (
+    None
+):
     series = ramp(1e-3)
     late, early = series.torque_nm.copy(), series.torque_nm.copy()
     late[0, WARM_UP + 3] = early[0, WARM_UP - 1] = np.nan
@@ -93,7 +101,9 @@ def test_no_two_recordings_of_any_two_runs_share_a_seed() -> None:
     assert len(set(seeds)) == len(seeds)
 
 
-def test_training_validation_and_the_test_on_the_same_excitation_hold_other_voltages(recordings: Recordings) -> None:
+def test_training_validation_and_the_test_on_the_same_excitation_hold_other_voltages(
+    recordings: Recordings,
+) -> None:
     series = (recordings.training, recordings.validation, recordings.tests)
     assert [s.seed for s in series] == [seed_of(0, role) for role in Role]
     levels = [set(np.round(np.unique(s.voltage_v[0]), 9)) for s in series]
@@ -107,7 +117,9 @@ def test_noise_is_on_the_voltage_and_the_torque_follows_it() -> None:
     assert np.std(noisy.voltage_v - calm.voltage_v) == pytest.approx(0.5, rel=0.1)
     assert np.std(noisy.torque_nm - calm.torque_nm) > 0.0
     fitted = rollout(white_box(OURS), np.array([0.5, 1.0, 10.0]), noisy)
-    assert np.abs(fitted - noisy.torque_nm).max() < 1e-6  # all of its torque comes from the voltage that was recorded
+    assert (
+        np.abs(fitted - noisy.torque_nm).max() < 1e-6
+    )  # all of its torque comes from the voltage that was recorded
 
 
 def test_a_decimated_voltage_is_the_mean_over_the_interval_before_the_sample() -> None:
@@ -127,7 +139,9 @@ def test_the_numbers_of_the_thesis_stand_in_its_own_order_of_sets() -> None:
 
 
 def test_every_claim_is_counted_on_the_numbers_of_the_thesis_as_its_text_says() -> None:
-    counted = {claim.text: (claim.count(thesis.ratios()), len(claim.columns)) for claim in thesis.CLAIMS}
+    counted = {
+        claim.text: (claim.count(thesis.ratios()), len(claim.columns)) for claim in thesis.CLAIMS
+    }
     assert counted == {
         'main is last on the training set and the one like it': (2, 2),
         'main leads on the complex sets': (4, 4),
@@ -137,7 +151,9 @@ def test_every_claim_is_counted_on_the_numbers_of_the_thesis_as_its_text_says() 
 
 
 def of_the_thesis(runs: int = 3) -> dict[str, np.ndarray]:
-    return {row: np.tile(1.0 + np.array(excess), (runs, 1)) for row, excess in thesis.EXCESS.items()}
+    return {
+        row: np.tile(1.0 + np.array(excess), (runs, 1)) for row, excess in thesis.EXCESS.items()
+    }
 
 
 def test_the_ranking_of_the_thesis_agrees_with_itself_and_its_reverse_does_not() -> None:
@@ -160,7 +176,9 @@ def made_up(setting: str, physics: bool) -> list[Outcome]:
     theta = np.array([0.5, 1.0, 10.0])
     percent = dict.fromkeys(rows, 300.0) | {'physics': 0.5}
     return [
-        Outcome(setting, row, run, Score(np.full(8, 1.0 + k), np.full(8, percent[row] + run)), theta)
+        Outcome(
+            setting, row, run, Score(np.full(8, 1.0 + k), np.full(8, percent[row] + run)), theta
+        )
         for k, row in enumerate(rows)
         for run in range(2)
     ]
@@ -208,7 +226,9 @@ def test_validation_and_test_data_never_reach_the_weights() -> None:
     assert not np.array_equal(trained[0][0].validation, trained[1][0].validation)
 
 
-def test_further_variants_and_ours_go_through_the_observer_which_learns_nothing_from_the_tests() -> None:
+def test_further_variants_and_ours_go_through_the_observer_which_learns_nothing_from_the_tests() -> (
+    None
+):
     pytest.importorskip('torch')
     data = record_all(0, 10.0, 3.0, OURS.every)
     for variant in ('supervised', *extra_variants()):
@@ -225,7 +245,9 @@ def test_the_control_whose_network_learns_nothing_still_identifies_the_motor() -
     data = record_all(0, 60.0, 3.0, OURS.every)
     control = online.train(OURS.configuration('main'), data.training, 1, network=False)
     assert online.theta(control) == pytest.approx([0.5, 1.0, 10.0], rel=1e-3)
-    assert np.all(np.isnan(online.predict(control, data.tests)))  # variant main has nothing to say before it has learnt
+    assert np.all(
+        np.isnan(online.predict(control, data.tests))
+    )  # variant main has nothing to say before it has learnt
 
 
 def test_ours_keeps_the_defaults_and_the_faithful_setting_the_sizes_of_the_thesis() -> None:
@@ -238,17 +260,23 @@ def test_ours_keeps_the_defaults_and_the_faithful_setting_the_sizes_of_the_thesi
 
 def test_the_report_says_all_rows_and_quotes_the_thesis() -> None:
     outcomes = made_up('ours', physics=False)
-    outcomes += [replace(outcome, row=WHITE_BOX_GRADIENT) for outcome in outcomes if outcome.row == WHITE_BOX]
+    outcomes += [
+        replace(outcome, row=WHITE_BOX_GRADIENT) for outcome in outcomes if outcome.row == WHITE_BOX
+    ]
     text = report.tables(report.Results(OURS, outcomes, counts=False))
     assert '(1.26)' in text and '20867.5' in text and 'page 42' in text
-    assert all(report.title(row) in text for row in (*thesis.FOUR, WHITE_BOX, PERSISTENCE, CONSTANT))
+    assert all(
+        report.title(row) in text for row in (*thesis.FOUR, WHITE_BOX, PERSISTENCE, CONSTANT)
+    )
     assert 'thesis 1 < 2 < 3 < 4, here 1 < 2 < 3 < 4' in text
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     command = [sys.executable, str(PROGRAM), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=240, env=environment, check=False)
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=240, env=environment, check=False
+    )
 
 
 def test_the_smallest_run_ends_with_one_line_of_json_that_judges_nothing() -> None:

@@ -1,4 +1,6 @@
-"""The judge of trust: its simulator against closed forms, its classes against their names, its rules."""
+"""The judge of trust: its simulator against closed forms, its classes against their names, its
+rules.
+"""
 
 from __future__ import annotations
 
@@ -227,7 +229,9 @@ def test_drawn_records_differ_and_one_goes_through_the_command() -> None:
 
 def test_the_program_ends_with_one_line_of_json() -> None:
     arguments = ['--quick', '--only', 'thesis sets: R[5,15]D[1,20]', '--processes', '1']
-    run = subprocess.run([sys.executable, str(PROGRAM), *arguments], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, str(PROGRAM), *arguments], capture_output=True, text=True, check=True
+    )
     last = json.loads(run.stdout.splitlines()[-1])
     assert last['benchmark'] == 'trust'
     assert {figure['name'] for figure in last['figures']} >= {'tracebacks'}

@@ -24,8 +24,12 @@ for name in sys.argv[1:]:
 
 def test_every_module_outside_ros_imports_without_ros_and_without_the_observer():
     names = [
-        f'dc_motor_sim.{module.name}' for module in pkgutil.iter_modules(dc_motor_sim.__path__) if module.name != 'ros'
+        f'dc_motor_sim.{module.name}'
+        for module in pkgutil.iter_modules(dc_motor_sim.__path__)
+        if module.name != 'ros'
     ]
     assert len(names) >= 8
-    done = subprocess.run([sys.executable, '-c', BLOCKED_IMPORT, *names], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, '-c', BLOCKED_IMPORT, *names], capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == 0, done.stderr

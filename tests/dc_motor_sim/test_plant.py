@@ -18,7 +18,9 @@ def run(plant, voltage_v, duration_s, step_s=0.01):
     state = plant.initial_state()
     voltage_v = np.atleast_1d(np.asarray(voltage_v, dtype=float))
     for _ in range(round(duration_s / step_s)):
-        state = plant.step(state, voltage_v, step_s, plant.substeps_for(state, voltage_v, step_s, 0.01))
+        state = plant.step(
+            state, voltage_v, step_s, plant.substeps_for(state, voltage_v, step_s, 0.01)
+        )
     return state
 
 
@@ -47,7 +49,12 @@ def test_a_transient_with_hysteresis_agrees_with_an_adaptive_solver():
 
 def test_rotor_mode_agrees_with_an_adaptive_solver():
     motor = replace(
-        THESIS, hysteresis=0.3, inertia=2e-4, viscous_friction=1e-3, back_emf_constant=0.05, load_torque=0.004
+        THESIS,
+        hysteresis=0.3,
+        inertia=2e-4,
+        viscous_friction=1e-3,
+        back_emf_constant=0.05,
+        load_torque=0.004,
     )
 
     def equation(_, state):
@@ -63,7 +70,9 @@ def test_a_light_rotor_with_unit_friction_is_the_motor_of_the_thesis():
     light = replace(THESIS, inertia=1e-3)
     rotor, thesis = Plant([light], 'rotor'), Plant([THESIS])
     state = run(rotor, 10.0, 1.0)
-    assert rotor.torque_nm(state) == pytest.approx(thesis.torque_nm(run(thesis, 10.0, 1.0)), rel=5e-3)
+    assert rotor.torque_nm(state) == pytest.approx(
+        thesis.torque_nm(run(thesis, 10.0, 1.0)), rel=5e-3
+    )
     assert rotor.speed_rad_s(state) == pytest.approx(0.01 * state[:, 0], rel=5e-3)
 
 

@@ -38,7 +38,9 @@ def test_the_same_seed_gives_the_same_noise():
 
 
 def test_a_value_is_rounded_to_the_resolution_and_kept_in_the_range():
-    parameters = SensorParameters(torque_quantisation=0.03, torque_limit=0.2, speed_quantisation=0.4)
+    parameters = SensorParameters(
+        torque_quantisation=0.03, torque_limit=0.2, speed_quantisation=0.4
+    )
     torque, speed = measured(parameters, [0.0])
     assert torque[0, 0] == pytest.approx(0.09)
     assert speed[0, 0] == pytest.approx(0.8)

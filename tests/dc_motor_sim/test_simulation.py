@@ -22,11 +22,14 @@ def simulation(excitation='R[5,15]D[1,20]', **options):
 
 def test_stamps_are_on_the_exact_grid():
     recording = simulation(sample_rate_hz=3.0, start_ns=1_700_000_000_123_456_789).record(100.0)
-    assert recording.stamp_ns.tolist() == [1_700_000_000_123_456_789 + k * 333_333_333 for k in range(300)]
+    assert recording.stamp_ns.tolist() == [
+        1_700_000_000_123_456_789 + k * 333_333_333 for k in range(300)
+    ]
 
 
 def test_a_voltage_sample_holds_until_the_next_one_and_torque_is_at_its_stamp():
-    # Closed form of the linear motor, fed with the recorded voltages: exact only with both conventions kept.
+    # Closed form of the linear motor, fed with the recorded voltages: exact only with both
+    # conventions kept.
     motor = replace(THESIS, hysteresis=0.0, back_emf_constant=0.0)
     recording = simulation('R[5,15]D[0.001,0.1]', motor=motor, seed=3).record(5.0)
     current_a, decay = 0.0, np.exp(-0.01 / 0.5)
@@ -59,7 +62,12 @@ def _second_solver(current_a, voltage_v, duration_s):
 
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])
 def test_the_same_seed_gives_the_same_bytes(mode):
-    options = {'speed_mode': mode, 'torque_noise_std': 0.01, 'speed_noise_std': 0.1, 'voltage_noise_std': 0.1}
+    options = {
+        'speed_mode': mode,
+        'torque_noise_std': 0.01,
+        'speed_noise_std': 0.1,
+        'voltage_noise_std': 0.1,
+    }
     first, second = (simulation(seed=9, **options).record(3.0) for _ in range(2))
     other = simulation(seed=10, **options).record(3.0)
     for name in ('voltage_v', 'torque_nm', 'true_torque_nm', 'speed_rad_s'):
@@ -82,7 +90,9 @@ def test_relative_torque_noise_is_a_fraction_of_the_noise_free_torque():
 
 def test_motors_side_by_side_do_what_the_first_does_alone():
     motors = {'a': THESIS, 'b': replace(THESIS, resistance=2.0)}
-    pair = Simulation(motors, {'a': 'table_5_1/8', 'b': 'C[4]'}, seed=3, torque_noise_std=0.01).record(5.0)
+    pair = Simulation(
+        motors, {'a': 'table_5_1/8', 'b': 'C[4]'}, seed=3, torque_noise_std=0.01
+    ).record(5.0)
     alone = Simulation({'a': THESIS}, 'table_5_1/8', seed=3, torque_noise_std=0.01).record(5.0)
     assert pair.torque_nm[0].tobytes() == alone.torque_nm[0].tobytes()
     assert (pair.voltage_v[1] == 4.0).all()
@@ -133,7 +143,10 @@ def test_a_command_drives_an_external_motor_only():
 
 
 def test_one_step_is_one_sample_of_a_recording():
-    stepped, recorded = simulation(torque_noise_std=0.01), simulation(torque_noise_std=0.01).record(0.5)
+    stepped, recorded = (
+        simulation(torque_noise_std=0.01),
+        simulation(torque_noise_std=0.01).record(0.5),
+    )
     for k in range(50):
         sample = stepped.step()
         assert sample.stamp_ns == recorded.stamp_ns[k]
@@ -146,7 +159,11 @@ def test_one_step_is_one_sample_of_a_recording():
     [
         ({'excitation': 'R[1'}, ExcitationError, 'column 4'),
         ({'excitation': {'left': 'C[1]'}}, ConfigurationError, 'every motor'),
-        ({'excitation': 'external', 'torque_noise_relative': 0.01}, ConfigurationError, 'known in advance'),
+        (
+            {'excitation': 'external', 'torque_noise_relative': 0.01},
+            ConfigurationError,
+            'known in advance',
+        ),
         ({'torque_noise_std': 0.1, 'torque_noise_relative': 0.01}, ConfigurationError, 'not both'),
         ({'torque_noise_std': -0.1}, SimulationError, 'torque_noise_std must be'),
         ({'voltage_noise_std': -0.1}, ConfigurationError, 'voltage_noise_std must be'),

@@ -12,7 +12,9 @@ PERIOD_NS = 10_000_000
 
 
 def voltages(texts, count, *, seed=1, period_ns=PERIOD_NS, **options):
-    source = VoltageSource([parse_excitation(t) for t in texts], seed=seed, period_ns=period_ns, **options)
+    source = VoltageSource(
+        [parse_excitation(t) for t in texts], seed=seed, period_ns=period_ns, **options
+    )
     return np.stack([source.step() for _ in range(count)], axis=1)  # shape: (motor, sample)
 
 
@@ -68,7 +70,10 @@ def test_a_sine_begins_at_zero_and_has_its_amplitude_and_frequency():
 
 def external(**options):
     return VoltageSource(
-        [parse_excitation('external'), parse_excitation('C[3]')], seed=1, period_ns=PERIOD_NS, **options
+        [parse_excitation('external'), parse_excitation('C[3]')],
+        seed=1,
+        period_ns=PERIOD_NS,
+        **options,
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from gray_box_observer import identify
+from gray_box_observer.identify import command
 
 TUTORIAL = Path(__file__).resolve().parents[2] / 'docs' / 'TUTORIAL.md'
 RIGHT = {
@@ -48,7 +48,7 @@ def run(log: Path, parameters: Path, tmp_path: Path, capsys) -> Callable[..., tu
 
     def identify_log(source: Path = log, **changed: str) -> tuple[int, Any, str]:
         columns = {key: value for key, value in {**RIGHT, **changed}.items() if value}
-        code = identify.main(
+        code = command.main(
             [
                 *('identify', str(tmp_path / 'bag'), '--from-csv', str(source)),
                 *('--params', str(parameters), '--skip-predictor', '--json', '-', '--columns'),

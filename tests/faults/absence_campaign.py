@@ -1,4 +1,5 @@
-"""Takes signals away from the observer's core: each alone and together, for one sample to ten seconds.
+"""Takes signals away from the observer's core: each alone and together, for one sample to ten
+seconds.
 
     python tests/faults/absence_campaign.py [--outages 12] [--seed 1] [--motors 1 2 9 64]
         [--longest 10000] [--runs N]
@@ -45,7 +46,8 @@ HABIT = 1021
 MISSING = (1, 2, 5, 15, 19, 21, 26, 30, 46, 55, 64, 65, 100, 250, 1000)
 """Samples of 10 ms that are missing."""
 MOST_MOTOR_SAMPLES = 20_000
-"""Regular samples of all motors before an outage at most, but for the habit: many take their time."""
+"""Regular samples of all motors before an outage at most, but for the habit: many take their time.
+"""
 RECOVERY = 150
 """Samples at the end by which every motor must be observed again."""
 
@@ -79,7 +81,9 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """Regular voltages with what belongs to them, and then samples of 10 ms without what is missing."""
+    """Regular voltages with what belongs to them, and then samples of 10 ms without what is
+    missing.
+    """
 
     regular: int
     missing: int
@@ -185,7 +189,10 @@ class Run:
                 speeds[lost] = math.nan if signal == 'speed' else speeds[lost]
             else:
                 names, effort, speeds = names[1::2], effort[1::2], speeds[1::2]
-        yield signal, encode_joint_state(stamp_ns, names, velocity=speeds.tolist(), effort=effort.tolist())
+        yield (
+            signal,
+            encode_joint_state(stamp_ns, names, velocity=speeds.tolist(), effort=effort.tolist()),
+        )
 
 
 def main() -> int:

@@ -1,4 +1,6 @@
-"""Bags to be damaged, made of the recorded ones, and the ways in which they are damaged. Everything takes a seed."""
+"""Bags to be damaged, made of the recorded ones, and the ways in which they are damaged. Everything
+takes a seed.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from gray_box_observer.bag.mcap_content import RawMessage
+from gray_box_observer.bag.mcap.mcap_content import RawMessage
 from gray_box_observer.bag.metadata import METADATA_NAME
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.writer import BagOptions, BagWriter
@@ -30,7 +32,11 @@ FOREIGN = {
     'mcap, lz4 without checksums': {'compression': CompressionType.LZ4, 'enable_crcs': False},
     'mcap, zstd': {'compression': CompressionType.ZSTD},
     'mcap, without chunks': {'use_chunking': False},
-    'mcap, without summary': {'use_statistics': False, 'use_summary_offsets': False, 'repeat_schemas': False},
+    'mcap, without summary': {
+        'use_statistics': False,
+        'use_summary_offsets': False,
+        'repeat_schemas': False,
+    },
 }
 CHECKED = (*OWN, 'mcap, zstd')
 """Forms whose every message is covered by a checksum: there, no wrong message may ever come out."""
@@ -65,7 +71,9 @@ def make_sources(folder: Path, seconds: float) -> dict[str, list[Path]]:
     return made
 
 
-def _write_own(writer: BagWriter, messages: Sequence[RawMessage], schemas: dict[str, tuple[str, str]]) -> None:
+def _write_own(
+    writer: BagWriter, messages: Sequence[RawMessage], schemas: dict[str, tuple[str, str]]
+) -> None:
     for name, schema in schemas.items():
         writer.add_topic(name, *schema)
     for message in messages:
@@ -73,7 +81,10 @@ def _write_own(writer: BagWriter, messages: Sequence[RawMessage], schemas: dict[
 
 
 def _write_foreign(
-    path: Path, messages: Sequence[RawMessage], schemas: dict[str, tuple[str, str]], arguments: dict[str, object]
+    path: Path,
+    messages: Sequence[RawMessage],
+    schemas: dict[str, tuple[str, str]],
+    arguments: dict[str, object],
 ) -> None:
     with path.open('wb') as stream:
         writer = Writer(stream, chunk_size=6000, **arguments)
@@ -98,7 +109,9 @@ def damaged_copy(seed: str, source: Path, folder: Path) -> tuple[Path, str]:
     target = folder / source.name
     if source.is_dir():
         shutil.copytree(source, target)
-        name = draw.choices([*HARMS, *FOLDER_HARMS], [3.0] * len(HARMS) + [1.0] * len(FOLDER_HARMS))[0]
+        name = draw.choices(
+            [*HARMS, *FOLDER_HARMS], [3.0] * len(HARMS) + [1.0] * len(FOLDER_HARMS)
+        )[0]
     else:
         shutil.copyfile(source, target)
         name = draw.choice([*HARMS])
@@ -134,7 +147,9 @@ def _changed(change: Callable[[random.Random, bytearray], None]) -> Harm:
 
 
 def _place(draw: random.Random, content: bytearray) -> int:
-    """A byte: anywhere, or in the first or last thousand, where the declarations and the summary stand."""
+    """A byte: anywhere, or in the first or last thousand, where the declarations and the summary
+    stand.
+    """
     size = len(content)
     near = min(1000, size)
     start, end = draw.randrange(near), size - 1 - draw.randrange(near)
@@ -262,8 +277,23 @@ def _edit_metadata(draw: random.Random, folder: Path) -> None:
     path = folder / METADATA_NAME
     lines = path.read_text().splitlines()
     number = draw.choice([k for k, line in enumerate(lines) if ':' in line or '- ' in line])
-    key = lines[number].split(':')[0] if ':' in lines[number] else lines[number].split('- ')[0] + '-'
-    values = ['', '[]', '{}', '-1', '.nan', '9' * 40, '1e999', '2024-13-45', '"\\0"', "'..'", '/dev/zero', '*x']
+    key = (
+        lines[number].split(':')[0] if ':' in lines[number] else lines[number].split('- ')[0] + '-'
+    )
+    values = [
+        '',
+        '[]',
+        '{}',
+        '-1',
+        '.nan',
+        '9' * 40,
+        '1e999',
+        '2024-13-45',
+        '"\\0"',
+        "'..'",
+        '/dev/zero',
+        '*x',
+    ]
     values += ['&x [*x]', '!!set']
     separator = '' if key.endswith('-') else ':'
     lines[number] = f'{key}{separator} {draw.choice(values)}'
@@ -274,8 +304,13 @@ def _bomb_metadata(draw: random.Random, folder: Path) -> None:
     """Put a value that would be huge if it were written out in the place of one of the metadata."""
     path = folder / METADATA_NAME
     bomb = ['a0: &a0 [x, x]', *(f'a{k}: &a{k} [*a{k - 1}, *a{k - 1}]' for k in range(1, 40))]
-    key = draw.choice(['storage_identifier', 'compression_mode', 'relative_file_paths', 'files', 'message_count'])
-    lines = [f'  {key}: *a39' if line.startswith(f'  {key}:') else line for line in path.read_text().splitlines()]
+    key = draw.choice(
+        ['storage_identifier', 'compression_mode', 'relative_file_paths', 'files', 'message_count']
+    )
+    lines = [
+        f'  {key}: *a39' if line.startswith(f'  {key}:') else line
+        for line in path.read_text().splitlines()
+    ]
     path.write_text('\n'.join([*bomb, *lines]))
 
 
@@ -285,7 +320,9 @@ _OF_TEXT = (
 )
 FOLDER_HARMS: dict[str, Harm] = {
     **{
-        f'metadata: {name}': (lambda harm: lambda draw, folder: harm(draw, folder / METADATA_NAME))(HARMS[name])
+        f'metadata: {name}': (lambda harm: lambda draw, folder: harm(draw, folder / METADATA_NAME))(
+            HARMS[name]
+        )
         for name in _OF_TEXT
     },
     'metadata: missing': _remove_metadata,

@@ -1,10 +1,13 @@
-"""Loads thousands of checkpoints with a right checksum and a wrong content, and goes on from those that are accepted.
+"""Loads thousands of checkpoints with a right checksum and a wrong content, and goes on from those
+that are accepted.
 
-    python tests/faults/checkpoint_campaign.py [--cases 10000] [--seed 1] [--minutes M] [--only CASE]
+    python tests/faults/checkpoint_campaign.py [--cases 10000] [--seed 1] [--minutes M] [--only
+    CASE]
 
-Whatever a checkpoint holds, loading it must end in one clear line that leaves the observer as it was, or in an observer
-that learns and predicts on: no exception, nothing that is not finite. Prints a table of what happened and one line of
-JSON; ends with 1 if any case did anything else. ``--only`` repeats one case and shows its traceback.
+Whatever a checkpoint holds, loading it must end in one clear line that leaves the observer as it
+was, or in an observer that learns and predicts on: no exception, nothing that is not finite. Prints
+a table of what happened and one line of JSON; ends with 1 if any case did anything else. ``--only``
+repeats one case and shows its traceback.
 """
 
 from __future__ import annotations
@@ -31,12 +34,12 @@ from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.checkpoint import capture, decode, load
-from gray_box_observer.checkpoint_format import encode_content
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.checkpoints.checkpoint import capture, decode, load
+from gray_box_observer.checkpoints.checkpoint_format import encode_content
 from gray_box_observer.errors import GrayBoxError
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.settings.configuration import Configuration
 
 CPU_LIMIT_S = 60.0
 """Of one case; the thousand samples take a second or two where a network is taught."""
@@ -113,11 +116,15 @@ class Case:
         return Observer(self._configuration, InlineTraining)
 
     def go_on(self, observer: Observer) -> tuple[int, NDArray[np.bool_]]:
-        """Feed what follows; return how much was not finite, and which predictions are none, shape (result, motor)."""
+        """Feed what follows; return how much was not finite, and which predictions are none, shape
+        (result, motor).
+        """
         return self._feed(observer, self._kind.before, self._kind.before + self._samples)
 
     def _record(self) -> Recording:
-        plants = {name: PlantParameters(resistance=1.0 + 0.5 * k) for k, name in enumerate(self._names)}
+        plants = {
+            name: PlantParameters(resistance=1.0 + 0.5 * k) for k, name in enumerate(self._names)
+        }
         options = {'torque_noise_relative': 0.001, **self._kind.simulation}
         simulation = Simulation(plants, 'R[5,15]D[0.2,2]', seed=1, start_ns=10**12, **options)
         return simulation.record(0.01 * (self._kind.before + self._samples))
@@ -127,13 +134,17 @@ class Case:
         speeds = self.name == 'speed measured'
         for k in range(start, end):
             stamp_ns = int(recording.stamp_ns[k])
-            observer.take('voltage', self._names, stamp_ns - self._kind.delay_ns, recording.voltage_v[:, k])
+            observer.take(
+                'voltage', self._names, stamp_ns - self._kind.delay_ns, recording.voltage_v[:, k]
+            )
             speed = recording.speed_rad_s[:, k] if speeds else None
             for group in observer.groups(self._names):
                 forecast_nm = observer.forecast_group(group, stamp_ns)
                 bad += 0 if forecast_nm is None else int(np.isinf(forecast_nm).sum())
             row = np.zeros(len(self._names), dtype=bool)
-            for result in observer.take('torque', self._names, stamp_ns, recording.torque_nm[:, k], speed):
+            for result in observer.take(
+                'torque', self._names, stamp_ns, recording.torque_nm[:, k], speed
+            ):
                 if result.prediction is not None:
                     places = [self._names.index(name) for name in result.group.names]
                     row[places] = ~np.isfinite(result.prediction.torque_nm)
@@ -167,17 +178,27 @@ class NumberTally(Tally):
 
 def main() -> int:
     """Run the campaign."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--cases', type=int, default=10_000)
     parser.add_argument('--first', type=int, default=0, help='number of the first case')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--minutes', type=float, default=1e9, help='end after that, wherever it has come to')
-    parser.add_argument('--samples', type=int, default=1000, help='learnt after a checkpoint that is accepted')
+    parser.add_argument(
+        '--minutes', type=float, default=1e9, help='end after that, wherever it has come to'
+    )
+    parser.add_argument(
+        '--samples', type=int, default=1000, help='learnt after a checkpoint that is accepted'
+    )
     parser.add_argument('--kinds', nargs='+', choices=list(KINDS), default=list(KINDS))
     parser.add_argument('--only', type=int, metavar='CASE', help='repeat this one')
     options = parser.parse_args()
     warnings.simplefilter('ignore')
-    numbers = range(options.first, options.first + options.cases) if options.only is None else [options.only]
+    numbers = (
+        range(options.first, options.first + options.cases)
+        if options.only is None
+        else [options.only]
+    )
     kinds = list(KINDS)
     tally, cases = NumberTally(), {}
     for name in options.kinds:
@@ -216,7 +237,9 @@ def _run(number: int, options: argparse.Namespace, case: Case, tally: NumberTall
         more = silent[: len(case.silent)] & ~case.silent[: len(silent)]
         tally.blank += bad + int(more.sum())
         assert not bad, f'{bad} numbers are not finite'
-        assert not more.any(), f'{int(more.sum())} predictions are none, the first after {np.argwhere(more)[0]}'
+        assert not more.any(), (
+            f'{int(more.sum())} predictions are none, the first after {np.argwhere(more)[0]}'
+        )
         tally.outcomes['accepted'] += 1
     except KeyboardInterrupt:
         raise
@@ -232,7 +255,7 @@ def _run(number: int, options: argparse.Namespace, case: Case, tally: NumberTall
 
 
 def _load(observer: Observer, content: Content) -> None:
-    from gray_box_observer.checkpoint import encode
+    from gray_box_observer.checkpoints.checkpoint import encode
 
     _load_bytes(observer, encode(*content))
 
@@ -257,7 +280,9 @@ def _print(tally: NumberTally, options: argparse.Namespace, cases: int) -> int:
         Figure('numbers that are not finite', tally.blank, 0),
         Figure('processor time of the longest case, s', tally.longest_s),
     ]
-    return tell('checkpoint_campaign', options.seed, figures, {'cases': cases, 'outcomes': tally.outcomes})
+    return tell(
+        'checkpoint_campaign', options.seed, figures, {'cases': cases, 'outcomes': tally.outcomes}
+    )
 
 
 if __name__ == '__main__':

@@ -34,7 +34,9 @@ def mutated(content: Content, seed: str) -> tuple[str, dict[str, Array], str]:
     """
     chance = random.Random(seed)
     plain = json.loads(json.dumps(content[0]))
-    arrays = {name: content[1][name].copy() for name in sorted(content[1])}  # they are read in any order
+    arrays = {
+        name: content[1][name].copy() for name in sorted(content[1])
+    }  # they are read in any order
     steps = []
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         if chance.random() < 0.35:

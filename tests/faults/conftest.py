@@ -1,4 +1,6 @@
-"""The campaigns are programs, not a package: their folder goes on the path, as it is when one of them runs."""
+"""The campaigns are programs, not a package: their folder goes on the path, as it is when one of
+them runs.
+"""
 
 from __future__ import annotations
 

@@ -1,11 +1,13 @@
 """Feeds the observer's core, without ROS, with messages that faults have been at.
 
-    python tests/faults/core_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts 20]
+    python tests/faults/core_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts
+    20]
 
-Messages are spoilt by `stream_faults` and taken by the same intake that nodes and bags use. Now and then the observer
-is thrown away and another goes on from its checkpoint, and the simulator starts from rest with a clock that begins
-anywhere. At the end a minute of clean samples follows. Prints every fault by kind, where every message went, a table,
-and one line of JSON; ends with 1 if a figure is not reached.
+Messages are spoilt by `stream_faults` and taken by the same intake that nodes and bags use. Now and
+then the observer is thrown away and another goes on from its checkpoint, and the simulator starts
+from rest with a clock that begins anywhere. At the end a minute of clean samples follows. Prints
+every fault by kind, where every message went, a table, and one line of JSON; ends with 1 if a
+figure is not reached.
 """
 
 from __future__ import annotations
@@ -25,12 +27,12 @@ from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer import checkpoint
 from gray_box_observer.bag.joint_state import JointStateView
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.executables import settle_memory
-from gray_box_observer.intake import Intake
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 MOTOR = 'motor'
 TRUTH = np.array([0.5, 1.0, 10.0])
@@ -79,17 +81,28 @@ class Account:
         """Add what one observer was given and what became of it."""
         assert not observer.incidents, observer.incidents[MOTOR].trace
         pairing = observer.counts(MOTOR)
-        for signal, of_motor in (('voltage', pairing.received_voltage), ('torque', pairing.received_torque)):
+        for signal, of_motor in (
+            ('voltage', pairing.received_voltage),
+            ('torque', pairing.received_torque),
+        ):
             unreadable, strangers = intake.rejected[signal].total(), intake.others[signal]
             self.unexplained += abs(delivered[signal] - of_motor - unreadable - strangers)
             self.counts.update({'unreadable': unreadable, 'of no motor asked for': strangers})
-            self.counts.update({f'refused: {reason.value}': n for reason, n in pairing.refused[signal].items()})
+            self.counts.update(
+                {f'refused: {reason.value}': n for reason, n in pairing.refused[signal].items()}
+            )
             self.counts['delivered'] += delivered[signal]
         kept = pairing.used + pairing.waiting
         self.unexplained += abs(pairing.received_torque - kept - pairing.refused['torque'].total())
-        self.unexplained += abs(pairing.received_voltage - pairing.taken_voltage - pairing.refused['voltage'].total())
+        self.unexplained += abs(
+            pairing.received_voltage - pairing.taken_voltage - pairing.refused['voltage'].total()
+        )
         self.counts.update(
-            {'samples used': pairing.used, 'waiting': pairing.waiting, 'voltages taken': pairing.taken_voltage}
+            {
+                'samples used': pairing.used,
+                'waiting': pairing.waiting,
+                'voltages taken': pairing.taken_voltage,
+            }
         )
 
 
@@ -178,9 +191,13 @@ class Campaign:
 
 def main() -> int:
     """Run the campaign; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--messages', type=int, default=1_000_000)
-    parser.add_argument('--share', type=float, default=0.3, help='of the messages that a fault touches')
+    parser.add_argument(
+        '--share', type=float, default=0.3, help='of the messages that a fault touches'
+    )
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--restarts', type=int, default=20, help='of observer and simulator')
     options = parser.parse_args()
@@ -202,7 +219,11 @@ def main() -> int:
         Figure('messages unexplained', account.unexplained, 0.0),
         Figure('share of messages touched', faults.touched / faults.seen),
         Figure('largest deviation right after the faults, own standard deviations', during),
-        Figure('largest deviation after a clean minute, own standard deviations', campaign.deviation(), 3.0),
+        Figure(
+            'largest deviation after a clean minute, own standard deviations',
+            campaign.deviation(),
+            3.0,
+        ),
         Figure('growth of memory in the second half, MB', growth(campaign.memory_mb), 5.0),
         Figure('largest memory, MB', max(campaign.memory_mb, default=0.0)),
         Figure('observers restored from a checkpoint, bit for bit', campaign.restored),
@@ -212,7 +233,12 @@ def main() -> int:
         'core_campaign',
         options.seed,
         figures,
-        {'messages': faults.seen, 'faults': counts, 'account': dict(account.counts), 'counters': campaign.counters()},
+        {
+            'messages': faults.seen,
+            'faults': counts,
+            'account': dict(account.counts),
+            'counters': campaign.counters(),
+        },
     )
 
 

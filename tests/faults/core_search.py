@@ -1,4 +1,5 @@
-"""Searches the observer's core for sequences that break it: messages, gaps, repeats, resets, freezes, new parameters.
+"""Searches the observer's core for sequences that break it: messages, gaps, repeats, resets,
+freezes, new parameters.
 
     python tests/faults/core_search.py [--steps 1000000] [--seed 1] [--no-shrink]
 
@@ -35,10 +36,10 @@ from watched_core import IdleTraining, WatchedCore
 from gray_box_observer.bag.joint_state import TYPE_NAME, decode_joint_state, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.errors import BagError, ConfigurationError
-from gray_box_observer.offline import run as run_offline
+from gray_box_observer.identify.offline_run import run as run_offline
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.settings.configuration import Configuration
 
 MS = 1_000_000
 MOST_STEPS = 6000
@@ -238,7 +239,9 @@ class Script:
             stamp_ns, self._at = self._now_ns + k * action.period_ms * MS, self._at + 1
             for order, signal in enumerate(('voltage', 'speed', 'torque')):
                 every = {'voltage': action.rates[1], 'torque': action.rates[0]}.get(signal, 1)
-                absent = signal in action.missing or (signal == 'speed' and self._setup.speed != 'own topic')
+                absent = signal in action.missing or (
+                    signal == 'speed' and self._setup.speed != 'own topic'
+                )
                 if k % every or absent:
                     continue
                 delivered = k - action.lead if signal == 'voltage' else k
@@ -268,11 +271,15 @@ class Script:
 
     def _value(self, signal: str, action: Regular) -> float:
         data = recording()
-        series = {'voltage': data.voltage_v, 'torque': data.torque_nm, 'speed': data.speed_rad_s}[signal]
+        series = {'voltage': data.voltage_v, 'torque': data.torque_nm, 'speed': data.speed_rad_s}[
+            signal
+        ]
         value = float(series[0, self._at % data.stamp_ns.size])
         if not self._spoils(signal, action):
             return value
-        spikes = value if self._random.random() < 0.9 else self._random.choice((1e9, -1e9, 1e-300, 0.0))
+        spikes = (
+            value if self._random.random() < 0.9 else self._random.choice((1e9, -1e9, 1e-300, 0.0))
+        )
         spoilt = {
             'zero': 0.0,
             'constant': 3.0,
@@ -296,7 +303,9 @@ def as_message(data: bytes) -> SimpleNamespace:
     return SimpleNamespace(header=header, name=list(view.names), velocity=velocity, effort=effort)
 
 
-def examine(setup: Setup, whole: list[Action], count: Callable[[int], object] = lambda steps: None) -> None:
+def examine(
+    setup: Setup, whole: list[Action], count: Callable[[int], object] = lambda steps: None
+) -> None:
     """Take a sequence through every door.
 
     Args:
@@ -325,12 +334,16 @@ def examine(setup: Setup, whole: list[Action], count: Callable[[int], object] = 
     assert live.non_finite == 0, f'{live.non_finite} numbers are not finite'
     assert live.unbalanced == 0, f'{live.unbalanced} messages are not accounted for'
     assert live.digest == plain.digest, 'estimates depend on the door or on what is asked'
-    assert live.forecast_digest == plain.forecast_digest, 'predictions depend on the door or on what is asked'
+    assert live.forecast_digest == plain.forecast_digest, (
+        'predictions depend on the door or on what is asked'
+    )
     if not any(isinstance(step, Operation) for step in steps):
         _compare_with_bag(setup, [step for step in steps if not isinstance(step, Operation)], live)
 
 
-def _take(core: WatchedCore, step: Message | Operation, form: Callable[[bytes], Any] | None = None) -> None:
+def _take(
+    core: WatchedCore, step: Message | Operation, form: Callable[[bytes], Any] | None = None
+) -> None:
     if isinstance(step, Operation):
         method = getattr(core, step.name)
         method() if step.argument is None else method(step.argument)
@@ -363,7 +376,9 @@ def _compare_with_bag(setup: Setup, messages: list[Message], live: WatchedCore) 
 SEQUENCES = st.lists(actions(), min_size=1, max_size=9)
 
 
-def search(number: int, examples: int, count: Callable[[int], object], *, shrink: bool = True) -> None:
+def search(
+    number: int, examples: int, count: Callable[[int], object], *, shrink: bool = True
+) -> None:
     """Draw and examine sequences; raises what the smallest of those that break something raises."""
     phases = (Phase.generate, Phase.shrink) if shrink else (Phase.generate,)
 
@@ -405,7 +420,11 @@ def main() -> int:
                 search(number, EXAMPLES, count, shrink=not options.no_shrink)
             except Exception as error:
                 broken += 1
-                print(f'seed {number}:\n{traceback.format_exc()}', *getattr(error, '__notes__', ()), flush=True)
+                print(
+                    f'seed {number}:\n{traceback.format_exc()}',
+                    *getattr(error, '__notes__', ()),
+                    flush=True,
+                )
             if taken >= options.steps or broken >= 10:
                 break
     figures = [Figure('sequences that break something', broken, 0.0), Figure('steps', taken)]

@@ -2,9 +2,10 @@
 
     python tests/faults/corrupt_bags.py [--cases 10000] [--seed 1] [--only CASE]
 
-Whatever was done to a bag, reading it must end in one clear line or in a partial read that says what was lost; where
-checksums cover the messages, no wrong message may come out. Prints a table of what happened and one line of JSON.
-Ends with 1 if any case did anything else; ``--only`` repeats one case and shows its traceback.
+Whatever was done to a bag, reading it must end in one clear line or in a partial read that says
+what was lost; where checksums cover the messages, no wrong message may come out. Prints a table of
+what happened and one line of JSON. Ends with 1 if any case did anything else; ``--only`` repeats
+one case and shows its traceback.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from tqdm import tqdm
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError, GrayBoxError, SampleError
-from gray_box_observer.identify import main as identify
+from gray_box_observer.identify.command import main as identify
 
 SECONDS = 2.0
 """Of every recorded bag; 400 messages."""
@@ -54,7 +55,9 @@ class WrongError(AssertionError):
 
 def main() -> int:
     """Run the campaign."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--cases', type=int, default=10_000)
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--only', type=int, metavar='CASE', help='repeat this one')
@@ -63,7 +66,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / 'sources').mkdir()
-        sources = [(form, path) for form, paths in make_sources(folder / 'sources', SECONDS).items() for path in paths]
+        sources = [
+            (form, path)
+            for form, paths in make_sources(folder / 'sources', SECONDS).items()
+            for path in paths
+        ]
         originals = {path: _content(path)[0] for _, path in sources}
         _warm_up(sources[0][1])
         cases = range(options.cases) if options.only is None else [options.only]
@@ -144,14 +151,26 @@ def _check_reading(path: Path, original: Content, is_checked: bool) -> str:
         rest = Counter(original)
         rest.subtract(found)
         wrong = sum(-count for count in rest.values() if count < 0)
-        _require(not wrong or lost is not None, f'{wrong} messages that were not recorded, without a warning')
+        _require(
+            not wrong or lost is not None,
+            f'{wrong} messages that were not recorded, without a warning',
+        )
         # A damaged name of a topic is a loss that is told; the messages are right.
-        _require({m[1:] for m in found} <= {m[1:] for m in original}, 'a message that was never recorded')
-        _require(lost is not None or found == original, f'{len(found)} of {len(original)} messages without a warning')
+        _require(
+            {m[1:] for m in found} <= {m[1:] for m in original}, 'a message that was never recorded'
+        )
+        _require(
+            lost is not None or found == original,
+            f'{len(found)} of {len(original)} messages without a warning',
+        )
     times = [time for _, time, _ in found]
     _require(not is_checked or times == sorted(times), 'messages out of order')
     if lost is not None:
-        return 'partial read with a warning' if len(found) < len(original) else 'everything read, with a warning'
+        return (
+            'partial read with a warning'
+            if len(found) < len(original)
+            else 'everything read, with a warning'
+        )
     return 'everything read' if found == original else 'changed content that nothing covers'
 
 
@@ -217,8 +236,15 @@ def _print(tally: Tally, options: argparse.Namespace, cases: int) -> None:
         'cases that ended otherwise than they may': len(tally.failures),
         'of these hangs': tally.hangs,
     }
-    figures = [{'name': name, 'value': value, 'goal': 0, 'met': value == 0} for name, value in ends.items()]
-    told = {'benchmark': 'corrupt_bags', 'seed': options.seed, 'cases': cases, 'outcomes': tally.outcomes}
+    figures = [
+        {'name': name, 'value': value, 'goal': 0, 'met': value == 0} for name, value in ends.items()
+    ]
+    told = {
+        'benchmark': 'corrupt_bags',
+        'seed': options.seed,
+        'cases': cases,
+        'outcomes': tally.outcomes,
+    }
     print(json.dumps({**told, 'figures': figures}))
 
 

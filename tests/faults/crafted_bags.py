@@ -1,4 +1,6 @@
-"""Bags of at most a megabyte that ask for as much memory as they can. Records are written here, byte by byte."""
+"""Bags of at most a megabyte that ask for as much memory as they can. Records are written here,
+byte by byte.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,20 @@ def text(value: str) -> bytes:
 
 def schema(number: int, name: str, definition: str) -> bytes:
     """A schema of ROS."""
-    return record(SCHEMA, struct.pack('<H', number) + text(name) + text('ros2msg') + text(definition))
+    return record(
+        SCHEMA, struct.pack('<H', number) + text(name) + text('ros2msg') + text(definition)
+    )
 
 
 def channel(number: int, topic: str, schema_number: int = 1) -> bytes:
     """A topic."""
-    return record(CHANNEL, struct.pack('<HH', number, schema_number) + text(topic) + text('cdr') + struct.pack('<I', 0))
+    return record(
+        CHANNEL,
+        struct.pack('<HH', number, schema_number)
+        + text(topic)
+        + text('cdr')
+        + struct.pack('<I', 0),
+    )
 
 
 def message(number: int, data: bytes, time_ns: int = START_NS, length: int | None = None) -> bytes:
@@ -63,7 +73,9 @@ def samples(count: int = 200) -> bytes:
     for k in range(count):
         stamp_ns = START_NS + k * 10**7
         for number, value in ((1, 5.0 + k % 7), (2, 0.01 * (k % 5))):
-            out += message(number, encode_joint_state(stamp_ns, ['motor'], effort=[value]), stamp_ns)
+            out += message(
+                number, encode_joint_state(stamp_ns, ['motor'], effort=[value]), stamp_ns
+            )
     return bytes(out)
 
 
@@ -86,10 +98,17 @@ def packed(blocks: Iterable[bytes], compression: str) -> tuple[bytes, int]:
 
 
 def chunk(
-    content: bytes, size: int, compression: str = '', span_ns: tuple[int, int] = (START_NS, START_NS + 10**10)
+    content: bytes,
+    size: int,
+    compression: str = '',
+    span_ns: tuple[int, int] = (START_NS, START_NS + 10**10),
 ) -> bytes:
     """A chunk of these compressed records, whose size may lie."""
-    head = struct.pack('<QQQI', *span_ns, size, 0) + text(compression) + struct.pack('<Q', len(content))
+    head = (
+        struct.pack('<QQQI', *span_ns, size, 0)
+        + text(compression)
+        + struct.pack('<Q', len(content))
+    )
     return record(CHUNK, head + content)
 
 
@@ -118,7 +137,9 @@ class Hole(NamedTuple):
 
 
 def write(path: Path, *parts: bytes | Hole, has_end: bool = False) -> None:
-    """Write a file of these parts, after the samples of a motor, so that a reader has a reason to go on."""
+    """Write a file of these parts, after the samples of a motor, so that a reader has a reason to
+    go on.
+    """
     with path.open('wb') as stream:
         stream.write(MAGIC + record(HEADER, text('ros2') + text('')))
         for part in parts:
@@ -185,21 +206,35 @@ def wide_window(path: Path) -> None:
 
 def a_packed_file(path: Path) -> None:
     """A whole file packed by rosbag2's compression, which unpacks to a little less than the limit."""
-    write(path, declarations(), samples(), *[packed_chunk(padded(empties(12 * MB), k, 20_000)) for k in range(8)])
+    write(
+        path,
+        declarations(),
+        samples(),
+        *[packed_chunk(padded(empties(12 * MB), k, 20_000)) for k in range(8)],
+    )
     with path.open('ab') as stream:
         stream.write(record(PRIVATE, bytes(78 * MB)))
     path.write_bytes(zstandard.compress(path.read_bytes()))
 
 
 def a_packed_file_without_size(path: Path) -> None:
-    """The same, whose head does not tell that it unpacks to a gibibyte; noise keeps the ratio of a log."""
-    frame, _ = packed(chain([MAGIC, random.Random(1).randbytes(900_000)], repeat(bytes(BLOCK_BYTES), 1 << 10)), 'zstd')
+    """The same, whose head does not tell that it unpacks to a gibibyte; noise keeps the ratio of a
+    log.
+    """
+    frame, _ = packed(
+        chain([MAGIC, random.Random(1).randbytes(900_000)], repeat(bytes(BLOCK_BYTES), 1 << 10)),
+        'zstd',
+    )
     path.write_bytes(frame)
 
 
 def packed_messages(path: Path) -> None:
-    """Messages packed one by one; each unpacks to as much as it may, and together to ten times the limit."""
-    data = encode_joint_state(START_NS, ['motor'], effort=[1.0]) + random.Random(1).randbytes(80_000)
+    """Messages packed one by one; each unpacks to as much as it may, and together to ten times the
+    limit.
+    """
+    data = encode_joint_state(START_NS, ['motor'], effort=[1.0]) + random.Random(1).randbytes(
+        80_000
+    )
     frame = zstandard.compress(data + bytes(78 * MB))
     chunks = [chunk(message(2, frame) * 2, 2 * len(message(2, frame))) for _ in range(5)]
     write(path, declarations(), samples(), *chunks)
@@ -213,7 +248,9 @@ def sparse_declaration(path: Path) -> None:
 def sparse_message(path: Path) -> None:
     """A message of 30 GB outside any chunk."""
     size = 30_000 * MB
-    write(path, declarations(), samples(), message(2, b'', START_NS, size), Hole(size - 22), samples())
+    write(
+        path, declarations(), samples(), message(2, b'', START_NS, size), Hole(size - 22), samples()
+    )
 
 
 def sparse_chunks(path: Path) -> None:
@@ -221,7 +258,9 @@ def sparse_chunks(path: Path) -> None:
     size = 10_000 * MB
     parts: list[bytes | Hole] = []
     for kind in ('', 'zstd', 'lz4'):
-        head = struct.pack('<QQQI', START_NS, START_NS, size, 0) + text(kind) + struct.pack('<Q', size)
+        head = (
+            struct.pack('<QQQI', START_NS, START_NS, size, 0) + text(kind) + struct.pack('<Q', size)
+        )
         parts += [record(CHUNK, head, len(head) + size), Hole(size)]
     write(path, declarations(), samples(), *parts, samples())
 
@@ -248,7 +287,9 @@ def statistics_of_many(path: Path) -> None:
     with path.open('wb') as stream:
         stream.write(MAGIC + record(HEADER, text('ros2') + text('')) + declarations() + samples())
         start, size = stream.tell(), 60 * MB
-        stream.write(record(STATISTICS, struct.pack('<QHIIIIQQI', 0, 1, 1, 0, 0, 0, 0, 0, size), 46 + size))
+        stream.write(
+            record(STATISTICS, struct.pack('<QHIIIIQQI', 0, 1, 1, 0, 0, 0, 0, 0, size), 46 + size)
+        )
         stream.seek(size, 1)
         stream.write(record(FOOTER, struct.pack('<QQI', start, 0, 0)) + MAGIC)
 
@@ -276,13 +317,20 @@ def long_definitions(path: Path) -> None:
 def many_keys(path: Path) -> None:
     """A channel with a million words about itself."""
     words = b''.join(text(f'{k:x}') + text('') for k in range(250_000))
-    body = struct.pack('<HH', 3, 1) + text('/x') + text('cdr') + struct.pack('<I', len(words)) + words
+    body = (
+        struct.pack('<HH', 3, 1) + text('/x') + text('cdr') + struct.pack('<I', len(words)) + words
+    )
     write(path, declarations(), samples(), packed_chunk([record(CHANNEL, body)]))
 
 
 def tiny_records(path: Path) -> None:
     """As many attachments and pieces of metadata as there is room for."""
-    write(path, declarations(), samples(20), (record(ATTACHMENT, b'') + record(METADATA, b'')) * 50_000)
+    write(
+        path,
+        declarations(),
+        samples(20),
+        (record(ATTACHMENT, b'') + record(METADATA, b'')) * 50_000,
+    )
 
 
 def tiny_chunks(path: Path) -> None:
@@ -309,7 +357,8 @@ def values_without_end(path: Path) -> None:
 def torque_without_voltage(path: Path) -> None:
     """Two hundred thousand torques that wait for their voltage."""
     blocks = (
-        message(2, encode_joint_state(START_NS + k, ['motor'], effort=[0.1]), START_NS + k) for k in range(200_000)
+        message(2, encode_joint_state(START_NS + k, ['motor'], effort=[0.1]), START_NS + k)
+        for k in range(200_000)
     )
     write(path, declarations(), samples(), packed_chunk(padded(blocks, 1, 30_000)))
 
@@ -328,7 +377,10 @@ def other_type(definition: str, data: bytes) -> Craft:
 _PART = '\n' + '=' * 80 + '\nMSG: evil/Part\n'
 DEFINITIONS: dict[str, tuple[str, bytes]] = {
     'a_fixed_array_of_nothing': (f'Part[4000000000] effort{_PART}uint8[0] x\n', bytes(8)),
-    'a_sequence_of_nothing': (f'Part[] effort{_PART}uint8[0] x\n', bytes(4) + struct.pack('<I', 4_000_000_000)),
+    'a_sequence_of_nothing': (
+        f'Part[] effort{_PART}uint8[0] x\n',
+        bytes(4) + struct.pack('<I', 4_000_000_000),
+    ),
     'a_fixed_array_of_empty_parts': (f'Part[4000000000] effort{_PART}', bytes(8)),
     'a_fixed_array_of_numbers': ('float64[4000000000] effort\n', bytes(16)),
     'a_type_that_holds_itself': (f'Part effort{_PART}Part x\n', bytes(8)),
@@ -336,7 +388,10 @@ DEFINITIONS: dict[str, tuple[str, bytes]] = {
         f'Part[] effort{_PART}uint8 x\n',
         bytes(4) + struct.pack('<I', 260_000) + bytes(260_000),
     ),
-    'a_long_definition': ('float64 effort\n' + ''.join(f'float64 f{k}\n' for k in range(18_000)), bytes(16)),
+    'a_long_definition': (
+        'float64 effort\n' + ''.join(f'float64 f{k}\n' for k in range(18_000)),
+        bytes(16),
+    ),
 }
 
 CRAFTS: dict[str, Craft] = {

@@ -1,11 +1,13 @@
-"""Floods the observer's topics for a while: what it holds of them in memory, and how soon it ends when asked to.
+"""Floods the observer's topics for a while: what it holds of them in memory, and how soon it ends
+when asked to.
 
-    python tests/faults/flood.py [--seconds 60] [--kinds large names layouts small] [--megabytes 20] [--senders 2]
+    python tests/faults/flood.py [--seconds 60] [--kinds large names layouts small] [--megabytes 20]
+    [--senders 2]
 
-Needs a sourced workspace. Every kind of flood meets an observer of its own, sent as fast as the senders can: few large
-messages; lists of names that never come twice; frames and array lengths that never come twice; small garbage. At the
-end of each the observer gets SIGTERM while the flood goes on. Prints a table and one line of JSON; ends with 1 if a
-figure is not reached.
+Needs a sourced workspace. Every kind of flood meets an observer of its own, sent as fast as the
+senders can: few large messages; lists of names that never come twice; frames and array lengths that
+never come twice; small garbage. At the end of each the observer gets SIGTERM while the flood goes
+on. Prints a table and one line of JSON; ends with 1 if a figure is not reached.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from sensor_msgs.msg import JointState
 
 from gray_box_observer.bag.joint_state import encode_joint_state
 
-OBSERVER = 'gray_box_observer.ros.observer_node'
+OBSERVER = 'gray_box_observer.ros.observer.observer_node'
 TOPICS = ('/motor/voltage', '/motor/torque')
 LARGEST_MB = 400.0
 LONGEST_END_S = 1.0
@@ -51,7 +53,9 @@ def names(size: int) -> Iterator[bytes]:
     number = 0
     while True:
         number += 1
-        yield encode_joint_state(0, [f'name {number} {k}' for k in range(1000)], effort=[1.0] * 1000)
+        yield encode_joint_state(
+            0, [f'name {number} {k}' for k in range(1000)], effort=[1.0] * 1000
+        )
 
 
 def layouts(size: int) -> Iterator[bytes]:
@@ -60,7 +64,9 @@ def layouts(size: int) -> Iterator[bytes]:
     while True:
         number += 1
         values = [1.0] * (number % 997)
-        yield encode_joint_state(number, ['motor'], position=values, effort=[1.0], frame_id=f'{number}' * 10_000)
+        yield encode_joint_state(
+            number, ['motor'], position=values, effort=[1.0], frame_id=f'{number}' * 10_000
+        )
 
 
 def small(size: int) -> Iterator[bytes]:
@@ -79,12 +85,18 @@ FLOODS: dict[str, Callable[[int], Iterator[bytes]]] = {
 
 def main() -> int:
     """Flood one observer after another; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--seconds', type=float, default=60.0, help='length of every flood')
     parser.add_argument('--kinds', nargs='+', choices=list(FLOODS), default=list(FLOODS))
     parser.add_argument('--megabytes', type=float, default=20.0, help='size of a large message')
-    parser.add_argument('--senders', type=int, default=2, help='processes that send, in turn to voltage and torque')
-    parser.add_argument('--domain', type=int, default=87, help='ROS domain of everything that is started')
+    parser.add_argument(
+        '--senders', type=int, default=2, help='processes that send, in turn to voltage and torque'
+    )
+    parser.add_argument(
+        '--domain', type=int, default=87, help='ROS domain of everything that is started'
+    )
     options = parser.parse_args()
     os.environ['ROS_DOMAIN_ID'] = str(options.domain)
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -103,7 +115,9 @@ def main() -> int:
 
 
 def flood(kind: str, options: argparse.Namespace, log: IO[str]) -> tuple[float, float, int]:
-    """Flood one observer; return its largest memory in MB, the time that its end took, and how much was sent."""
+    """Flood one observer; return its largest memory in MB, the time that its end took, and how much
+    was sent.
+    """
     context = multiprocessing.get_context('spawn')
     ready, stop = context.Semaphore(0), context.Event()
     sent = context.Value('q', 0)
@@ -111,7 +125,9 @@ def flood(kind: str, options: argparse.Namespace, log: IO[str]) -> tuple[float, 
     command = [sys.executable, '-m', OBSERVER, '--ros-args', '-p', 'predictor:=false']
     with subprocess.Popen(command, stdout=log, stderr=log, text=True) as process:
         senders = [
-            context.Process(target=send, args=(kind, size, TOPICS[k % len(TOPICS)], ready, stop, sent))
+            context.Process(
+                target=send, args=(kind, size, TOPICS[k % len(TOPICS)], ready, stop, sent)
+            )
             for k in range(options.senders)
         ]
         try:
@@ -148,7 +164,9 @@ def watched(process: subprocess.Popen[str], duration_s: float) -> float:
 
 
 def send(kind: str, size: int, topic: str, ready: Any, stop: Any, sent: Synchronized[int]) -> None:
-    """Send one kind of messages to a topic, as fast as they go, from the first reader on until told to stop."""
+    """Send one kind of messages to a topic, as fast as they go, from the first reader on until told
+    to stop.
+    """
     rclpy.init()
     node = rclpy.create_node(f'flood_{os.getpid()}')
     publisher = node.create_publisher(JointState, topic, QoSProfile(depth=QUEUE))

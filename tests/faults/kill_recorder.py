@@ -2,9 +2,10 @@
 
     python tests/faults/kill_recorder.py [--times 50] [--seed 1] [--rate 1000]
 
-Needs a sourced workspace. Every round records two topics in another way (compression, splitting) and ends with SIGKILL.
-The bag then has to be read by this package, by mcap's readers and by rosbags as it lies there, without a gap, and up to
-the last second. Prints a line a round and one line of JSON; ends with 1 if a figure is not reached.
+Needs a sourced workspace. Every round records two topics in another way (compression, splitting)
+and ends with SIGKILL. The bag then has to be read by this package, by mcap's readers and by rosbags
+as it lies there, without a gap, and up to the last second. Prints a line a round and one line of
+JSON; ends with 1 if a figure is not reached.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from gray_box_observer.bag.joint_state import decode_joint_state
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError
 
-RECORDER = 'gray_box_observer.ros.recorder_node'
+RECORDER = 'gray_box_observer.ros.bags.recorder_node'
 FAST, SLOW = 'motor/torque', 'motor/voltage'
 SLOW_EVERY = 10
 PATIENCE_S = 60.0
@@ -71,7 +72,9 @@ class Round:
 
 def main() -> int:
     """Run the rounds."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--times', type=int, default=50, help='how often the recorder is killed')
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--rate', type=float, default=1000.0, help='messages a second')
@@ -93,14 +96,18 @@ def main() -> int:
     return _tell(rounds, options)
 
 
-def _round(node: Node, folder: Path, way: tuple[str, ...], draw: random.Random, rate_hz: float) -> Round:
+def _round(
+    node: Node, folder: Path, way: tuple[str, ...], draw: random.Random, rate_hz: float
+) -> Round:
     life_s = draw.uniform(SHORTEST_S, LONGEST_S)
     qos = QoSProfile(depth=1000)
     # Topics of its own: the dead recorder of the round before seems to listen for seconds yet.
     topics = [f'/round_{folder.name}/{name}' for name in (FAST, SLOW)]
     fast, slow = (node.create_publisher(JointState, topic, qos) for topic in topics)
     command = [sys.executable, '-m', RECORDER, *topics, '-o', str(folder), *way]
-    recorder = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    recorder = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
     try:
         until_s = time.monotonic() + PATIENCE_S
         while not (fast.get_subscription_count() and slow.get_subscription_count()):
@@ -151,7 +158,9 @@ def _judge(folder: Path, sent_s: list[float], killed_s: float) -> Round:
 
 
 def _ours(folder: Path) -> tuple[list[int], int]:
-    """The numbers of the fast topic's messages in the bag, and how many messages of both topics there are."""
+    """The numbers of the fast topic's messages in the bag, and how many messages of both topics
+    there are.
+    """
     try:
         with BagReader(folder) as bag:
             messages = list(bag.messages())
@@ -159,7 +168,9 @@ def _ours(folder: Path) -> tuple[list[int], int]:
         if 'no message in this bag' not in str(error):
             raise
         return [], 0
-    return [int(decode_joint_state(m.data).effort[0]) for m in messages if m.topic.endswith(FAST)], len(messages)
+    return [
+        int(decode_joint_state(m.data).effort[0]) for m in messages if m.topic.endswith(FAST)
+    ], len(messages)
 
 
 def _reads(read: Callable[[Path], int], folder: Path, count: int) -> bool:
@@ -198,19 +209,32 @@ def _tell(rounds: list[Round], options: argparse.Namespace) -> int:
     figures: list[tuple[str, float, float | None]] = [
         ('bags with a gap', sum(not r.is_whole for r in rounds), 0.0),
         *(
-            (f'bags that {name} does not read as they lie there', count - sum(r.readers[name] for r in rounds), 0.0)
+            (
+                f'bags that {name} does not read as they lie there',
+                count - sum(r.readers[name] for r in rounds),
+                0.0,
+            )
             for name in rounds[0].readers
         ),
         ('lost in s, worst', max(losses_s), 1.0),
         ('lost in s, median', statistics.median(losses_s), None),
     ]
     told = [
-        {'name': name, 'value': round(value, 4), 'goal': goal, 'met': None if goal is None else value <= goal}
+        {
+            'name': name,
+            'value': round(value, 4),
+            'goal': goal,
+            'met': None if goal is None else value <= goal,
+        }
         for name, value, goal in figures
     ]
     for figure in told:
         print(f'{figure["value"]:10g}  {figure["name"]}')
-    print(json.dumps({'benchmark': 'kill_recorder', 'seed': options.seed, 'times': count, 'figures': told}))
+    print(
+        json.dumps(
+            {'benchmark': 'kill_recorder', 'seed': options.seed, 'times': count, 'figures': told}
+        )
+    )
     return 1 if any(figure['met'] is False for figure in told) else 0
 
 

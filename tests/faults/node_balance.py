@@ -1,4 +1,6 @@
-"""Whether an observer can account for every message it was sent, by nothing but its own diagnostics."""
+"""Whether an observer can account for every message it was sent, by nothing but its own
+diagnostics.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ class Account:
         delivered: messages handed to the middleware.
         used: samples used.
         refused: messages of the motor that were refused, by reason.
-        unreadable: messages that held no value that could be read, and bytes that were no message any more.
+        unreadable: messages that held no value that could be read, and bytes that were no message
+            any more.
         strangers: messages that spoke of no motor that was asked for.
         taken: voltages that came into force.
         waiting: torques that waited for their voltage at the end.
@@ -51,7 +54,10 @@ class Account:
             self.refused += refused
             self.unexplained += abs(arrived - unreadable - strangers - of_motor)
             if signal == 'torque':
-                used, waiting = int(facts['samples used']), int(facts['samples waiting for voltage'])
+                used, waiting = (
+                    int(facts['samples used']),
+                    int(facts['samples waiting for voltage']),
+                )
                 self.used += used
                 self.waiting += waiting
                 self.unexplained += abs(of_motor - used - waiting - refused.total())

@@ -1,12 +1,15 @@
-"""A proxy between simulator and observer, two real nodes on real DDS, that spoils what passes through it.
+"""A proxy between simulator and observer, two real nodes on real DDS, that spoils what passes
+through it.
 
-    python tests/faults/node_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts 10]
+    python tests/faults/node_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts
+    10]
 
-Needs a sourced workspace. The simulator runs as fast as the proxy takes its messages, in simulated time: 100 samples a
-simulated second. Faults are drawn by `stream_faults`. In the first half the observer is killed and started again so
-many times, and goes on from its checkpoint, and as often the simulator is, whose clock then begins anywhere; in the
-second half one observer lives on and its memory is watched. At the end a minute of clean samples follows. Prints every
-fault by kind, where every message went by the observer's own diagnostics, a table, and one line of JSON; ends with 1 if
+Needs a sourced workspace. The simulator runs as fast as the proxy takes its messages, in simulated
+time: 100 samples a simulated second. Faults are drawn by `stream_faults`. In the first half the
+observer is killed and started again so many times, and goes on from its checkpoint, and as often
+the simulator is, whose clock then begins anywhere; in the second half one observer lives on and its
+memory is watched. At the end a minute of clean samples follows. Prints every fault by kind, where
+every message went by the observer's own diagnostics, a table, and one line of JSON; ends with 1 if
 a figure is not reached.
 """
 
@@ -95,7 +98,9 @@ class Proxy:
         self.start_simulator()
 
     def pump(self, most: int, *, clean: bool = False) -> int:
-        """Pass on messages as long as few are on their way; return how many were taken from the simulator."""
+        """Pass on messages as long as few are on their way; return how many were taken from the
+        simulator.
+        """
         on_the_way = self._bench.sent - received(self._bench.facts)
         room = min(most, WINDOW - on_the_way)
         taken = 0
@@ -113,7 +118,8 @@ class Proxy:
     def _sample(self) -> list[tuple[str, JointStateView]] | None:
         """Take the voltage and the torque of one stamp; None where they have not both come.
 
-        DDS keeps the order of each topic only, and the first messages may have missed us on one of them.
+        DDS keeps the order of each topic only, and the first messages may have missed us on one of
+        them.
         """
         while all(self._waiting.values()):
             heads = [(name, self._decode(queue[0])) for name, queue in self._waiting.items()]
@@ -210,13 +216,23 @@ class Campaign:
 
 def main() -> int:
     """Run the campaign; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--messages', type=int, default=1_000_000, help='messages that the proxy takes')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--messages', type=int, default=1_000_000, help='messages that the proxy takes'
+    )
     parser.add_argument('--share', type=float, default=0.3, help='of them that a fault touches')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--restarts', type=int, default=10, help='of observer and simulator, in the first half')
-    parser.add_argument('--predictor', action=argparse.BooleanOptionalAction, default=True, help='train and predict')
-    parser.add_argument('--domain', type=int, default=80, help='ROS domain of everything that is started')
+    parser.add_argument(
+        '--restarts', type=int, default=10, help='of observer and simulator, in the first half'
+    )
+    parser.add_argument(
+        '--predictor', action=argparse.BooleanOptionalAction, default=True, help='train and predict'
+    )
+    parser.add_argument(
+        '--domain', type=int, default=80, help='ROS domain of everything that is started'
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / 'log'
@@ -233,15 +249,21 @@ def main() -> int:
                 bench.close()
                 said = log.read_text(encoding='utf-8', errors='replace')
                 print(
-                    '\n'.join(line for line in said.splitlines() if 'rror' in line and 'sequence size' not in line)[
-                        -2000:
-                    ]
+                    '\n'.join(
+                        line
+                        for line in said.splitlines()
+                        if 'rror' in line and 'sequence size' not in line
+                    )[-2000:]
                 )
     return _report(options, campaign, during, after, said.count('Traceback'))
 
 
 def _report(
-    options: argparse.Namespace, campaign: Campaign, during: dict[str, float], after: dict[str, float], tracebacks: int
+    options: argparse.Namespace,
+    campaign: Campaign,
+    during: dict[str, float],
+    after: dict[str, float],
+    tracebacks: int,
 ) -> int:
     faults, account = campaign.faults, campaign.account
     print(f'{faults.seen} messages of the simulator, of them')
@@ -263,12 +285,23 @@ def _report(
         Figure('messages unexplained', account.unexplained, 0.0),
         Figure('tracebacks', tracebacks, 0.0),
         Figure('share of messages touched', faults.touched / faults.seen),
-        Figure('largest deviation right after the faults, own standard deviations', max(map(abs, during.values()))),
-        Figure('largest deviation after a clean minute, own standard deviations', max(map(abs, after.values())), 3.0),
+        Figure(
+            'largest deviation right after the faults, own standard deviations',
+            max(map(abs, during.values())),
+        ),
+        Figure(
+            'largest deviation after a clean minute, own standard deviations',
+            max(map(abs, after.values())),
+            3.0,
+        ),
         Figure('growth of memory in the second half, MB', growth(campaign.memory_mb), 5.0),
         Figure('largest memory, MB', max(campaign.memory_mb, default=0.0)),
     ]
-    counts = {'messages': faults.seen, 'faults': {kind.value: n for kind, n in faults.counts.items()}, 'account': rows}
+    counts = {
+        'messages': faults.seen,
+        'faults': {kind.value: n for kind, n in faults.counts.items()},
+        'account': rows,
+    }
     return tell('node_campaign', options.seed, figures, counts)
 
 

@@ -1,9 +1,11 @@
-"""Lets simulator and observer run for long as two nodes, with `/clock` sped up: estimates on truth, memory flat.
+"""Lets simulator and observer run for long as two nodes, with `/clock` sped up: estimates on truth,
+memory flat.
 
     python tests/faults/node_soak.py [--hours 24] [--speed-up 10] [--seed 1]
 
-Needs a sourced workspace. The predictor trains in its process. What is asked of the core alone is in `soak`, which is
-faster. Prints a table and one line of JSON; ends with 1 if a figure is not reached.
+Needs a sourced workspace. The predictor trains in its process. What is asked of the core alone is
+in `soak`, which is faster. Prints a table and one line of JSON; ends with 1 if a figure is not
+reached.
 """
 
 from __future__ import annotations
@@ -23,11 +25,17 @@ LOOK_EVERY_S = 2.0
 
 def main() -> int:
     """Run the hours; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--hours', type=float, default=24.0, help='simulated')
-    parser.add_argument('--speed-up', type=float, default=10.0, help='simulated seconds in a second')
+    parser.add_argument(
+        '--speed-up', type=float, default=10.0, help='simulated seconds in a second'
+    )
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--domain', type=int, default=86, help='ROS domain of everything that is started')
+    parser.add_argument(
+        '--domain', type=int, default=86, help='ROS domain of everything that is started'
+    )
     options = parser.parse_args()
     memory_mb: list[float] = []
     training_mb: list[float] = []
@@ -67,7 +75,11 @@ def main() -> int:
     figures = [
         Figure('simulated hours', options.hours),
         Figure('samples lost', float(sent - int(facts['samples used'])), 0.0),
-        Figure('largest deviation at the end, own standard deviations', max(map(abs, deviations.values())), 3.0),
+        Figure(
+            'largest deviation at the end, own standard deviations',
+            max(map(abs, deviations.values())),
+            3.0,
+        ),
         Figure('changes announced that were none', float(facts['motor changes']), 0.0),
         Figure('growth of memory in the second half, MB', growth(memory_mb), 5.0),
         Figure('largest memory, MB', max(memory_mb)),

@@ -23,17 +23,18 @@ from stream_faults import encoded
 
 from gray_box_observer.bag.joint_state import JointStateView
 
-OBSERVER = 'gray_box_observer.ros.observer_node'
+OBSERVER = 'gray_box_observer.ros.observer.observer_node'
 SIMULATOR = 'dc_motor_sim.ros.motor_sim'
 TOPICS = {'voltage': '/motor/voltage', 'torque': '/motor/torque'}
 TRUTH = {'inductance [H]': 0.5, 'resistance [ohm]': 1.0, 'hysteresis [V s/(rad A)]': 10.0}
 """The motor of the thesis, as diagnostics name its parameters."""
 QUEUE = 20_000
-"""Messages on the way between us and the observer; its own queue of 1000 would drop a burst, and say so."""
+"""Messages on the way between us and the observer; its own queue of 1000 would drop a burst, and
+say so."""
 PATIENCE_S = 120.0
 HOLD_S = 60.0
-"""Stamps run many times faster than the clock here, and so does what one topic is ahead of the other: on a busy machine
-by all that is on the way, :data:`QUEUE` messages at most."""
+"""Stamps run many times faster than the clock here, and so does what one topic is ahead of the
+other: on a busy machine by all that is on the way, :data:`QUEUE` messages at most."""
 PROBE = JointStateView(0, ('probe',), (), (), (0.0,))
 
 
@@ -69,28 +70,44 @@ class Bench:
             for name, topic in TOPICS.items()
         }
 
-    def start(self, module: str, parameters: Mapping[str, object], *remaps: str) -> subprocess.Popen[str]:
+    def start(
+        self, module: str, parameters: Mapping[str, object], *remaps: str
+    ) -> subprocess.Popen[str]:
         """Start one of our executables."""
         command = [sys.executable, '-m', module, '--ros-args']
         for name, value in parameters.items():
             command += ['-p', f'{name}:={str(value).lower() if isinstance(value, bool) else value}']
         for remap in remaps:
             command += ['-r', remap]
-        process = subprocess.Popen(command, stdout=self._log, stderr=self._log, text=True, start_new_session=True)
+        process = subprocess.Popen(
+            command, stdout=self._log, stderr=self._log, text=True, start_new_session=True
+        )
         self._running.append(process)
         return process
 
     def start_observer(self, checkpoint: Path, **parameters: object) -> None:
-        """Start an observer that continues from its checkpoint, and wait until it listens and has said so."""
+        """Start an observer that continues from its checkpoint, and wait until it listens and has
+        said so.
+        """
         depth = {f'qos_overrides.{topic}.subscription.depth': QUEUE for topic in TOPICS.values()}
-        own = {'checkpoint.path': checkpoint, 'checkpoint.resume': True, 'hold_s': HOLD_S, **depth, **parameters}
+        own = {
+            'checkpoint.path': checkpoint,
+            'checkpoint.resume': True,
+            'hold_s': HOLD_S,
+            **depth,
+            **parameters,
+        }
         self.facts = {}
         self.observer = self.start(OBSERVER, own)
         self.wait(lambda: self.facts, 'the first diagnostics')
         probes = 0
-        while not all(int(self.facts.get(f'{signal} topic: of no motor here', 0)) for signal in TOPICS):
+        while not all(
+            int(self.facts.get(f'{signal} topic: of no motor here', 0)) for signal in TOPICS
+        ):
             assert probes < PATIENCE_S, f'nothing reaches the observer: {self.facts}'
-            for signal in TOPICS:  # one that was killed counts as a subscriber for long: only what arrives tells
+            for signal in (
+                TOPICS
+            ):  # one that was killed counts as a subscriber for long: only what arrives tells
                 self.send(signal, PROBE)
             probes += 1
             self.spin(1.0)
@@ -128,7 +145,9 @@ class Bench:
         until_s = time.monotonic() + PATIENCE_S
         while not condition():
             self.check_alive()
-            assert time.monotonic() < until_s, f'waited {PATIENCE_S:g} s for {what}; diagnostics: {self.facts}'
+            assert time.monotonic() < until_s, (
+                f'waited {PATIENCE_S:g} s for {what}; diagnostics: {self.facts}'
+            )
             self.spin(0.05)
 
     def check_alive(self) -> None:
@@ -145,7 +164,9 @@ class Bench:
 
     def kill(self, process: subprocess.Popen[str]) -> None:
         """Kill a process of ours, with the training process that it may have."""
-        children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        children = (
+            psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+        )
         process.kill()
         process.wait(PATIENCE_S)
         _, left = psutil.wait_procs(children, PATIENCE_S)

@@ -1,10 +1,12 @@
-"""Peak memory of bags of at most a megabyte that are made to take much more: of ``identify``, and of reading them all.
+"""Peak memory of bags of at most a megabyte that are made to take much more: of ``identify``, and
+of reading them all.
 
     python tests/faults/small_bags.py [--only NAME ...]
 
-Every bag of `crafted_bags` is read by a process of its own through two doors: ``identify``, and every message of every
-topic, as the player reads. Prints peak memory and processor time of each and one line of JSON. Ends with 1 where one
-took more than may be, or ended otherwise than in a result or in one clear line.
+Every bag of `crafted_bags` is read by a process of its own through two doors: ``identify``, and
+every message of every topic, as the player reads. Prints peak memory and processor time of each and
+one line of JSON. Ends with 1 where one took more than may be, or ended otherwise than in a result
+or in one clear line.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ def peak():
 DOORS = {
     'identify': MEASURED
     + """
-from gray_box_observer.identify import main
+from gray_box_observer.identify.command import main
 code = main(['identify', path, '--skip-predictor', '--json', '-'])
 peak()
 sys.exit(code)
@@ -58,7 +60,9 @@ peak()
 
 
 class Ending(NamedTuple):
-    """How reading one bag ended: peak memory in MB, processor time in s, and what is wrong with it, if anything."""
+    """How reading one bag ended: peak memory in MB, processor time in s, and what is wrong with it,
+    if anything.
+    """
 
     peak_mb: float
     cpu_s: float
@@ -89,8 +93,12 @@ def read(path: Path, door: str) -> Ending:
 
 def main() -> int:
     """Run the campaign."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--only', nargs='+', choices=sorted(CRAFTS), metavar='NAME', help='these alone')
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        '--only', nargs='+', choices=sorted(CRAFTS), metavar='NAME', help='these alone'
+    )
     parser.add_argument('--show', action='store_true', help='what each said too')
     options = parser.parse_args()
     worst = dict.fromkeys(DOORS, 0.0)
@@ -105,7 +113,10 @@ def main() -> int:
                 worst[door] = max(worst[door], ending.peak_mb)
                 longest_s = max(longest_s, ending.cpu_s)
                 wrong += bool(ending.complaint) or size > LARGEST_BAG_BYTES + 4096
-                print(f'{name:34} {size / 1000:6.0f} kB  {door:14} {ending.peak_mb:6.0f} MB {ending.cpu_s:6.1f} s')
+                print(
+                    f'{name:34} {size / 1000:6.0f} kB  {door:14} {ending.peak_mb:6.0f} MB '
+                    f'{ending.cpu_s:6.1f} s'
+                )
                 if ending.complaint or options.show:
                     print(f'    {ending.complaint or ending.said.strip()[:600]}', file=sys.stderr)
             path.unlink()

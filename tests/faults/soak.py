@@ -1,4 +1,5 @@
-"""Lets the observer's core run for simulated hours: estimates on truth, covariance honest, memory flat.
+"""Lets the observer's core run for simulated hours: estimates on truth, covariance honest, memory
+flat.
 
     python tests/faults/soak.py [--hours 24] [--rate 100] [--seed 1] [--predictor]
 
@@ -20,8 +21,8 @@ from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 TRUTH = np.array([0.5, 1.0, 10.0])
 LOOK_EVERY_S = 60
@@ -50,11 +51,15 @@ class NoTraining:
 
 def main() -> int:
     """Run the hours; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--hours', type=float, default=24.0, help='simulated')
     parser.add_argument('--rate', type=float, default=100.0, help='samples a second')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--predictor', action='store_true', help='predict as well, without training')
+    parser.add_argument(
+        '--predictor', action='store_true', help='predict as well, without training'
+    )
     options = parser.parse_args()
     simulation = Simulation(
         {'motor': PlantParameters()},
@@ -83,7 +88,11 @@ def main() -> int:
     figures = [
         Figure('simulated hours', minutes * LOOK_EVERY_S / 3600),
         Figure('samples lost', float(sent - used), 0.0),
-        Figure('largest deviation at the end, own standard deviations', float(np.max(deviations[-1])), 3.0),
+        Figure(
+            'largest deviation at the end, own standard deviations',
+            float(np.max(deviations[-1])),
+            3.0,
+        ),
         Figure('largest deviation of all minutes, own standard deviations', float(np.max(worst))),
         Figure('root mean square deviation, own standard deviations', float(np.max(rms))),
         Figure('changes announced that were none', counters['motor changes'], 0.0),

@@ -1,6 +1,8 @@
-"""Faults between a driver and the observer: whatever a network, a clock or a broken driver does to stamped messages.
+"""Faults between a driver and the observer: whatever a network, a clock or a broken driver does to
+stamped messages.
 
-Seeded, and without ROS: the campaigns put it before the core (`core_campaign`) and between two nodes (`node_campaign`).
+Seeded, and without ROS: the campaigns put it before the core (`core_campaign`) and between two
+nodes (`node_campaign`).
 """
 
 from __future__ import annotations
@@ -67,7 +69,8 @@ class FaultRules:
     Attributes:
         share: of the messages, touched by a fault.
         weights: how much of that falls to each kind.
-        most_frozen: messages that a frozen link holds back at most; more than the observer's queue holds would be lost.
+        most_frozen: messages that a frozen link holds back at most; more than the observer's queue
+            holds would be lost.
     """
 
     share: float = 0.3
@@ -83,7 +86,9 @@ WEIGHTS: Mapping[Kind, float] = {
 }
 """Equal parts, but for what is rare or expensive."""
 
-CORE_WEIGHTS: Mapping[Kind, float] = {kind: w for kind, w in WEIGHTS.items() if kind is not Kind.DAMAGED_BYTES}
+CORE_WEIGHTS: Mapping[Kind, float] = {
+    kind: w for kind, w in WEIGHTS.items() if kind is not Kind.DAMAGED_BYTES
+}
 """Bytes are there only where messages are sent."""
 
 RUNS: Mapping[Kind, tuple[int, int]] = {Kind.JUMPED_BACK: (1, 50), Kind.JUMPED_FORWARD: (1, 50)}
@@ -180,7 +185,9 @@ class StreamFaults:
 
     def _drawn_jump_ns(self) -> int:
         """A jump of a clock: from a millisecond to a day, all sizes alike."""
-        return round(math.exp(self._random.uniform(math.log(1e-3), math.log(86400.0))) * NANOSECONDS)
+        return round(
+            math.exp(self._random.uniform(math.log(1e-3), math.log(86400.0))) * NANOSECONDS
+        )
 
     def _due(self) -> list[Delivery]:
         due = []
@@ -219,14 +226,20 @@ def damaged(message: JointStateView, draw: random.Random) -> bytes:
     if draw.random() < 0.5:
         return data[: draw.randrange(4, len(data))]
     at = 12  # behind encapsulation and stamp: the length of the frame
-    return data[:at] + draw.choice((2**32 - 1, 2**31, 10_000)).to_bytes(4, 'little') + data[at + 4 :]
+    return (
+        data[:at] + draw.choice((2**32 - 1, 2**31, 10_000)).to_bytes(4, 'little') + data[at + 4 :]
+    )
 
 
 def encoded(message: JointStateView) -> bytes:
     """The bytes that a publisher sends; stamps beyond what a message can say come to its ends."""
     stamp_ns = min(max(message.stamp_ns, EXTREME_STAMPS_NS[3]), EXTREME_STAMPS_NS[4])
     return encode_joint_state(
-        stamp_ns, message.names, position=message.position, velocity=message.velocity, effort=message.effort
+        stamp_ns,
+        message.names,
+        position=message.position,
+        velocity=message.velocity,
+        effort=message.effort,
     )
 
 
@@ -261,7 +274,9 @@ def _empty(message: JointStateView, draw: random.Random) -> JointStateView:
 
 
 def _strange_name(message: JointStateView, draw: random.Random) -> JointStateView:
-    return message._replace(names=tuple(draw.choice(NAMES) + str(draw.randrange(10**6)) for _ in message.names))
+    return message._replace(
+        names=tuple(draw.choice(NAMES) + str(draw.randrange(10**6)) for _ in message.names)
+    )
 
 
 def _million_entries(message: JointStateView, draw: random.Random) -> JointStateView:

@@ -1,4 +1,6 @@
-"""A small, always equal share of the campaign of `core_campaign`, which runs all of it as a command."""
+"""A small, always equal share of the campaign of `core_campaign`, which runs all of it as a
+command.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,14 @@ from pathlib import Path
 MESSAGES = 6000
 
 
-def test_messages_that_faults_have_been_at_neither_break_the_core_nor_vanish_nor_move_the_estimate() -> None:
+def test_messages_that_faults_have_been_at_neither_break_the_core_nor_vanish_nor_move_the_estimate() -> (
+    None
+):
     command = [sys.executable, str(Path(__file__).with_name('core_campaign.py'))]
     arguments = ['--messages', str(MESSAGES), '--restarts', '2', '--seed', '1']
-    done = subprocess.run([*command, *arguments], capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(
+        [*command, *arguments], capture_output=True, text=True, timeout=240, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(done.stdout.splitlines()[-1])
     figures = {figure['name']: figure for figure in result['figures']}

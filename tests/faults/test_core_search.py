@@ -1,4 +1,6 @@
-"""A small, always equal share of the search of `core_search`, and the sequences that once broke something."""
+"""A small, always equal share of the search of `core_search`, and the sequences that once broke
+something.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from hypothesis import HealthCheck, Phase, given, settings
     suppress_health_check=list(HealthCheck),
 )
 @given(setups(), SEQUENCES)
-def test_no_sequence_breaks_the_core_or_its_books_or_depends_on_the_door(setup: Setup, whole: list[Action]) -> None:
+def test_no_sequence_breaks_the_core_or_its_books_or_depends_on_the_door(
+    setup: Setup, whole: list[Action]
+) -> None:
     examine(setup, whole)
 
 

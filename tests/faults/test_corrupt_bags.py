@@ -11,7 +11,12 @@ CASES = 300
 
 
 def test_damaged_bags_end_in_a_clear_line_or_in_a_partial_read_that_says_what_was_lost() -> None:
-    command = [sys.executable, str(Path(__file__).with_name('corrupt_bags.py')), '--cases', str(CASES)]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name('corrupt_bags.py')),
+        '--cases',
+        str(CASES),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout.splitlines()[-1])
@@ -20,4 +25,7 @@ def test_damaged_bags_end_in_a_clear_line_or_in_a_partial_read_that_says_what_wa
     assert sum(outcomes.values()) == CASES
     for outcome in ('clear error', 'partial read with a warning', 'everything read'):
         assert outcomes[outcome] > 5
-    assert sum(count for outcome, count in outcomes.items() if outcome.startswith('identify')) == CASES / 20
+    assert (
+        sum(count for outcome, count in outcomes.items() if outcome.startswith('identify'))
+        == CASES / 20
+    )

@@ -1,4 +1,6 @@
-"""A small share of `flood`, which runs all of it as a command: a real node under messages that are far too large."""
+"""A small share of `flood`, which runs all of it as a command: a real node under messages that are
+far too large.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,16 @@ LONGEST_S = 240.0
 
 @pytest.mark.timeout(LONGEST_S + 60.0)
 def test_messages_far_too_large_do_not_fill_the_memory(peer) -> None:
-    command = [sys.executable, str(Path(__file__).with_name('flood.py')), '--domain', str(peer.domain)]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name('flood.py')),
+        '--domain',
+        str(peer.domain),
+    ]
     options = ['--seconds', '8', '--kinds', 'large', '--senders', '2']
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=LONGEST_S, check=False)
+    done = subprocess.run(
+        [*command, *options], capture_output=True, text=True, timeout=LONGEST_S, check=False
+    )
     assert done.stdout, done.stderr[-2000:]
     result = json.loads(done.stdout.splitlines()[-1])
     figures = {figure['name']: figure for figure in result['figures']}

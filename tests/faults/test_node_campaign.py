@@ -1,4 +1,6 @@
-"""A small share of `node_campaign`, which runs all of it as a command: real nodes, real DDS, faults between them."""
+"""A small share of `node_campaign`, which runs all of it as a command: real nodes, real DDS, faults
+between them.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +21,22 @@ LONGEST_S = 240.0
 
 def run(*arguments: object) -> tuple[int, str, str]:
     """Run the campaign; none of the nodes it has started outlives it, whatever becomes of it."""
-    command = [sys.executable, str(Path(__file__).with_name('node_campaign.py')), *(str(a) for a in arguments)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name('node_campaign.py')),
+        *(str(a) for a in arguments),
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
         try:
             out, said = process.communicate(timeout=LONGEST_S)
         finally:
-            started = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+            started = (
+                psutil.Process(process.pid).children(recursive=True)
+                if process.poll() is None
+                else []
+            )
             for left in started:
                 left.kill()
             process.kill()
@@ -34,7 +46,17 @@ def run(*arguments: object) -> tuple[int, str, str]:
 @pytest.mark.timeout(LONGEST_S + 60.0)
 def test_observers_killed_amid_faults_account_for_every_message_and_find_the_motor(peer) -> None:
     code, out, said = run(
-        *('--messages', MESSAGES, '--restarts', 1, '--seed', 1, '--no-predictor', '--domain', peer.domain)
+        *(
+            '--messages',
+            MESSAGES,
+            '--restarts',
+            1,
+            '--seed',
+            1,
+            '--no-predictor',
+            '--domain',
+            peer.domain,
+        )
     )
     assert code == 0, out[-2000:] + said[-2000:]
     result = json.loads(out.splitlines()[-1])

@@ -1,4 +1,6 @@
-"""A share of the campaign of `small_bags`: the bags that are read in a second, each with real processes."""
+"""A share of the campaign of `small_bags`: the bags that are read in a second, each with real
+processes.
+"""
 
 from __future__ import annotations
 

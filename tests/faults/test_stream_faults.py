@@ -1,4 +1,6 @@
-"""The faults themselves: as many as asked for, of every kind, the same for the same seed, none without a count."""
+"""The faults themselves: as many as asked for, of every kind, the same for the same seed, none
+without a count.
+"""
 
 from __future__ import annotations
 
@@ -44,13 +46,17 @@ def test_every_kind_comes_about() -> None:
 
 
 def test_the_same_seed_gives_the_same_faults_and_another_gives_others() -> None:
-    first, second, third = (plain(spoil(StreamFaults(FaultRules(weights=CORE_WEIGHTS), s), 2000)) for s in (1, 1, 2))
+    first, second, third = (
+        plain(spoil(StreamFaults(FaultRules(weights=CORE_WEIGHTS), s), 2000)) for s in (1, 1, 2)
+    )
     assert first == second
     assert first != third
 
 
 def test_without_faults_everything_arrives_as_it_was_sent() -> None:
-    assert spoil(StreamFaults(FaultRules(share=0.0), 1), 500) == [Delivery('torque', message(k)) for k in range(500)]
+    assert spoil(StreamFaults(FaultRules(share=0.0), 1), 500) == [
+        Delivery('torque', message(k)) for k in range(500)
+    ]
 
 
 def test_late_and_frozen_messages_arrive_all_of_them_once() -> None:

@@ -1,4 +1,6 @@
-"""A small, always equal share of the campaign of `text_mutations`, which runs all of it as a command."""
+"""A small, always equal share of the campaign of `text_mutations`, which runs all of it as a
+command.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,12 @@ CASES = 400
 
 
 def test_damaged_parameters_truths_and_metadata_end_in_a_clear_line_or_in_finite_values() -> None:
-    command = [sys.executable, str(Path(__file__).with_name('text_mutations.py')), '--cases', str(CASES)]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name('text_mutations.py')),
+        '--cases',
+        str(CASES),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     result = json.loads(done.stdout.splitlines()[-1])
     assert result['figures'][0]['value'] == 0, done.stderr

@@ -1,4 +1,6 @@
-"""Seeded damage to text files that people write and others hand on: parameters, truths, the metadata of bags."""
+"""Seeded damage to text files that people write and others hand on: parameters, truths, the
+metadata of bags.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,17 @@ import re
 from collections.abc import Callable
 
 TOKENS = (
-    *('&a ', '*a', '<<: *a\n', '<<: ', '!!python/object/apply:os.system ', '!!set ', '!!binary ', '!!float ', '! '),
+    *(
+        '&a ',
+        '*a',
+        '<<: *a\n',
+        '<<: ',
+        '!!python/object/apply:os.system ',
+        '!!set ',
+        '!!binary ',
+        '!!float ',
+        '! ',
+    ),
     *(
         '? ',
         '- ',
@@ -26,14 +38,83 @@ TOKENS = (
         '--- \n',
         '...\n',
     ),
-    *('\t', '\x00', '\ufeff', '\x1b[31m', '\u2028', '\r', '~', '@', '`', '#', '\\', '\ud7ff', '\U0010ffff'),
+    *(
+        '\t',
+        '\x00',
+        '\ufeff',
+        '\x1b[31m',
+        '\u2028',
+        '\r',
+        '~',
+        '@',
+        '`',
+        '#',
+        '\\',
+        '\ud7ff',
+        '\U0010ffff',
+    ),
 )
 SCALARS = (
-    *('9' * 30, '-' + '9' * 30, '9' * 5000, '1' + '0' * 400, '9223372036854775808', '18446744073709551616'),
-    *('1e400', '-1e400', '1e308', '-1e308', '1e-400', '4.9e-324', '.nan', '.inf', '-.Inf', 'nan', 'inf', '-0.0'),
-    *('2024-99-99', '2024-01-01T25:61:61Z', '1_000', '0x7f', '0o17', '017', '0b1', '1:30:00', '1,5', '\uff11', '1e5f'),
-    *('true', 'no', 'null', '', '""', '=', '<<', '"text"', '[]', '{}', '[[]]', '{a: 1}', '[1, a]', '-1', '0', '1.5'),
-    *('["m[1..999999999]"]', '["a[1..60000]", "b[1..60000]"]', '[m, m]', '["", "a b", "../x"]', '[[0, 1], [1]]'),
+    *(
+        '9' * 30,
+        '-' + '9' * 30,
+        '9' * 5000,
+        '1' + '0' * 400,
+        '9223372036854775808',
+        '18446744073709551616',
+    ),
+    *(
+        '1e400',
+        '-1e400',
+        '1e308',
+        '-1e308',
+        '1e-400',
+        '4.9e-324',
+        '.nan',
+        '.inf',
+        '-.Inf',
+        'nan',
+        'inf',
+        '-0.0',
+    ),
+    *(
+        '2024-99-99',
+        '2024-01-01T25:61:61Z',
+        '1_000',
+        '0x7f',
+        '0o17',
+        '017',
+        '0b1',
+        '1:30:00',
+        '1,5',
+        '\uff11',
+        '1e5f',
+    ),
+    *(
+        'true',
+        'no',
+        'null',
+        '',
+        '""',
+        '=',
+        '<<',
+        '"text"',
+        '[]',
+        '{}',
+        '[[]]',
+        '{a: 1}',
+        '[1, a]',
+        '-1',
+        '0',
+        '1.5',
+    ),
+    *(
+        '["m[1..999999999]"]',
+        '["a[1..60000]", "b[1..60000]"]',
+        '[m, m]',
+        '["", "a b", "../x"]',
+        '[[0, 1], [1]]',
+    ),
 )
 _VALUE = re.compile(r'(?<=[:\-] )[^\n\[{]*')
 _NUMBER = re.compile(r'-?[0-9]+(?:\.[0-9]+)?')
@@ -82,7 +163,9 @@ def _token(text: str, draw: random.Random) -> str:
 
 def _nesting(_: str, draw: random.Random) -> str:
     depth = draw.choice((5, 40, 1000, 20_000))
-    opening, closing = draw.choice((('[', ']'), ('{a: ', '}'), ('- ', ''), ('[{a: ', '}]'), ('? ', ''), ('(', ')')))
+    opening, closing = draw.choice(
+        (('[', ']'), ('{a: ', '}'), ('- ', ''), ('[{a: ', '}]'), ('? ', ''), ('(', ')'))
+    )
     return opening * depth + draw.choice(('1', '')) + closing * draw.choice((depth, depth - 1))
 
 

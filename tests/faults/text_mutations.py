@@ -1,11 +1,12 @@
-"""Damages parameter files, truth files, metadata of bags and logs in seeded ways and reads them as the commands do.
+"""Damages parameter files, truth files, metadata of bags and logs in seeded ways and reads them as
+the commands do.
 
     python tests/faults/text_mutations.py [--cases 10000] [--seed 1] [--only CASE]
 
-Whatever was done to a file, reading it ends in one clear line or in finite values. Most cases call what the commands
-call; some go through the whole of ``identify``, and some through processes of all five executables. Prints how the
-cases ended, a table, and one line of JSON; ends with 1 where a figure is not reached. ``--only`` repeats one case and
-shows its traceback.
+Whatever was done to a file, reading it ends in one clear line or in finite values. Most cases call
+what the commands call; some go through the whole of ``identify``, and some through processes of all
+five executables. Prints how the cases ended, a table, and one line of JSON; ends with 1 where a
+figure is not reached. ``--only`` repeats one case and shows its traceback.
 """
 
 from __future__ import annotations
@@ -32,14 +33,14 @@ from tally import Tally
 from text_damage import damaged
 from tqdm import tqdm
 
-from gray_box_observer.bag.carried import carried_by
-from gray_box_observer.bag.csv_log import CsvMapping, csv_to_bag
+from gray_box_observer.bag.embedded_parameters import carried_by
 from gray_box_observer.bag.metadata import METADATA_NAME, list_files
-from gray_box_observer.configuration import Configuration, read_parameter_file
+from gray_box_observer.csv_import.log_conversion import CsvMapping, csv_to_bag
 from gray_box_observer.errors import GrayBoxError
-from gray_box_observer.identify import main as identify
-from gray_box_observer.identify_options import configure
-from gray_box_observer.report.truth import read_truth
+from gray_box_observer.identify.command import main as identify
+from gray_box_observer.identify.options import configure
+from gray_box_observer.report.run.truth import read_truth
+from gray_box_observer.settings.configuration import Configuration, read_parameter_file
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 2.0
@@ -65,7 +66,9 @@ MOTORS = """/**:
       known.hysteresis: 1.5e-1
 """
 
-LOG = '# a motor\nt_s,u_V,i_A,w\n' + ''.join(f'{k / 100},{k % 7},{k / 10:.3f},{k}\n' for k in range(60))
+LOG = '# a motor\nt_s,u_V,i_A,w\n' + ''.join(
+    f'{k / 100},{k % 7},{k / 10:.3f},{k}\n' for k in range(60)
+)
 COLUMNS = ('time=t_s', 'voltage=u_V', 'current=i_A', 'torque_constant=0.1', 'speed=w*2')
 
 COMMANDS = {
@@ -74,7 +77,8 @@ COMMANDS = {
     'player': ('gray_box_observer', ('no_such_bag', '--ros-args')),
     'motor_sim': ('dc_motor_sim', ('--ros-args', '-p', 'duration_s:=-1.0')),
 }
-"""Arguments with which a node ends by itself with exit code 2, whatever its parameter file holds."""
+"""Arguments with which a node ends by itself with exit code 2, whatever its parameter file holds.
+"""
 
 
 class WrongEndError(AssertionError):
@@ -106,27 +110,44 @@ class Campaign:
         self._folder = folder
         self._seed = seed
         (folder / 'sources').mkdir()
-        bags = [path for paths in make_sources(folder / 'sources', SECONDS).values() for path in paths]
+        bags = [
+            path for paths in make_sources(folder / 'sources', SECONDS).values() for path in paths
+        ]
         self._bag = next(path for path in bags if path.is_dir())
         observer = ROOT / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
         metadata = (self._bag / METADATA_NAME).read_text(encoding='utf-8')
-        carried = 'gray_box_observer.parameters: \'{"motors": ["motor"], "motor.torque_constant": 0.02}\''
+        carried = (
+            'gray_box_observer.parameters: \'{"motors": ["motor"], "motor.torque_constant": 0.02}\''
+        )
         self._sources: list[tuple[str, str, Callable[[Path], str]]] = [
             ('parameters', observer.read_text(encoding='utf-8'), self._read_parameters),
             ('parameters', MOTORS, self._read_parameters),
-            ('truth', (ROOT / 'bags' / 'drift' / 'truth.yaml').read_text(encoding='utf-8'), self._read_truth),
+            (
+                'truth',
+                (ROOT / 'bags' / 'drift' / 'truth.yaml').read_text(encoding='utf-8'),
+                self._read_truth,
+            ),
             ('metadata', metadata, self._read_metadata),
             ('log', LOG, self._read_log),
-            ('metadata', metadata.replace('custom_data: null', f'custom_data:\n    {carried}'), self._read_metadata),
+            (
+                'metadata',
+                metadata.replace('custom_data: null', f'custom_data:\n    {carried}'),
+                self._read_metadata,
+            ),
         ]
-        for _, text, read in self._sources:  # imports everything, and what is damaged is good before
+        for (
+            _,
+            text,
+            read,
+        ) in self._sources:  # imports everything, and what is damaged is good before
             path = self._written(METADATA_NAME, text.encode())
             if read(path) != 'used':
                 raise WrongEndError(f'a good file is refused: {text[:100]!r}')
 
     def run(self, case: int) -> tuple[str, str]:
         """Damage a file and read it; return what was done, and how that ended."""
-        # A turn further every so often: else every case that goes through a command would damage the same kind.
+        # A turn further every so often: else every case that goes through a command would damage
+        # the same kind.
         kind, text, read = self._sources[(case + case // IDENTIFY_EVERY) % len(self._sources)]
         content, damage = damaged(text, f'{self._seed}:{case}')
         path = self._written(METADATA_NAME, content)
@@ -139,7 +160,10 @@ class Campaign:
             return damage, f'{kind}: {read(path)}'
         except GrayBoxError as error:
             line = str(error)
-            _require(line.strip() and len(line) < 2000 and line.isprintable(), f'no clear line: {line[:300]!r}')
+            _require(
+                line.strip() and len(line) < 2000 and line.isprintable(),
+                f'no clear line: {line[:300]!r}',
+            )
             return damage, f'{kind}: a clear error'
 
     def _written(self, name: str, content: bytes) -> Path:
@@ -168,13 +192,19 @@ class Campaign:
             summary = csv_to_bag(path, folder, CsvMapping.from_options(COLUMNS))
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-        _require(all(line.isprintable() for line in summary.warnings), f'no clear line: {summary.warnings}')
+        _require(
+            all(line.isprintable() for line in summary.warnings),
+            f'no clear line: {summary.warnings}',
+        )
         return 'used, with a warning' if summary.warnings else 'used'
 
     def _read_metadata(self, path: Path) -> str:
         listing = list_files(path.parent)
         _require_finite(configure({}, carried_by([path.parent]), 'the bag').values.values())
-        _require(all(line.isprintable() for line in listing.complaints), f'no clear line: {listing.complaints}')
+        _require(
+            all(line.isprintable() for line in listing.complaints),
+            f'no clear line: {listing.complaints}',
+        )
         return 'used, with a warning' if listing.complaints else 'used'
 
     def _through_identify(self, kind: str, path: Path) -> str:
@@ -202,14 +232,27 @@ class Campaign:
         package, words = COMMANDS.get(name, ('gray_box_observer', ()))
         executable = ROOT / 'ros_ws' / 'install' / package / 'lib' / package / name
         option = ('--params', path) if name == 'identify' else ('--params-file', path)
-        command = [executable, *words, *option] if words else [executable, self._bag, '--skip-predictor', *option]
+        command = (
+            [executable, *words, *option]
+            if words
+            else [executable, self._bag, '--skip-predictor', *option]
+        )
         done = subprocess.run(
-            [str(word) for word in command], capture_output=True, text=True, timeout=PROCESS_LIMIT_S, cwd=path.parent
+            [str(word) for word in command],
+            capture_output=True,
+            text=True,
+            timeout=PROCESS_LIMIT_S,
+            cwd=path.parent,
         )
         said = done.stderr
-        _require('Traceback' not in said and done.returncode in ((0, 2) if name == 'identify' else (2,)), said[-300:])
+        _require(
+            'Traceback' not in said and done.returncode in ((0, 2) if name == 'identify' else (2,)),
+            said[-300:],
+        )
         errors = [line for line in said.splitlines() if line.startswith(f'{name}: error: ')]
-        _require(len(errors) == (done.returncode == 2), f'{len(errors)} lines of error: {said[-300:]}')
+        _require(
+            len(errors) == (done.returncode == 2), f'{len(errors)} lines of error: {said[-300:]}'
+        )
         return f'process of {name}: {"a clear error" if done.returncode else "ran"}'
 
 
@@ -230,7 +273,9 @@ def _require(condition: object, complaint: str) -> None:
 
 def main() -> int:
     """Run the campaign; the exit code is 1 where a figure is not reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument('--cases', type=int, default=10_000)
     parser.add_argument('--seed', type=int, default=1)
     parser.add_argument('--only', type=int, metavar='CASE', help='repeat this one')
@@ -247,13 +292,23 @@ def main() -> int:
     for case, damage, complaint in tally.failures[:50]:
         print(f'case {case}, {damage}: {complaint[:300]}', file=sys.stderr)
     figures = [
-        Figure('files that ended otherwise than in one clear line or finite values', len(tally.failures), 0.0),
+        Figure(
+            'files that ended otherwise than in one clear line or finite values',
+            len(tally.failures),
+            0.0,
+        ),
         Figure(f'longest case (number {tally.longest_case}), CPU s', tally.longest_s, LONGEST_S),
         Figure(
-            'largest memory above the start, MB', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3 - before_mb
+            'largest memory above the start, MB',
+            resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3 - before_mb,
         ),
     ]
-    return tell('text_mutations', options.seed, figures, {'cases': len(cases), 'outcomes': dict(tally.outcomes)})
+    return tell(
+        'text_mutations',
+        options.seed,
+        figures,
+        {'cases': len(cases), 'outcomes': dict(tally.outcomes)},
+    )
 
 
 def _run(campaign: Campaign, case: int, tally: TimedTally, *, shows: bool) -> None:

@@ -1,4 +1,6 @@
-"""An observer's core that is asked everything a node asks it, and of which every answer is looked at."""
+"""An observer's core that is asked everything a node asks it, and of which every answer is looked
+at.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer import checkpoint
 from gray_box_observer.bag.joint_state import JointStateDecoder
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.group import Group, GroupResult, Result
-from gray_box_observer.intake import Intake, Taken
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.message_input import Intake, Taken
+from gray_box_observer.observer.motor_group import Group, GroupResult, Result
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 
 class IdleTraining:
@@ -48,7 +50,8 @@ class WatchedCore:
     Args:
         settings: flat parameters of the observer.
         training: makes the trainer of the predictor.
-        asks: whether forecasts are asked for between the messages, as a node does; they change nothing.
+        asks: whether forecasts are asked for between the messages, as a node does; they change
+            nothing.
 
     Attributes:
         observer: the core.
@@ -56,7 +59,9 @@ class WatchedCore:
         unbalanced: messages that were neither used nor refused nor wait.
     """
 
-    def __init__(self, settings: dict[str, Any], training: Any = IdleTraining, *, asks: bool = True) -> None:
+    def __init__(
+        self, settings: dict[str, Any], training: Any = IdleTraining, *, asks: bool = True
+    ) -> None:
         self._settings = settings
         self._training = training
         self._asks = asks
@@ -128,14 +133,18 @@ class WatchedCore:
             checkpoint.load(self.observer, path)
         after = self.observer.estimates()
         for name, estimate in before.items():
-            assert estimate.value.tobytes() == after[name].value.tobytes(), f'{name}: restored to another estimate'
+            assert estimate.value.tobytes() == after[name].value.tobytes(), (
+                f'{name}: restored to another estimate'
+            )
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning."""
         self.observer.freeze(frozen)
 
     def reconfigure(self, changes: dict[str, Any]) -> None:
-        """Change parameters of a running observer; what the others do not allow is refused, as a node does."""
+        """Change parameters of a running observer; what the others do not allow is refused, as a
+        node does.
+        """
         with suppress(ConfigurationError):
             configuration = Configuration.from_flat({**self._settings, **changes})
             self._settings = {**self._settings, **changes}
@@ -171,7 +180,9 @@ class WatchedCore:
     def _look_at_result(self, result: GroupResult) -> None:
         sample = result.sample
         present = slice(None) if sample.present is None else sample.present
-        self._look_at(sample.interval_s[present], sample.voltage_v[present], sample.torque_nm[present])
+        self._look_at(
+            sample.interval_s[present], sample.voltage_v[present], sample.torque_nm[present]
+        )
         observer = result.group.observer
         if observer is not None and observer.white_box.speed_measured:
             self._look_at(sample.speed_rad_s[present])

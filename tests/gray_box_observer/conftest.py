@@ -1,4 +1,6 @@
-"""What the tests of the observer's cores share: simulated motors, their samples, and small bags made of them."""
+"""What the tests of the observer's cores share: simulated motors, their samples, and small bags
+made of them.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,20 @@ Message = tuple[str, int, bytes]
 
 
 @cache
-def _record(excitation: str, duration_s: float, seed: int, motors: tuple[str, ...], **options: Any) -> Recording:
-    plants = {name: PlantParameters(**{'resistance': 1.0 + 0.5 * k}) for k, name in enumerate(motors)}
+def _record(
+    excitation: str, duration_s: float, seed: int, motors: tuple[str, ...], **options: Any
+) -> Recording:
+    plants = {
+        name: PlantParameters(**{'resistance': 1.0 + 0.5 * k}) for k, name in enumerate(motors)
+    }
     return Simulation(plants, excitation, seed=seed, **options).record(duration_s)
 
 
 @pytest.fixture(scope='session')
 def record() -> Callable[..., Recording]:
-    """Record simulated motors; the first has the values of the thesis, each further one 0.5 ohm more."""
+    """Record simulated motors; the first has the values of the thesis, each further one 0.5 ohm
+    more.
+    """
 
     def make(
         excitation: str = 'R[5,15]D[1,20]',
@@ -55,7 +63,10 @@ def samples_of() -> Callable[..., list[Sample]]:
         return [
             Sample(
                 int(recording.stamp_ns[k]),
-                np.full(motors, 0.0 if k == 0 else (recording.stamp_ns[k] - recording.stamp_ns[k - 1]) / 1e9),
+                np.full(
+                    motors,
+                    0.0 if k == 0 else (recording.stamp_ns[k] - recording.stamp_ns[k - 1]) / 1e9,
+                ),
                 recording.voltage_v[:, max(k - 1, 0)].copy(),
                 recording.torque_nm[:, k].copy(),
                 recording.speed_rad_s[:, k].copy() if speed else blank.copy(),
@@ -69,20 +80,28 @@ def samples_of() -> Callable[..., list[Sample]]:
 @pytest.fixture
 def thesis_box() -> MotorWhiteBox:
     """White box of the thesis: L, R and K_HS unknown, Kt and Kb known, w = Kt i."""
-    return MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+    return MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}
+    )
 
 
 @pytest.fixture(scope='session')
 def messages_of() -> Callable[..., list[Message]]:
-    """Turn a recording into the messages of a bag: voltage and torque of every stamp, voltage first."""
+    """Turn a recording into the messages of a bag: voltage and torque of every stamp, voltage
+    first.
+    """
 
-    def make(recording: Recording, speed: bool = False, start_ns: int = 1_000_000_000) -> list[Message]:
+    def make(
+        recording: Recording, speed: bool = False, start_ns: int = 1_000_000_000
+    ) -> list[Message]:
         messages: list[Message] = []
         for k, stamp in enumerate(recording.stamp_ns):
             at = int(stamp) + start_ns
             voltage = encode_joint_state(at, recording.motors, effort=recording.voltage_v[:, k])
             velocity = recording.speed_rad_s[:, k] if speed else ()
-            torque = encode_joint_state(at, recording.motors, velocity=velocity, effort=recording.torque_nm[:, k])
+            torque = encode_joint_state(
+                at, recording.motors, velocity=velocity, effort=recording.torque_nm[:, k]
+            )
             messages += [('/motor/voltage', at, voltage), ('/motor/torque', at, torque)]
         return messages
 
@@ -94,7 +113,9 @@ def write_bag() -> Callable[..., Path]:
     """Write JointState messages into a rosbag2 folder."""
 
     def make(
-        folder: Path, messages: Iterable[Message], topics: tuple[str, ...] = ('/motor/voltage', '/motor/torque')
+        folder: Path,
+        messages: Iterable[Message],
+        topics: tuple[str, ...] = ('/motor/voltage', '/motor/torque'),
     ) -> Path:
         schema = schema_text(TYPE_NAME, built_in_lookup)
         with BagWriter(folder) as bag:

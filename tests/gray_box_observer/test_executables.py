@@ -26,14 +26,18 @@ from gray_box_observer import executables
 
 command = types.ModuleType('command')
 command.main = lambda args: print(os.environ['OMP_NUM_THREADS'], 'numpy' in sys.modules)
-sys.modules['gray_box_observer.identify'] = command
+sys.modules['gray_box_observer.identify.command'] = command
 executables.identify()
 """
 
 
 def start(*arguments: str) -> tuple[int, str, str]:
-    """Start an executable in a Python that lacks the modules; return exit code, standard output and error."""
-    done = subprocess.run([sys.executable, '-c', START, *arguments], capture_output=True, text=True, timeout=100)
+    """Start an executable in a Python that lacks the modules; return exit code, standard output and
+    error.
+    """
+    done = subprocess.run(
+        [sys.executable, '-c', START, *arguments], capture_output=True, text=True, timeout=100
+    )
     return done.returncode, done.stdout, done.stderr
 
 
@@ -49,7 +53,9 @@ def start(*arguments: str) -> tuple[int, str, str]:
         ('recorder', 'rcl_interfaces', 'source the set-up file of ROS 2 Jazzy'),
     ],
 )
-def test_a_missing_package_is_one_line_that_says_what_to_install(executable: str, missing: str, remedy: str) -> None:
+def test_a_missing_package_is_one_line_that_says_what_to_install(
+    executable: str, missing: str, remedy: str
+) -> None:
     code, out, said = start(executable, missing)
     assert (code, out) == (2, '')
     assert said.startswith(f'{executable}: error: this Python has no {missing}: ')
@@ -67,11 +73,19 @@ def test_with_every_package_an_executable_is_the_command_of_its_module(
 
 
 @pytest.mark.parametrize(('asked', 'expected'), [({}, '1'), ({'OMP_NUM_THREADS': '3'}, '3')])
-def test_linear_algebra_runs_on_one_thread_unless_asked_otherwise(asked: dict[str, str], expected: str) -> None:
-    environment = {name: value for name, value in os.environ.items() if not name.endswith('_NUM_THREADS')} | asked
+def test_linear_algebra_runs_on_one_thread_unless_asked_otherwise(
+    asked: dict[str, str], expected: str
+) -> None:
+    environment = {
+        name: value for name, value in os.environ.items() if not name.endswith('_NUM_THREADS')
+    } | asked
     command = [sys.executable, '-c', THREADS_SEEN]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, env=environment, check=True)
-    assert done.stdout == f'{expected} False\n', 'settled before numpy, which reads it once, is loaded'
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=100, env=environment, check=True
+    )
+    assert done.stdout == f'{expected} False\n', (
+        'settled before numpy, which reads it once, is loaded'
+    )
 
 
 def test_the_observer_needs_nothing_of_the_bags_or_the_training() -> None:
@@ -79,22 +93,28 @@ def test_the_observer_needs_nothing_of_the_bags_or_the_training() -> None:
 
 
 def test_a_module_of_ours_that_is_missing_is_a_defect_and_shows_its_traceback() -> None:
-    code, _, said = start('identify', 'gray_box_observer.offline')
+    code, _, said = start('identify', 'gray_box_observer.identify.offline_run')
     assert code == 1
     assert 'Traceback' in said
 
 
-@pytest.mark.parametrize('asked', [['--json', 'found.json'], ['--json', '-', '--report', 'found.html']])
+@pytest.mark.parametrize(
+    'asked', [['--json', 'found.json'], ['--json', '-', '--report', 'found.html']]
+)
 def test_a_reader_of_the_output_may_leave_early_and_files_are_written_all_the_same(
     tmp_path: Path, asked: list[str]
 ) -> None:
     script = 'from gray_box_observer import executables; raise SystemExit(executables.identify())'
     command = [sys.executable, '-c', script, str(BAG), '--skip-predictor', *asked]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
     process.stdout.close()
     said = process.stderr.read()
     assert (process.wait(timeout=100), 'Broken' in said) == (0, False), said
-    assert sorted(path.name for path in tmp_path.iterdir()) == [name for name in asked if name.startswith('found')]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        name for name in asked if name.startswith('found')
+    ]
 
 
 def test_a_reader_of_errors_may_leave_early_too(tmp_path: Path) -> None:
@@ -102,7 +122,9 @@ def test_a_reader_of_errors_may_leave_early_too(tmp_path: Path) -> None:
     strange = tmp_path / 'strange.yaml'
     strange.write_text('/**: {ros__parameters: {strange: 1}}')
     asked = [str(BAG), '--skip-predictor', '--params', str(strange), '--json', 'found.json']
-    process = subprocess.Popen([sys.executable, '-c', script, *asked], stderr=subprocess.PIPE, cwd=tmp_path)
+    process = subprocess.Popen(
+        [sys.executable, '-c', script, *asked], stderr=subprocess.PIPE, cwd=tmp_path
+    )
     process.stderr.close()
     assert process.wait(timeout=100) == 0
     assert (tmp_path / 'found.json').exists()
@@ -131,7 +153,10 @@ print(process.memory_info().rss - before - sum(map(len, kept)))
 
 def test_large_blocks_of_memory_go_back_when_they_are_freed() -> None:
     run = [sys.executable, '-c', MEMORY_LEFT]
-    left = {how: int(subprocess.check_output([*run, how], timeout=100)) for how in ('settled', 'as it comes')}
+    left = {
+        how: int(subprocess.check_output([*run, how], timeout=100))
+        for how in ('settled', 'as it comes')
+    }
     assert left['settled'] < 4e6
     if left['as it comes'] < 4e6:
         pytest.skip('this C library gives them back by itself')

@@ -1,7 +1,8 @@
-"""Hosts of a network, made of Linux namespaces: each has interfaces, a name and shared memory of its own, and a cable.
+"""Hosts of a network, made of Linux namespaces: each has interfaces, a name and shared memory of
+its own, and a cable.
 
-Everything hangs on processes that end with the test, however it ends; nothing is left behind, and no rights are needed
-where the kernel lets users have namespaces.
+Everything hangs on processes that end with the test, however it ends; nothing is left behind, and
+no rights are needed where the kernel lets users have namespaces.
 """
 
 from __future__ import annotations
@@ -33,12 +34,16 @@ class Network:
     def __init__(self, hosts: Sequence[str]) -> None:
         missing = [tool for tool in TOOLS if shutil.which(tool) is None]
         if missing:
-            raise NetworkUnavailableError(f'{", ".join(missing)} not found: install util-linux and iproute2')
+            raise NetworkUnavailableError(
+                f'{", ".join(missing)} not found: install util-linux and iproute2'
+            )
         self._holders: list[subprocess.Popen[str]] = []
         self._pids: dict[str, int] = {}
         self.addresses = {name: f'{SUBNET}.{k + 1}' for k, name in enumerate(hosts)}
         try:
-            self._switch = self._hold(['unshare', '--user', '--map-root-user', '--net', '--mount'], '')
+            self._switch = self._hold(
+                ['unshare', '--user', '--map-root-user', '--net', '--mount'], ''
+            )
             self._at_switch('ip', 'link', 'add', 'switch', 'type', 'bridge')
             self._at_switch('ip', 'link', 'set', 'switch', 'up')
             for name in hosts:
@@ -51,7 +56,11 @@ class Network:
         """Start the process that namespaces live by; return its number."""
         command = [*enter, 'sh', '-c', prepare + _HOLD]
         holder = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         self._holders.append(holder)
         assert holder.stdout is not None and holder.stderr is not None
@@ -60,11 +69,22 @@ class Network:
         return holder.pid
 
     def _plug_in(self, name: str) -> None:
-        enter = [*self._entered(self._switch, '--net', '--mount'), 'unshare', '--net', '--mount', '--uts', '--ipc']
+        enter = [
+            *self._entered(self._switch, '--net', '--mount'),
+            'unshare',
+            '--net',
+            '--mount',
+            '--uts',
+            '--ipc',
+        ]
         # Shared memory of its own: two hosts have none in common.
-        pid = self._hold(enter, f'mount -t tmpfs tmpfs /dev/shm && echo {name} > /proc/sys/kernel/hostname && ')
+        pid = self._hold(
+            enter, f'mount -t tmpfs tmpfs /dev/shm && echo {name} > /proc/sys/kernel/hostname && '
+        )
         self._pids[name] = pid
-        self._at_switch('ip', 'link', 'add', name, 'type', 'veth', 'peer', 'name', 'eth0', 'netns', str(pid))
+        self._at_switch(
+            'ip', 'link', 'add', name, 'type', 'veth', 'peer', 'name', 'eth0', 'netns', str(pid)
+        )
         self._at_switch('ip', 'link', 'set', name, 'master', 'switch', 'up')
         for words in (
             ['link', 'set', 'lo', 'up'],
@@ -78,14 +98,20 @@ class Network:
         return ['nsenter', '--target', str(pid), '--user', '--preserve-credentials', *namespaces]
 
     def on(self, host: str, command: Sequence[str]) -> list[str]:
-        """The command line that runs a command on a host; the process is the command itself and hears signals."""
+        """The command line that runs a command on a host; the process is the command itself and
+        hears signals.
+        """
         return [*self._entered(self._pids[host], '--net', '--mount', '--uts', '--ipc'), *command]
 
     def pull_plug(self, host: str) -> None:
-        """Cut a host off: its interface has no carrier any more; the others forget its address, as in time they do."""
+        """Cut a host off: its interface has no carrier any more; the others forget its address, as
+        in time they do.
+        """
         self._at_switch('ip', 'link', 'set', host, 'down')
         for other in self._pids.keys() - {host}:
-            self._run(self.on(other, ['ip', 'neigh', 'flush', 'to', self.addresses[host], 'dev', 'eth0']))
+            self._run(
+                self.on(other, ['ip', 'neigh', 'flush', 'to', self.addresses[host], 'dev', 'eth0'])
+            )
 
     def plug_in_again(self, host: str) -> None:
         """Let a host that was cut off back on the network."""

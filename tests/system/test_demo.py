@@ -41,7 +41,9 @@ def processes(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 def start_demo(*arguments: str | Path) -> subprocess.Popen[str]:
     environment = {k: v for k, v in os.environ.items() if k != 'ROS_DOMAIN_ID'}
     command = [sys.executable, DEMO, *arguments]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def test_an_estimate_stands_beside_its_truth_and_its_error(result: ModuleType):
@@ -53,10 +55,14 @@ def test_an_estimate_stands_beside_its_truth_and_its_error(result: ModuleType):
     )
 
 
-@pytest.mark.parametrize('stds', [{}, {'motor': {'resistance': math.nan}}, {'motor': {'resistance': math.inf}}])
+@pytest.mark.parametrize(
+    'stds', [{}, {'motor': {'resistance': math.nan}}, {'motor': {'resistance': math.inf}}]
+)
 def test_an_unknown_std_is_null_in_json(result: ModuleType, stds: dict):
     motors = result.result_of({'motor': {'resistance': 1.1}}, stds, {})
-    assert json.loads(json.dumps(motors, allow_nan=False)) == {'motor': {'resistance': {'value': 1.1, 'std': None}}}
+    assert json.loads(json.dumps(motors, allow_nan=False)) == {
+        'motor': {'resistance': {'value': 1.1, 'std': None}}
+    }
 
 
 def test_the_truth_of_a_changing_parameter_is_its_last_value(result: ModuleType, tmp_path: Path):
@@ -77,9 +83,13 @@ def test_lost_samples_are_said(result: ModuleType):
     assert '3 lost' in result.summary({}, 100, 97)
 
 
-def test_whether_the_white_box_holds_is_said_in_a_sentence_and_a_colour(result: ModuleType, tmp_path: Path):
+def test_whether_the_white_box_holds_is_said_in_a_sentence_and_a_colour(
+    result: ModuleType, tmp_path: Path
+):
     fit = {'verdict': 'ok', 'ratio': 1.02, 'whiteness': 1.0, 'suspects': []}
-    (tmp_path / 'r.json').write_text(json.dumps({'motors': {'motor': {'fit': fit, 'samples': 100}}}))
+    (tmp_path / 'r.json').write_text(
+        json.dumps({'motors': {'motor': {'fit': fit, 'samples': 100}}})
+    )
     plain = result.fit_sentences(tmp_path / 'r.json', coloured=False)
     assert plain.startswith('motor: The white box explains the data')
     assert result.fit_sentences(tmp_path / 'r.json', coloured=True) == f'\033[32m{plain}\033[0m'
@@ -87,14 +97,21 @@ def test_whether_the_white_box_holds_is_said_in_a_sentence_and_a_colour(result: 
 
 def test_a_process_that_dies_is_reported_with_its_last_lines(processes: ModuleType, tmp_path: Path):
     with processes.Children(tmp_path) as children:
-        child = children.start('worker', [sys.executable, '-c', 'raise SystemExit("no such motor")'])
+        child = children.start(
+            'worker', [sys.executable, '-c', 'raise SystemExit("no such motor")']
+        )
         child.process.wait(30)
-        with pytest.raises(processes.DemoError, match=r'(?s)worker ended early with exit code 1.*no such motor'):
+        with pytest.raises(
+            processes.DemoError, match=r'(?s)worker ended early with exit code 1.*no such motor'
+        ):
             children.require_alive('worker')
 
 
 def test_a_program_that_is_missing_is_reported(processes: ModuleType, tmp_path: Path):
-    with processes.Children(tmp_path) as children, pytest.raises(processes.DemoError, match='cannot start the worker'):
+    with (
+        processes.Children(tmp_path) as children,
+        pytest.raises(processes.DemoError, match='cannot start the worker'),
+    ):
         children.start('worker', [tmp_path / 'missing'])
 
 
@@ -158,7 +175,9 @@ def test_a_short_demo_identifies_the_motor_and_loses_no_sample(tmp_path: Path):
 
 @pytest.mark.system
 def test_a_replayed_bag_is_identified_again_and_finds_the_truth_beside_it(tmp_path: Path):
-    first = start_demo('--duration', '4', '--excitation', 'R[5,15]D[0.1,1]', '--runs', tmp_path / 'first')
+    first = start_demo(
+        '--duration', '4', '--excitation', 'R[5,15]D[0.1,1]', '--runs', tmp_path / 'first'
+    )
     output, errors = first.communicate(timeout=60)
     assert first.returncode == 0, errors
     bag = json.loads(output)['bag']

@@ -48,9 +48,9 @@ raise SystemExit(getattr(importlib.import_module(f'{package}.executables'), name
 
 LOADED = {
     'dc_motor_sim:motor_sim': 'dc_motor_sim.ros.motor_sim',
-    'gray_box_observer:observer': 'gray_box_observer.ros.observer_node',
-    'gray_box_observer:recorder': 'gray_box_observer.ros.recorder_node',
-    'gray_box_observer:player': 'gray_box_observer.ros.player_node',
+    'gray_box_observer:observer': 'gray_box_observer.ros.observer.observer_node',
+    'gray_box_observer:recorder': 'gray_box_observer.ros.bags.recorder_node',
+    'gray_box_observer:player': 'gray_box_observer.ros.bags.player_node',
 }
 """What each node loads."""
 
@@ -90,11 +90,15 @@ def test_a_signal_while_modules_are_loaded_ends_a_node_without_a_word(name: str)
 
 
 def test_ctrl_c_while_modules_are_loaded_ends_the_command_in_one_line() -> None:
-    process = start(LOADING, 'gray_box_observer:identify', 'gray_box_observer.identify')
+    process = start(LOADING, 'gray_box_observer:identify', 'gray_box_observer.identify.command')
     assert process.stdout.readline() == 'loading\n'
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=TIMEOUT_S)
-    assert (process.returncode, out, err) == (130, '', 'identify: interrupted; nothing was written\n')
+    assert (process.returncode, out, err) == (
+        130,
+        '',
+        'identify: interrupted; nothing was written\n',
+    )
 
 
 @pytest.mark.parametrize('name', REFUSED)

@@ -1,4 +1,6 @@
-"""Simulator, observer and recorder on three hosts: what a network between them may do to samples, and what not."""
+"""Simulator, observer and recorder on three hosts: what a network between them may do to samples,
+and what not.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +31,19 @@ OUTAGE_S = 10.0 if LONG else 1.5
 BEFORE_S = 3.0 if LONG else 1.5
 COUNT = round(DURATION_S * RATE_HZ)
 DEPTH = 2 * COUNT
-"""More than the whole run: whatever the network and the load of the machine do, no history is ever overwritten."""
+"""More than the whole run: whatever the network and the load of the machine do, no history is ever
+overwritten."""
 
 PATIENCE_S = 60.0 + 2.0 * DURATION_S
 DOMAIN = '1'
 """Any will do: the network is the test's own."""
 
 _FILE = Path(__file__).parents[2] / 'src/gray_box_observer/config/several_hosts.fastdds.xml'
-PROFILE = {} if os.environ.get('GRAY_BOX_NO_PROFILE') else {'FASTRTPS_DEFAULT_PROFILES_FILE': str(_FILE)}
-"""What docs/HOSTS.md recommends; without it one host that is gone holds up the others, ``GRAY_BOX_NO_PROFILE=1``."""
+PROFILE = (
+    {} if os.environ.get('GRAY_BOX_NO_PROFILE') else {'FASTRTPS_DEFAULT_PROFILES_FILE': str(_FILE)}
+)
+"""What docs/HOSTS.md recommends; without it one host that is gone holds up the others,
+``GRAY_BOX_NO_PROFILE=1``."""
 
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 SIGNALS = ('/motor/voltage', '/motor/torque')
@@ -53,20 +59,42 @@ class Robot:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, host: str, module: str, *arguments: str, **parameters: object) -> None:
-        """Start a program on its host; ``motor__resistance=2.0`` sets its parameter ``motor.resistance``."""
+        """Start a program on its host; ``motor__resistance=2.0`` sets its parameter
+        ``motor.resistance``.
+        """
         command = [sys.executable, '-m', module, *arguments, '--ros-args']
         for name, value in parameters.items():
             command += ['-p', f'{name.replace("__", ".")}:={value}']
-        environment = {**os.environ, 'ROS_DOMAIN_ID': DOMAIN, 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', **PROFILE}
+        environment = {
+            **os.environ,
+            'ROS_DOMAIN_ID': DOMAIN,
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET',
+            **PROFILE,
+        }
         with (self._logs / f'{host}.log').open('wb') as log:
             self._running[host] = subprocess.Popen(
-                self.network.on(host, command), env=environment, stdout=log, stderr=log, start_new_session=True
+                self.network.on(host, command),
+                env=environment,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
             )
 
     def listen(self, depth: int, **parameters: object) -> None:
         """Start observer and recorder, and wait until the one hears the other."""
-        self.start('recorder', 'gray_box_observer.ros.recorder_node', '-o', str(self.bag), queue_depth=max(depth, 5000))
-        self.start('observer', 'gray_box_observer.ros.observer_node', **overrides('subscription', depth), **parameters)
+        self.start(
+            'recorder',
+            'gray_box_observer.ros.bags.recorder_node',
+            '-o',
+            str(self.bag),
+            queue_depth=max(depth, 5000),
+        )
+        self.start(
+            'observer',
+            'gray_box_observer.ros.observer.observer_node',
+            **overrides('subscription', depth),
+            **parameters,
+        )
         self.wait(lambda: self.diagnostics(), 'the observer to be recorded')
 
     def simulate(self, rate_hz: float, duration_s: float, depth: int) -> None:
@@ -96,7 +124,10 @@ class Robot:
 
     def stamps_ns(self, topic: str) -> np.ndarray:
         """Stamps of the messages of a topic in the bag, which may still be written."""
-        return np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in self._messages(topic)], dtype=int)
+        return np.array(
+            [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in self._messages(topic)],
+            dtype=int,
+        )
 
     def diagnostics(self) -> dict[str, str]:
         """The newest diagnostics in the bag; empty before the first."""
@@ -140,7 +171,9 @@ def overrides(end: str, depth: int) -> dict[str, int]:
 
 
 def cut_off(robot: Robot, after: int, samples: int, at_most: int = sys.maxsize) -> None:
-    """Cut the observer off once so many samples are in the bag, for as long as it takes to record some more."""
+    """Cut the observer off once so many samples are in the bag, for as long as it takes to record
+    some more.
+    """
     robot.wait(lambda: robot.recorded() >= after, 'samples to flow')
     robot.network.pull_plug('observer')
     before = robot.network.bytes_to('observer')
@@ -162,12 +195,16 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
 
 
 def test_with_deep_histories_nothing_is_lost_on_three_hosts_even_where_a_link_goes_down(robot):
-    # After an outage a topic is delivered at a time; torque that comes first waits for its voltage that long.
+    # After an outage a topic is delivered at a time; torque that comes first waits for its voltage
+    # that long.
     robot.listen(DEPTH, hold_s=2.0 * OUTAGE_S + BEFORE_S)
     robot.simulate(RATE_HZ, DURATION_S, DEPTH)
     cut_off(robot, round(BEFORE_S * RATE_HZ), round(OUTAGE_S * RATE_HZ), COUNT)
     robot.wait(lambda: robot.recorded() >= COUNT, 'the simulation to end')
-    robot.wait(lambda: robot.diagnostics().get('samples used') == str(COUNT), 'the observer to have used every sample')
+    robot.wait(
+        lambda: robot.diagnostics().get('samples used') == str(COUNT),
+        'the observer to have used every sample',
+    )
     facts = robot.diagnostics()
     robot.end()
     grid = np.full(COUNT - 1, round(1e9 / RATE_HZ))
@@ -187,7 +224,10 @@ def test_an_outage_longer_than_the_histories_is_a_gap_that_is_counted_and_everyt
     robot.simulate(rate_hz, 0.0, depth)
     cut_off(robot, 200, 300)
     before = int(robot.diagnostics()['samples used'])
-    robot.wait(lambda: int(robot.diagnostics()['samples used']) > before + 2 * depth, 'the observer to go on')
+    robot.wait(
+        lambda: int(robot.diagnostics()['samples used']) > before + 2 * depth,
+        'the observer to go on',
+    )
     facts = robot.diagnostics()
     robot.end()
     assert int(facts['samples used']) < len(robot.stamps_ns(SIGNALS[1]))

@@ -1,4 +1,6 @@
-"""The whole system: simulator, observer, controller, recorder, player and identify as processes, on real DDS."""
+"""The whole system: simulator, observer, controller, recorder, player and identify as processes, on
+real DDS.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +23,9 @@ pytestmark = pytest.mark.system
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
 SIMULATOR = 'dc_motor_sim.ros.motor_sim'
-OBSERVER = 'gray_box_observer.ros.observer_node'
-RECORDER = 'gray_box_observer.ros.recorder_node'
-PLAYER = 'gray_box_observer.ros.player_node'
+OBSERVER = 'gray_box_observer.ros.observer.observer_node'
+RECORDER = 'gray_box_observer.ros.bags.recorder_node'
+PLAYER = 'gray_box_observer.ros.bags.player_node'
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 SAME = 1e-9
 """Relative difference between estimates of the same samples that came through different doors."""
@@ -32,12 +34,15 @@ Estimates = dict[str, float]
 
 
 class Controller:
-    """Listens to what a controller needs: the estimates, whether they hold, and the predicted torque."""
+    """Listens to what a controller needs: the estimates, whether they hold, and the predicted
+    torque.
+    """
 
     def __init__(self, peer) -> None:
         self.peer = peer
         self._estimates = {
-            name: peer.listen(Float64, f'/gray_box_observer/motor/{name}', LATCHED_QOS) for name in TRUTH
+            name: peer.listen(Float64, f'/gray_box_observer/motor/{name}', LATCHED_QOS)
+            for name in TRUTH
         }
         self.identified = peer.listen(Bool, '/gray_box_observer/motor/identified', LATCHED_QOS)
         self.predicted = peer.listen(JointState, '/gray_box_observer/predicted_torque', SIGNAL_QOS)
@@ -50,18 +55,32 @@ class Controller:
 
     def counts(self) -> dict[str, str]:
         """The newest diagnostics of the motor."""
-        return {pair.key: pair.value for array in self._diagnostics[-1:] for pair in array.status[0].values}
+        return {
+            pair.key: pair.value
+            for array in self._diagnostics[-1:]
+            for pair in array.status[0].values
+        }
 
     def wait_for_samples(self, count: int) -> None:
         """Wait until the observer has used so many samples and has refused none."""
-        self.peer.wait(lambda: self.counts().get('samples used') == str(count), f'{count} samples used')
+        self.peer.wait(
+            lambda: self.counts().get('samples used') == str(count), f'{count} samples used'
+        )
         assert self.counts()['rejected'] == 'none'
 
 
 def identify(*arguments: object) -> dict[str, Any]:
     """Run identify without predictor; return its JSON."""
-    command = [sys.executable, '-m', 'gray_box_observer.identify', *map(str, arguments), '--skip-predictor']
-    done = subprocess.run([*command, '--json', '-'], capture_output=True, text=True, timeout=60, check=False)
+    command = [
+        sys.executable,
+        '-m',
+        'gray_box_observer.identify.command',
+        *map(str, arguments),
+        '--skip-predictor',
+    ]
+    done = subprocess.run(
+        [*command, '--json', '-'], capture_output=True, text=True, timeout=60, check=False
+    )
     assert 'Traceback' not in done.stderr
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
@@ -103,7 +122,9 @@ def test_one_run_gives_the_same_estimates_live_replayed_and_offline(peer, tmp_pa
     again = Controller(peer)
     observer = peer.start(OBSERVER, predictor='false')
     topics = '[/motor/voltage, /motor/torque]'
-    player = peer.start(PLAYER, str(tmp_path / 'bag'), rate=4, topics=topics, wait_for_subscribers=1)
+    player = peer.start(
+        PLAYER, str(tmp_path / 'bag'), rate=4, topics=topics, wait_for_subscribers=1
+    )
     assert peer.end(player, None)[0] == 0
     again.wait_for_samples(1000)
     assert again.estimates() == pytest.approx(found, rel=SAME)
@@ -125,7 +146,9 @@ def test_a_recorded_run_is_identified_within_half_a_percent_of_its_truth(name):
     assert not any(motor['rejected'].values())
     assert {found['verdict'] for found in motor['parameters'].values()} == {'identified'}
     for key, found in motor['parameters'].items():
-        assert abs(found['value'] - last[key]) < 5.0 * found['std'], f'{key} is off by more than its std explains'
+        assert abs(found['value'] - last[key]) < 5.0 * found['std'], (
+            f'{key} is off by more than its std explains'
+        )
 
 
 def test_a_recorded_run_is_made_again_byte_by_byte(tmp_path):
@@ -141,7 +164,9 @@ def test_a_recorded_run_is_made_again_byte_by_byte(tmp_path):
 def test_a_replay_faster_than_life_loses_nothing(peer):
     controller = Controller(peer)
     peer.start(OBSERVER, predictor='false')
-    player = peer.start(PLAYER, str(BAGS / 'training_set'), rate=5, start_offset_s=105, wait_for_subscribers=1)
+    player = peer.start(
+        PLAYER, str(BAGS / 'training_set'), rate=5, start_offset_s=105, wait_for_subscribers=1
+    )
     assert peer.end(player, None)[0] == 0
     controller.wait_for_samples(1500)
     assert controller.estimates() == pytest.approx(TRUTH, rel=0.05)

@@ -1,4 +1,6 @@
-"""Every executable refuses an input that cannot be read or meant in one line, with exit code 2, and waits for none."""
+"""Every executable refuses an input that cannot be read or meant in one line, with exit code 2, and
+waits for none.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def refused(tmp_path: Path) -> Refused:
     """Run an executable that must end with code 2; returns its one line of error."""
 
     def run(name: str, *arguments: str | bytes) -> str:
-        executable = ROOT / 'ros_ws' / 'install' / EXECUTABLES[name] / 'lib' / EXECUTABLES[name] / name
+        executable = (
+            ROOT / 'ros_ws' / 'install' / EXECUTABLES[name] / 'lib' / EXECUTABLES[name] / name
+        )
         done = subprocess.run(
             [str(executable), *arguments],
             capture_output=True,
@@ -58,7 +62,9 @@ def with_file(name: str, path: Path) -> list[str]:
 
 
 @pytest.mark.parametrize('name', EXECUTABLES)
-def test_a_pipe_as_parameter_file_is_refused_and_not_waited_for(refused: Refused, tmp_path: Path, name: str) -> None:
+def test_a_pipe_as_parameter_file_is_refused_and_not_waited_for(
+    refused: Refused, tmp_path: Path, name: str
+) -> None:
     path = tmp_path / 'pipe.yaml'
     os.mkfifo(path)
     line = refused(name, *with_file(name, path))
@@ -76,7 +82,11 @@ def test_an_argument_that_is_no_utf_8_is_refused_by_its_bytes(refused: Refused, 
     ('words', 'message'),
     [
         (('--nosuchflag',), "unknown ROS arguments: ['--nosuchflag']"),
-        (('-p',), "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter override rule found."),
+        (
+            ('-p',),
+            "Failed to parse ROS arguments: Couldn't parse trailing -p flag. No parameter "
+            'override rule found.',
+        ),
     ],
 )
 def test_an_argument_that_ros_does_not_know_is_refused_in_its_words(
@@ -91,14 +101,26 @@ def test_an_argument_that_ros_does_not_know_is_refused_in_its_words(
         ('observer', f'{HEAD}gap_s: 1.0\n    gap_s: 2.0\n', 'line 4: the key gap_s stands twice'),
         ('player', f'{HEAD}rate: 1e400\n', 'line 3: the number 1e400 is too large'),
         ('recorder', f'{HEAD}topics: &a [*a]\n', 'line 3: an anchor (a); write the values out'),
-        ('observer', f'{HEAD}motors: ["m[1..60000]", "k[1..60000]"]\n', 'stands for 120000 motors, expected 100000'),
+        (
+            'observer',
+            f'{HEAD}motors: ["m[1..60000]", "k[1..60000]"]\n',
+            'stands for 120000 motors, expected 100000',
+        ),
         (
             'motor_sim',
             f'{HEAD}motors: ["m[1..6000]", "k[1..6000]"]\n',
             'motors stands for 12000 motors; expected 10000',
         ),
-        ('motor_sim', f'{HEAD}sample_rate_hz: .nan\n', 'sample_rate_hz must be a finite number; got nan'),
-        ('identify', f'{HEAD}gap_s: {"[" * 9000}\n', 'line 3: more than 32 levels within each other'),
+        (
+            'motor_sim',
+            f'{HEAD}sample_rate_hz: .nan\n',
+            'sample_rate_hz must be a finite number; got nan',
+        ),
+        (
+            'identify',
+            f'{HEAD}gap_s: {"[" * 9000}\n',
+            'line 3: more than 32 levels within each other',
+        ),
     ],
 )
 def test_a_parameter_file_that_cannot_be_meant_is_refused_by_line_or_name(
@@ -111,6 +133,8 @@ def test_a_parameter_file_that_cannot_be_meant_is_refused_by_line_or_name(
 
 @pytest.mark.parametrize('place', ['/dev/zero', 'pipe'])
 @pytest.mark.parametrize('name', ['identify', 'player'])
-def test_a_device_or_a_pipe_is_no_bag(refused: Refused, tmp_path: Path, name: str, place: str) -> None:
+def test_a_device_or_a_pipe_is_no_bag(
+    refused: Refused, tmp_path: Path, name: str, place: str
+) -> None:
     os.mkfifo(tmp_path / 'pipe')
     assert refused(name, place) == f'{place} is neither a folder nor a regular file'

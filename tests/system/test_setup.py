@@ -1,4 +1,6 @@
-"""The set-up script finds the right ROS and Python, and names what is missing; the workspace runs on its own."""
+"""The set-up script finds the right ROS and Python, and names what is missing; the workspace runs
+on its own.
+"""
 
 from __future__ import annotations
 
@@ -35,20 +37,26 @@ def tools(tmp_path: Path) -> Path:
     return folder
 
 
-def add_python(folder: Path, *, version: str = '3.12', venv: bool = True, rclpy: bool = False) -> Path:
+def add_python(
+    folder: Path, *, version: str = '3.12', venv: bool = True, rclpy: bool = False
+) -> Path:
     python = folder / 'python3'
     python.write_text(FAKE_PYTHON.format(version=version, venv=int(not venv), rclpy=int(not rclpy)))
     python.chmod(0o755)
     return python
 
 
-def check(tools: Path, *, prefix: Path | None = None, **variables: str) -> subprocess.CompletedProcess[str]:
+def check(
+    tools: Path, *, prefix: Path | None = None, **variables: str
+) -> subprocess.CompletedProcess[str]:
     """Ask a copy of the script, which knows nothing of this checkout's environment."""
     copy = tools.parent / 'checkout' / 'ros_ws' / 'setup.sh'
     copy.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(SETUP, copy)
     environment = {'PATH': str(tools), 'ROS_PREFIX': str(prefix or tools / 'no_ros'), **variables}
-    return subprocess.run(['bash', str(copy), '--check'], env=environment, capture_output=True, text=True, timeout=30)
+    return subprocess.run(
+        ['bash', str(copy), '--check'], env=environment, capture_output=True, text=True, timeout=30
+    )
 
 
 def fake_distribution(tmp_path: Path) -> Path:
@@ -87,13 +95,17 @@ def test_a_sourced_jazzy_of_another_place_is_used(tools: Path):
 
 
 @pytest.mark.parametrize('elsewhere', [False, True])
-def test_what_was_chosen_holds_unless_the_checkout_was_moved(tools: Path, tmp_path: Path, elsewhere: bool):
+def test_what_was_chosen_holds_unless_the_checkout_was_moved(
+    tools: Path, tmp_path: Path, elsewhere: bool
+):
     python = add_python(tools, rclpy=True)
     venv = tmp_path / 'checkout' / '.venv'
     venv.mkdir(parents=True)
     root = tmp_path / 'elsewhere' if elsewhere else venv.parent
     (venv / '.setup_stamp').write_text(f'root {root}\nros wheels\nexecutable {python}\n')
-    done = check(tools, prefix=fake_distribution(tmp_path), **({'PYTHON': str(python)} if elsewhere else {}))
+    done = check(
+        tools, prefix=fake_distribution(tmp_path), **({'PYTHON': str(python)} if elsewhere else {})
+    )
     assert done.returncode == 0, done.stderr
     assert ('of the distribution' in done.stdout) == elsewhere
 
@@ -153,17 +165,26 @@ def test_the_workspace_is_not_confused_by_another_environment(tmp_path: Path):
     }
     code = (
         'import os, rclpy; from ament_index_python import get_package_prefix as f; f("std_msgs"); '
-        'from rclpy.impl.implementation_singleton import rclpy_implementation; print(os.environ["AMENT_PREFIX_PATH"])'
+        'from rclpy.impl.implementation_singleton import rclpy_implementation; '
+        'print(os.environ["AMENT_PREFIX_PATH"])'
     )
     done = subprocess.run(
-        [RUN, 'python', '-c', code], env=os.environ | foreign, capture_output=True, text=True, timeout=60
+        [RUN, 'python', '-c', code],
+        env=os.environ | foreign,
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.returncode == 0, done.stderr
     assert str(tmp_path) not in done.stdout
 
 
-@pytest.mark.parametrize('package_and_name', ['dc_motor_sim/motor_sim', 'gray_box_observer/observer'])
-def test_an_executable_starts_from_a_sourced_shell_without_an_activated_environment(package_and_name: str):
+@pytest.mark.parametrize(
+    'package_and_name', ['dc_motor_sim/motor_sim', 'gray_box_observer/observer']
+)
+def test_an_executable_starts_from_a_sourced_shell_without_an_activated_environment(
+    package_and_name: str,
+):
     requires_built_workspace()
     package, name = package_and_name.split('/')
     script = f'. ros_ws/install/setup.bash && ros_ws/install/{package}/lib/{package}/{name} --help'

@@ -1,7 +1,9 @@
-"""Notes when the messages of both devices arrive: an observer of the observer, in a process of its own.
+"""Notes when the messages of both devices arrive: an observer of the observer, in a process of its
+own.
 
-Times of receipt are those of the middleware, taken in its own thread as a message arrives; this process only fetches
-them now and then, so that it takes little of the machine and its own queue does not count.
+Times of receipt are those of the middleware, taken in its own thread as a message arrives; this
+process only fetches them now and then, so that it takes little of the machine and its own queue
+does not count.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ DEEP = QoSProfile(depth=20_000)
 
 @dataclass(slots=True)
 class Heard:
-    """One topic: when its messages were published (the publisher's word), when received, and their stamps."""
+    """One topic: when its messages were published (the publisher's word), when received, and their
+    stamps.
+    """
 
     subscription: Subscription
     has_stamp: bool
@@ -40,7 +44,9 @@ class Heard:
     def fetch(self) -> None:
         """Take whatever has come."""
         with self.subscription.handle:
-            while (taken := self.subscription.handle.take_message(self.subscription.msg_type, True)) is not None:
+            while (
+                taken := self.subscription.handle.take_message(self.subscription.msg_type, True)
+            ) is not None:
                 data, info = taken
                 self.published_ns.append(info['source_timestamp'])
                 self.received_ns.append(info['received_timestamp'])

@@ -30,16 +30,24 @@ def running(
     """Run a module as a process, end it and wait for its end.
 
     Args:
-        module: what ``python -m`` is given; one of ``common`` does too. ``module:function`` calls a function instead.
+        module: what ``python -m`` is given; one of ``common`` does too. ``module:function`` calls a
+            function instead.
         arguments: of the command line.
         realtime: before every other program of the machine; needs the right to.
         parameters: of the node, ``sample_rate_hz=100.0``.
     """
     name, _, function = module.partition(':')
-    call = ['-c', f'from {name} import {function}; raise SystemExit({function}())'] if function else ['-m', name]
+    call = (
+        ['-c', f'from {name} import {function}; raise SystemExit({function}())']
+        if function
+        else ['-m', name]
+    )
     command = [sys.executable, *call, *arguments]
     if parameters:
-        command += ['--ros-args', *(word for name, value in parameters.items() for word in ('-p', f'{name}:={value}'))]
+        command += [
+            '--ros-args',
+            *(word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')),
+        ]
     path = os.pathsep.join([str(BENCHMARKS), *filter(None, [os.environ.get('PYTHONPATH')])])
     environment = {**os.environ, 'PYTHONPATH': path}
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, env=environment, text=True)

@@ -1,6 +1,7 @@
 """A bare relay: the observer's topics in and out, its executor, its rhythm, and nothing in between.
 
-A voltage leads to a message of the type of the predicted torque, every n-th torque to those of an estimate.
+A voltage leads to a message of the type of the predicted torque, every n-th torque to those of an
+estimate.
 """
 
 from __future__ import annotations
@@ -31,7 +32,12 @@ class Relay(Node):
         torque = topics.PREDICTED_TORQUE
         self._predicted = self.create_publisher(torque.type, torque.name, torque.qos)
         self._estimate = [
-            (self.create_publisher(topic.type, topic.name.format(motor=MOTOR, parameter=name), topic.qos), name)
+            (
+                self.create_publisher(
+                    topic.type, topic.name.format(motor=MOTOR, parameter=name), topic.qos
+                ),
+                name,
+            )
             for name, topic in estimate_topics().items()
         ]
         self.create_subscription(JointState, topics.VOLTAGE.name, self._voltage, topics.SIGNAL_QOS)
@@ -57,7 +63,9 @@ def _message(name: str, value: float) -> Float64 | Float64MultiArray | Bool:
         return Float64(data=value)
     n = len(PARAMETERS)
     message = Float64MultiArray(data=[value] * n * n)
-    message.layout.dim = [MultiArrayDimension(label=','.join(PARAMETERS), size=n, stride=n) for _ in range(2)]
+    message.layout.dim = [
+        MultiArrayDimension(label=','.join(PARAMETERS), size=n, stride=n) for _ in range(2)
+    ]
     return message
 
 

@@ -1,7 +1,9 @@
-"""Publishes a recorded motor at a steady rate, by turns to the relay and to the observer, and notes when it did.
+"""Publishes a recorded motor at a steady rate, by turns to the relay and to the observer, and notes
+when it did.
 
-Everything is computed before the first sample and messages go out as bytes, so that the source takes little of the
-machine. Stamps are those of the ideal grid; a device sees one signal without gap though it is served by turns.
+Everything is computed before the first sample and messages go out as bytes, so that the source
+takes little of the machine. Stamps are those of the ideal grid; a device sees one signal without
+gap though it is served by turns.
 """
 
 from __future__ import annotations
@@ -34,10 +36,18 @@ START_NS = 1_000_000_000_000
 _VALUE = struct.Struct('<d')
 
 
-def recorded(rate_hz: float, count: int, seed: int) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-    """Simulate the thesis's motor with 1 % torque noise; return period in ns, voltages in V and torques in N m."""
+def recorded(
+    rate_hz: float, count: int, seed: int
+) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
+    """Simulate the thesis's motor with 1 % torque noise; return period in ns, voltages in V and
+    torques in N m.
+    """
     simulation = Simulation(
-        {MOTOR: PlantParameters()}, 'R[1,5]D[0.05,0.5]', sample_rate_hz=rate_hz, seed=seed, torque_noise_relative=0.01
+        {MOTOR: PlantParameters()},
+        'R[1,5]D[0.05,0.5]',
+        sample_rate_hz=rate_hz,
+        seed=seed,
+        torque_noise_relative=0.01,
     )
     samples = [simulation.step() for _ in range(count)]
     voltage_v = np.array([sample.voltage_v[0] for sample in samples])
@@ -58,7 +68,8 @@ class Source(Node):
         super().__init__('source')
         self._senders = {
             device: [
-                self.create_publisher(t.type, full_name(device, t), t.qos) for t in (topics.VOLTAGE, topics.TORQUE)
+                self.create_publisher(t.type, full_name(device, t), t.qos)
+                for t in (topics.VOLTAGE, topics.TORQUE)
             ]
             for device in DEVICES
         }
@@ -97,7 +108,9 @@ def main() -> int:
     parser.add_argument('--turn', type=float, required=True, help='length of a turn in s')
     parser.add_argument('--turns', type=int, required=True, help='turns of each device')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--watch', type=int, nargs=len(DEVICES), required=True, help='process of each device')
+    parser.add_argument(
+        '--watch', type=int, nargs=len(DEVICES), required=True, help='process of each device'
+    )
     parser.add_argument('--out', type=Path, required=True)
     options = parser.parse_args()
     per_turn = round(options.turn * options.rate)
@@ -121,7 +134,9 @@ def main() -> int:
                 sent_ns[device][k] = time.time_ns()
                 source.send(device, START_NS + k * period_ns, voltage_v[k], torque_nm[k])
     source.wait_for_acknowledgement()
-    used_s = [cpu_s(family(process)) - before for process, before in zip(watched, before_s, strict=True)]
+    used_s = [
+        cpu_s(family(process)) - before for process, before in zip(watched, before_s, strict=True)
+    ]
     np.savez(options.out, period_ns=period_ns, cpu_s=used_s, **sent_ns)
     source.destroy_node()
     rclpy.shutdown()

@@ -22,7 +22,11 @@ HEADER_BYTES = 4
 
 def estimate_topics() -> dict[str, topics.Topic]:
     """Topics of one estimate by short name, in the order in which they are published."""
-    return {**dict.fromkeys(PARAMETERS, topics.PARAMETER), 'covariance': topics.COVARIANCE, LAST: topics.IDENTIFIED}
+    return {
+        **dict.fromkeys(PARAMETERS, topics.PARAMETER),
+        'covariance': topics.COVARIANCE,
+        LAST: topics.IDENTIFIED,
+    }
 
 
 def full_name(device: str, topic: topics.Topic, parameter: str = '') -> str:

@@ -1,1 +1,3 @@
-"""The experiment of the thesis, table 5.1: its numbers, its data, its training, our training, scores and words."""
+"""The experiment of the thesis, table 5.1: its numbers, its data, its training, our training,
+scores and words.
+"""

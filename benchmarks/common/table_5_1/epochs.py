@@ -1,7 +1,8 @@
-"""The thesis's training: epochs over one recording, windows of past voltages in and one torque out (thesis 4.2.4, 5.1).
+"""The thesis's training: epochs over one recording, windows of past voltages in and one torque out
+(thesis 4.2.4, 5.1).
 
-Losses, network, ranges and the rule of the context nodes are the package's; only the loop over epochs is here, because
-the package trains on a stream that never ends.
+Losses, network, ranges and the rule of the context nodes are the package's; only the loop over
+epochs is here, because the package trains on a stream that never ends.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from common.table_5_1.recordings import Recordings, Series
 from common.table_5_1.settings import Setting
 from gray_box_observer.context_nodes import GradientRules, GradientUpdate
 from gray_box_observer.predictor import TrainingRules, Variant
-from gray_box_observer.predictor.inputs import InputLayout
-from gray_box_observer.predictor.losses import Windows, stage_two_loss
 from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.thesis.variant_losses import Windows, stage_two_loss
+from gray_box_observer.predictor.training.torch_network import TorchNetwork
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 BLOCK = 33
 """Consecutive predictions in one term of the loss: 32 first differences."""
@@ -47,7 +48,8 @@ class Trained:
 
     Attributes:
         theta: shape (parameter,): the context nodes.
-        predicted_nm: shape (set, sample): forecasts of the test sets; NaN where there are no 64 voltages yet.
+        predicted_nm: shape (set, sample): forecasts of the test sets; NaN where there are no 64
+            voltages yet.
         validation: shape (epoch,): validation loss.
     """
 
@@ -66,14 +68,21 @@ class EpochTraining:
         seed: of the first weights, the order of the blocks and the draws of stage 1.
     """
 
-    def __init__(self, setting: Setting, variant: Variant, recordings: Recordings, seed: int) -> None:
+    def __init__(
+        self, setting: Setting, variant: Variant, recordings: Recordings, seed: int
+    ) -> None:
         configuration = setting.configuration(variant.value)
         motor = configuration.motors['motor']
-        sizes = {name: configuration[f'training.{name}'] for name in ('hidden', 'context', 'learning_rate')}
+        sizes = {
+            name: configuration[f'training.{name}']
+            for name in ('hidden', 'context', 'learning_rate')
+        }
         self._rules = TrainingRules(variant=variant, **sizes)
         self._white_box: MotorWhiteBox = motor.white_box(speed_measured=False)
         initial = np.array([motor.initial()])
-        self._nodes = GradientUpdate(self._white_box, initial, seed, GradientRules(**configuration.group('gradient')))
+        self._nodes = GradientUpdate(
+            self._white_box, initial, seed, GradientRules(**configuration.group('gradient'))
+        )
         self._layout = InputLayout(initial[0], variant.sees_theta, sees_speed=False)
         self._network = TorchNetwork(self._layout.width, self._rules.hidden)
         self._network.load(Weights.initial(self._layout.width, self._rules.hidden, seed))
@@ -92,9 +101,13 @@ class EpochTraining:
         validation = np.empty(epochs)
         samples = _samples(self._recordings.training)
         for epoch in range(epochs):
-            starts = self._random.permutation(_block_starts(self._recordings.training, self._rules.context, epoch))
+            starts = self._random.permutation(
+                _block_starts(self._recordings.training, self._rules.context, epoch)
+            )
             steps = max(1, starts.size // BLOCKS_A_STEP)
-            for blocks, part in zip(np.array_split(starts, steps), _split(samples, steps), strict=True):
+            for blocks, part in zip(
+                np.array_split(starts, steps), _split(samples, steps), strict=True
+            ):
                 if epoch < THETA_EPOCHS:
                     for sample in part:
                         self._nodes.learn(sample)
@@ -109,7 +122,9 @@ class EpochTraining:
         predicted = np.full(series.torque_nm.shape, np.nan)
         with torch.no_grad():
             for j, voltage in enumerate(series.voltage_v):
-                output = self._outputs(np.lib.stride_tricks.sliding_window_view(voltage, context)[1:])
+                output = self._outputs(
+                    np.lib.stride_tricks.sliding_window_view(voltage, context)[1:]
+                )
                 predicted[j, context:] = output.numpy()
         return predicted
 
@@ -117,7 +132,9 @@ class EpochTraining:
         """Torque in N m, shape (window,), at the end of windows of voltages, shape (window, time)."""
         theta = np.broadcast_to(self._nodes.theta, (len(voltage_v), self._nodes.theta.shape[1]))
         columns = self._layout.columns(self._ranges, voltage_v, None, theta)
-        shaped = [c if c.ndim == 2 else np.repeat(c[:, None], voltage_v.shape[1], axis=1) for c in columns]
+        shaped = [
+            c if c.ndim == 2 else np.repeat(c[:, None], voltage_v.shape[1], axis=1) for c in columns
+        ]
         inputs = torch.as_tensor(np.stack(shaped, axis=-1), dtype=torch.float32)
         output: torch.Tensor = self._ranges.torque.denormalise(self._network(inputs)[:, -1])
         return output
@@ -165,7 +182,10 @@ def _samples(series: Series) -> list[Sample]:
     intervals = np.full(series.stamp_ns.size, series.interval_s)
     intervals[0] = 0.0
     columns = (series.stamp_ns, intervals, series.voltage_v[0], series.torque_nm[0])
-    return [Sample.of_one_motor(int(t), float(h), float(v), float(y)) for t, h, v, y in zip(*columns, strict=True)]
+    return [
+        Sample.of_one_motor(int(t), float(h), float(v), float(y))
+        for t, h, v, y in zip(*columns, strict=True)
+    ]
 
 
 def _split(samples: list[Sample], parts: int) -> list[list[Sample]]:

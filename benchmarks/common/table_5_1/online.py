@@ -1,4 +1,6 @@
-"""Training through the package's front door: the observer itself, fed one recording over and over, then frozen."""
+"""Training through the package's front door: the observer itself, fed one recording over and over,
+then frozen.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from common.table_5_1.recordings import Series
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.white_box.interface import Array
 
 MOTOR = 'motor'
 PAUSE_NS = 3_600_000_000_000
-"""Between two passes: far more than the gap after which the observer starts its signal history anew."""
+"""Between two passes: far more than the gap after which the observer starts its signal history
+anew."""
 
 
 class NoTraining:
@@ -34,8 +37,11 @@ class NoTraining:
         """There is nothing to stop."""
 
 
-def train(configuration: Configuration, series: Series, passes: int, *, network: bool = True) -> Observer:
-    """Feed one recording to a fresh observer, pass after pass; its predictor trains in between, as it does live.
+def train(
+    configuration: Configuration, series: Series, passes: int, *, network: bool = True
+) -> Observer:
+    """Feed one recording to a fresh observer, pass after pass; its predictor trains in between, as
+    it does live.
 
     Args:
         configuration: of the observer.
@@ -50,7 +56,9 @@ def train(configuration: Configuration, series: Series, passes: int, *, network:
 
 
 def predict(trained: Observer, tests: Series) -> Array:
-    """Torque that the trained observer forecasts on every set, learning no more; shape (set, sample), in N m."""
+    """Torque that the trained observer forecasts on every set, learning no more; shape (set,
+    sample), in N m.
+    """
     learnt = {MOTOR: trained.motors[MOTOR].state()}
     predicted = np.full(tests.torque_nm.shape, np.nan)
     for j in range(len(tests.names)):

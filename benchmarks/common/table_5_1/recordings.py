@@ -1,4 +1,6 @@
-"""Data of the experiment: a training recording, one for validation, eight test sets, never the same seed twice."""
+"""Data of the experiment: a training recording, one for validation, eight test sets, never the same
+seed twice.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +14,20 @@ from numpy.typing import NDArray
 from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 SETS = tuple(TABLE_5_1.values())
-"""The eight sets in the order of the table's columns; noise is on the voltage, where the thesis has it."""
+"""The eight sets in the order of the table's columns; noise is on the voltage, where the thesis has
+it."""
 
 TRAINING_SET = SETS[0]
 
 MOTOR = PlantParameters()
 """The thesis's (5.1.1), which is the simulator's default."""
 
-PLAIN_SETS_OUT_OF_RANGE = tuple(name for name in SETS if name.startswith(('R[5,15]', 'R[0,33]')) and '+' not in name)
+PLAIN_SETS_OUT_OF_RANGE = tuple(
+    name for name in SETS if name.startswith(('R[5,15]', 'R[0,33]')) and '+' not in name
+)
 """Four: voltages that training never saw, nothing added to them."""
 
 STEP_S = 0.01
@@ -50,7 +55,8 @@ class Series:
         names: shape (set,): excitations.
         seed: of the simulator.
         stamp_ns: shape (sample,).
-        voltage_v: shape (set, sample): mean over the interval that ends at the sample; the first is that of the second.
+        voltage_v: shape (set, sample): mean over the interval that ends at the sample; the first is
+            that of the second.
         torque_nm: shape (set, sample): at the stamp.
     """
 
@@ -82,7 +88,8 @@ def record(excitations: Sequence[str], seed: int, duration_s: float, every: int)
         excitations: one a set.
         seed: of the levels and of the noise on the voltage.
         duration_s: length.
-        every: keep one record in so many (thesis 4.1.2); voltages in between are averaged, not lost.
+        every: keep one record in so many (thesis 4.1.2); voltages in between are averaged, not
+            lost.
     """
     motors = {f'set_{j}': MOTOR for j in range(len(excitations))}
     simulation = Simulation(
@@ -94,7 +101,11 @@ def record(excitations: Sequence[str], seed: int, duration_s: float, every: int)
     )
     whole = simulation.record(duration_s)
     kept = whole.stamp_ns[::every]
-    held = whole.voltage_v[:, : every * (kept.size - 1)].reshape(len(excitations), -1, every).mean(axis=2)
+    held = (
+        whole.voltage_v[:, : every * (kept.size - 1)]
+        .reshape(len(excitations), -1, every)
+        .mean(axis=2)
+    )
     voltage = np.concatenate([held[:, :1], held], axis=1)
     return Series(tuple(excitations), seed, kept, voltage, whole.true_torque_nm[:, ::every])
 

@@ -21,7 +21,7 @@ from common.table_5_1.study import (
     extra_variants,
     untaught,
 )
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 PHYSICS = 'physics'
 TITLES = {
@@ -56,7 +56,9 @@ class Results:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Rows that were run: the thesis's four, further variants, then those that need no training."""
+        """Rows that were run: the thesis's four, further variants, then those that need no
+        training.
+        """
         further = [row for variant in extra_variants() for row in (variant, untaught(variant))]
         order = (*thesis.FOUR, *further, WHITE_BOX, WHITE_BOX_GRADIENT, PERSISTENCE, CONSTANT)
         return tuple(row for row in order if any(True for _ in self._of(row)))
@@ -74,7 +76,9 @@ class Results:
         return np.array([o.theta for o in self._of(row) if o.theta is not None])
 
     def settled(self, row: str) -> float | None:
-        """Validation loss half way over that at the end, the median of the runs; None where there are no epochs."""
+        """Validation loss half way over that at the end, the median of the runs; None where there
+        are no epochs.
+        """
         found = [o.settled for o in self._of(row) if o.settled is not None]
         return float(np.median(found)) if found else None
 
@@ -102,7 +106,9 @@ def tables(results: Results) -> str:
 
 
 def _excess_table(results: Results) -> str:
-    """Table 5.1, one line a set: relative to the best of the four, less one; the thesis's own in brackets."""
+    """Table 5.1, one line a set: relative to the best of the four, less one; the thesis's own in
+    brackets.
+    """
     medians = {row: np.median(results.difference_nm(row), axis=0) for row in results.rows}
     lines = []
     for j, name in enumerate(SETS):
@@ -114,8 +120,10 @@ def _excess_table(results: Results) -> str:
         lines.append([*cells, number(1e6 * best), f'{thesis.BASELINE_ERROR[j]:g}'])
     header = ['set', *(title(row) for row in results.rows), 'best, uN m', 'baseline row']
     caption = (
-        'L1 of first differences, relative to the best of the four (0: the best), median run; in brackets and last: '
-        f'{thesis.SOURCE}.\nIts baseline row is the absolute error of the best, in a unit that it does not give; '
+        'L1 of first differences, relative to the best of the four (0: the best), median run; in '
+        'brackets and last: '
+        f'{thesis.SOURCE}.\nIts baseline row is the absolute error of the best, in a unit that it '
+        'does not give; '
         'ours is in micronewton metres a sample.'
     )
     return f'{caption}\n{table(header, lines)}'
@@ -126,7 +134,9 @@ def _error_table(results: Results) -> str:
     lines = []
     for j, name in enumerate(SETS):
         cells = [results.error_percent(row)[:, j] for row in results.rows]
-        lines.append([name, *(f'{number(float(np.median(c)))} / {number(float(c.max()))}' for c in cells)])
+        lines.append(
+            [name, *(f'{number(float(np.median(c)))} / {number(float(c.max()))}' for c in cells)]
+        )
     caption = "Mean absolute error of the torque in % of the set's torque standard deviation, median / worst run."
     return f'{caption}\n{table(["set", *(title(row) for row in results.rows)], lines)}'
 
@@ -138,7 +148,11 @@ def _theta_table(results: Results) -> str:
         if row in results.rows:
             error = 100.0 * np.abs(results.theta(row) / truth - 1.0)
             cells = [f'{number(float(np.median(e)))} / {number(float(e.max()))}' for e in error.T]
-            rule = 'gradient' if row == WHITE_BOX_GRADIENT else results.setting.configuration('main')['context_update']
+            rule = (
+                'gradient'
+                if row == WHITE_BOX_GRADIENT
+                else results.setting.configuration('main')['context_update']
+            )
             lines.append([f'theta by the {rule} rule', *cells])
     header = ['error in %, median / worst run', *PARAMETERS.values()]
     return table(header, lines)
@@ -154,7 +168,8 @@ class Agreement:
     """How the order of the four on one set compares with the thesis's.
 
     Attributes:
-        same_best: whether the thesis's best is the best here too, in the median run; None where the best two are tied.
+        same_best: whether the thesis's best is the best here too, in the median run; None where the
+            best two are tied.
         agree: pairs in the thesis's order in every run.
         opposite: pairs in the opposite order in every run.
         open: pairs that are tied, or whose order changes from run to run.
@@ -192,31 +207,60 @@ def order(errors: thesis.Errors, column: int) -> list[str]:
 
 
 def ranking_in_words(results: Results) -> list[str]:
-    """Say set by set and claim by claim where the ranking agrees with the thesis's and where it does not."""
+    """Say set by set and claim by claim where the ranking agrees with the thesis's and where it
+    does not.
+    """
     errors = {row: results.difference_nm(row) for row in thesis.FOUR}
-    here, torque = _medians(errors), _medians({row: results.error_percent(row) for row in thesis.FOUR})
+    here, torque = (
+        _medians(errors),
+        _medians({row: results.error_percent(row) for row in thesis.FOUR}),
+    )
     compared = [agreement(errors, j) for j in range(len(SETS))]
-    lines = ['Ranking of the four by first differences, best first, "=" within 1 %; a pair counts if every run agrees:']
+    lines = [
+        'Ranking of the four by first differences, best first, "=" within 1 %; a pair counts if '
+        'every run agrees:'
+    ]
     for j, (name, found) in enumerate(zip(SETS, compared, strict=True)):
-        best = {True: 'the same best', False: 'another best', None: 'no single best'}[found.same_best]
+        best = {True: 'the same best', False: 'another best', None: 'no single best'}[
+            found.same_best
+        ]
         lines.append(
             f'  {name}: thesis {_numbers(thesis.EXCESS, j, ties=False)}, here {_numbers(here, j)} '
-            f'(by torque {_numbers(torque, j)}): {best}; of {len(PAIRS)} pairs {found.agree} agree, '
+            f'(by torque {_numbers(torque, j)}): {best}; of {len(PAIRS)} pairs {found.agree} '
+            'agree, '
             f'{found.opposite} are the other way round, {found.open} open'
         )
     same = sum(found.same_best is True for found in compared)
-    agree, opposite = sum(found.agree for found in compared), sum(found.opposite for found in compared)
+    agree, opposite = (
+        sum(found.agree for found in compared),
+        sum(found.opposite for found in compared),
+    )
     lines.append(
-        f'  Together: the same best on {same} of {len(SETS)} sets; of {len(PAIRS) * len(SETS)} pairs {agree} agree and '
+        f'  Together: the same best on {same} of {len(SETS)} sets; of {len(PAIRS) * len(SETS)} '
+        f'pairs {agree} agree and '
         f'{opposite} are the other way round.'
     )
-    lines.append('What the thesis reads from its table (pages 42, 43), and on how many sets it holds there and here:')
+    lines.append(
+        'What the thesis reads from its table (pages 42, 43), and on how many sets it holds there '
+        'and here:'
+    )
     for claim in thesis.CLAIMS:
         said, found_here, many = claim.count(thesis.ratios()), claim.count(here), len(claim.columns)
-        verdict = 'confirmed' if found_here >= said else 'not confirmed' if 2 * found_here <= said else 'in part'
-        lines.append(f'  {claim.text}: thesis {said} of {many}, here {found_here} of {many}: {verdict}')
+        verdict = (
+            'confirmed'
+            if found_here >= said
+            else 'not confirmed'
+            if 2 * found_here <= said
+            else 'in part'
+        )
+        lines.append(
+            f'  {claim.text}: thesis {said} of {many}, here {found_here} of {many}: {verdict}'
+        )
     idle = [name for j, name in enumerate(SETS) if not _beats_constant(results, here, j)]
-    lines.append(f'By first differences no variant beats a torque that never changes on: {", ".join(idle) or "no set"}')
+    lines.append(
+        'By first differences no variant beats a torque that never changes on: '
+        f'{", ".join(idle) or "no set"}'
+    )
     return lines
 
 
@@ -235,7 +279,9 @@ def _numbers(errors: thesis.Errors, column: int, ties: bool = True) -> str:
     rows = order(errors, column)
     text = str(thesis.FOUR.index(rows[0]) + 1)
     for before, row in pairwise(rows):
-        sign = '=' if ties and not thesis.better(errors[before][column], errors[row][column]) else '<'
+        sign = (
+            '=' if ties and not thesis.better(errors[before][column], errors[row][column]) else '<'
+        )
         text += f' {sign} {thesis.FOUR.index(row) + 1}'
     return text
 
@@ -250,7 +296,10 @@ def figures(results: Results) -> list[Figure]:
     errors = {row: results.difference_nm(row) for row in thesis.FOUR}
     compared = [agreement(errors, j) for j in range(len(SETS))]
     same, agree = sum(c.same_best is True for c in compared), sum(c.agree for c in compared)
-    opposite, limit = sum(c.opposite for c in compared), float(results.error_percent(WHITE_BOX).max())
+    opposite, limit = (
+        sum(c.opposite for c in compared),
+        float(results.error_percent(WHITE_BOX).max()),
+    )
     found += [
         Figure(f'sets with the same best variant as in the thesis, of 8 ({name})', same, None),
         Figure(f'pairs of variants ranked as in the thesis, of 48 ({name})', agree, None),
@@ -281,7 +330,15 @@ def _physics_figures(results: Results) -> list[Figure]:
         ),
         Figure(f'physics: worst MAE % of std over eight sets ({name}), median run', typical, None),
         Figure(
-            f'physics, its network untrained: worst MAE % of std over eight sets ({name}), worst run', control, None
+            f'physics, its network untrained: worst MAE % of std over eight sets ({name}), worst '
+            'run',
+            control,
+            None,
         ),
-        Figure(f'physics / variant 4, MAE on {plain}, largest ({name})', ratio, 0.01 if goal else None, results.counts),
+        Figure(
+            f'physics / variant 4, MAE on {plain}, largest ({name})',
+            ratio,
+            0.01 if goal else None,
+            results.counts,
+        ),
     ]

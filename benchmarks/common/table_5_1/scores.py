@@ -8,12 +8,13 @@ import numpy as np
 
 from common.table_5_1.recordings import Series
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.flow import flow, to_coordinates
+from gray_box_observer.white_box.interface import Array
 
 WARM_UP = 65
-"""Leading samples that nobody is scored on: one that starts the signal history, and 64 voltages of context."""
+"""Leading samples that nobody is scored on: one that starts the signal history, and 64 voltages of
+context."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +22,10 @@ class Score:
     """How wrong a prediction is, set by set.
 
     Attributes:
-        difference_nm: shape (set,): mean of ``|D(T predicted) - D(T)|``, D the first difference (thesis 4.24, 5.1.1).
-        error_percent: shape (set,): mean absolute error of the torque in % of the set's torque standard deviation.
+        difference_nm: shape (set,): mean of ``|D(T predicted) - D(T)|``, D the first difference
+            (thesis 4.24, 5.1.1).
+        error_percent: shape (set,): mean absolute error of the torque in % of the set's torque
+            standard deviation.
     """
 
     difference_nm: Array
@@ -30,7 +33,9 @@ class Score:
 
 
 def score(series: Series, predicted_nm: Array) -> Score:
-    """Score a prediction, shape (set, sample); one that is not finite where it is judged is infinitely wrong."""
+    """Score a prediction, shape (set, sample); one that is not finite where it is judged is
+    infinitely wrong.
+    """
     torque, predicted = series.torque_nm[:, WARM_UP:], predicted_nm[:, WARM_UP:]
     with np.errstate(invalid='ignore'):
         difference = np.abs(np.diff(predicted, axis=1) - np.diff(torque, axis=1)).mean(axis=1)
@@ -39,7 +44,9 @@ def score(series: Series, predicted_nm: Array) -> Score:
 
 
 def persistence(series: Series) -> Array:
-    """Torque stays what it was a sample ago; shape (set, sample). Unlike the others it is shown measured torque."""
+    """Torque stays what it was a sample ago; shape (set, sample). Unlike the others it is shown
+    measured torque.
+    """
     return np.concatenate([series.torque_nm[:, :1], series.torque_nm[:, :-1]], axis=1)
 
 

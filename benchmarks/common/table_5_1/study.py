@@ -11,7 +11,7 @@ from common.table_5_1.scores import Score, constant, persistence, rollout, score
 from common.table_5_1.settings import FAITHFUL, SETTINGS, Setting
 from gray_box_observer.predictor import Variant
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 CONSTANT = 'constant'
 PERSISTENCE = 'persistence'
@@ -56,7 +56,8 @@ class Outcome:
         run: counted from 0.
         score: set by set.
         theta: shape (parameter,): identified; None where there is none.
-        settled: validation loss after half of the epochs over that at the end; None where there are no epochs.
+        settled: validation loss after half of the epochs over that at the end; None where there are
+            no epochs.
     """
 
     setting: str
@@ -75,8 +76,8 @@ def extra_variants() -> tuple[str, ...]:
 def carry_out(work: Work) -> list[Outcome]:
     """Train one variant and score it on the eight sets.
 
-    With variant main come the rows that need no network; with a variant that the thesis does not have comes its
-    control, the same with a network that has learnt nothing.
+    With variant main come the rows that need no network; with a variant that the thesis does not
+    have comes its control, the same with a network that has learnt nothing.
     """
     import torch
 
@@ -85,7 +86,11 @@ def carry_out(work: Work) -> list[Outcome]:
     recordings = record_all(work.run, work.amount.training_s, work.amount.test_s, setting.every)
     if work.variant in extra_variants():
         return [_observed(setting, recordings, work), _untaught(setting, recordings, work)]
-    found = _observed(setting, recordings, work) if setting.online else _epochs(setting, recordings, work)
+    found = (
+        _observed(setting, recordings, work)
+        if setting.online
+        else _epochs(setting, recordings, work)
+    )
     if work.variant == Variant.MAIN.value and found.theta is not None:
         return [found, *_untrained(setting, recordings, work, found.theta)]
     return [found]
@@ -93,7 +98,11 @@ def carry_out(work: Work) -> list[Outcome]:
 
 def white_box(setting: Setting) -> MotorWhiteBox:
     """The physics that every variant of the setting is given."""
-    return setting.configuration(Variant.MAIN.value).motors[online.MOTOR].white_box(speed_measured=False)
+    return (
+        setting.configuration(Variant.MAIN.value)
+        .motors[online.MOTOR]
+        .white_box(speed_measured=False)
+    )
 
 
 def untaught(variant: str) -> str:
@@ -102,7 +111,9 @@ def untaught(variant: str) -> str:
 
 
 def _epochs(setting: Setting, recordings: Recordings, work: Work) -> Outcome:
-    trained = EpochTraining(setting, Variant(work.variant), recordings, work.run).train(work.amount.epochs)
+    trained = EpochTraining(setting, Variant(work.variant), recordings, work.run).train(
+        work.amount.epochs
+    )
     settled = float(trained.validation[work.amount.epochs // 2] / trained.validation[-1])
     found = score(recordings.tests, trained.predicted_nm)
     return Outcome(setting.name, work.variant, work.run, found, trained.theta, settled)
@@ -116,7 +127,9 @@ def _observed(setting: Setting, recordings: Recordings, work: Work) -> Outcome:
 
 
 def _untaught(setting: Setting, recordings: Recordings, work: Work) -> Outcome:
-    """The control; ``training.start`` is the parameter by which a variant may begin with a network it comes with."""
+    """The control; ``training.start`` is the parameter by which a variant may begin with a network
+    it comes with.
+    """
     passes = work.amount.passes if setting.online else THETA_EPOCHS
     configuration = setting.configuration(work.variant, **{'training.start': 'fresh'})
     observer = online.train(configuration, recordings.training, passes, network=False)
@@ -131,14 +144,24 @@ def _untrained(setting: Setting, recordings: Recordings, work: Work, theta: Arra
     found = []
     for row, values in thetas.items():
         predicted = rollout(white_box(setting), values, recordings.tests)
-        found.append(Outcome(setting.name, row, work.run, score(recordings.tests, predicted), values))
+        found.append(
+            Outcome(setting.name, row, work.run, score(recordings.tests, predicted), values)
+        )
     mean_nm = float(recordings.training.torque_nm.mean())
-    free = {PERSISTENCE: persistence(recordings.tests), CONSTANT: constant(mean_nm, recordings.tests)}
-    found += [Outcome(setting.name, row, work.run, score(recordings.tests, said)) for row, said in free.items()]
+    free = {
+        PERSISTENCE: persistence(recordings.tests),
+        CONSTANT: constant(mean_nm, recordings.tests),
+    }
+    found += [
+        Outcome(setting.name, row, work.run, score(recordings.tests, said))
+        for row, said in free.items()
+    ]
     return found
 
 
 def _gradient_theta(setting: Setting, recordings: Recordings, passes: int) -> Array:
     """Theta of the same recording by the thesis's gradient rule."""
-    configuration = setting.configuration(Variant.MAIN.value, context_update='gradient', predictor=False)
+    configuration = setting.configuration(
+        Variant.MAIN.value, context_update='gradient', predictor=False
+    )
     return online.theta(online.train(configuration, recordings.training, passes))

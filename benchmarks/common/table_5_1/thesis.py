@@ -16,10 +16,12 @@ EXCESS: Mapping[str, tuple[float, ...]] = MappingProxyType(
         'supervised': (0.144, 0.0, 0.174, 0.229, 0.152, 0.0, 0.072, 0.270),
     }
 )
-"""By variant, set after set: error over that of the set's best variant, less one (".0 means 100 % of lowest error")."""
+"""By variant, set after set: error over that of the set's best variant, less one (".0 means 100 %
+of lowest error")."""
 
 BASELINE_ERROR = (428.2, 3399.9, 258.4, 4455.6, 20867.5, 8485.4, 4052.0, 3241.5)
-"""The row "Baseline error": what the entries above it are relative to, so the error of the best variant; no unit."""
+"""The row "Baseline error": what the entries above it are relative to, so the error of the best
+variant; no unit."""
 
 FOUR = tuple(EXCESS)
 
@@ -27,7 +29,8 @@ Errors = Mapping[str, Sequence[float]]
 """By variant, set after set; any scale that is the same for all variants of a set."""
 
 TIE = 0.01
-"""Errors that differ by less than this fraction are of equal rank: networks that all saturate err alike."""
+"""Errors that differ by less than this fraction are of equal rank: networks that all saturate err
+alike."""
 
 
 def better(first: float, second: float) -> bool:
@@ -43,7 +46,8 @@ class Claim:
         text: the claim.
         columns: sets that it speaks of, by place.
         ahead: the variant, or variants, that ...
-        behind: ... this one, or these, must not reach: every one ahead has a smaller error than every one behind.
+        behind: ... this one, or these, must not reach: every one ahead has a smaller error than
+            every one behind.
     """
 
     text: str
@@ -54,7 +58,8 @@ class Claim:
     def count(self, ratios: Errors) -> int:
         """Return on how many of its sets the claim holds."""
         return sum(
-            all(better(ratios[a][j], ratios[b][j]) for a in self.ahead for b in self.behind) for j in self.columns
+            all(better(ratios[a][j], ratios[b][j]) for a in self.ahead for b in self.behind)
+            for j in self.columns
         )
 
 

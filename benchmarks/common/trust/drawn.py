@@ -1,4 +1,6 @@
-"""Motors, excitations and faults drawn at random: nothing of it may break a number or end in a traceback."""
+"""Motors, excitations and faults drawn at random: nothing of it may break a number or end in a
+traceback.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,11 @@ from common.trust.faults import FAULTS, select_samples
 from common.trust.records import NODES, NODES_WITH_SPEED, Record, Scenario, make_record
 from common.trust.scenarios import scenarios
 from common.trust.trial import MOTOR, Trial, run_trial
-from gray_box_observer import identify
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions, BagWriter
-from gray_box_observer.parameters import MOTOR_PARAMETERS
+from gray_box_observer.identify import command
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 
 COMMAND_EVERY = 100
 """Of so many drawn records, one goes as a bag through the command, too."""
@@ -37,8 +39,9 @@ BREAKERS = (
     ('free rotor, speed not measured: forward steps', 5, 3.0, 1285),
     ('free rotor, speed not measured: forward steps', 10, 4.0, 4000),
 )
-"""Records by scenario, seed, seconds and how many samples of them, from the default start; they come first. The first
-had a negative variance and ended ``identify --json -`` in a traceback, the second an indefinite covariance."""
+"""Records by scenario, seed, seconds and how many samples of them, from the default start; they
+come first. The first had a negative variance and ended ``identify --json -`` in a traceback, the
+second an indefinite covariance."""
 
 
 def draw(number: int) -> tuple[Record, list[str]]:
@@ -101,7 +104,8 @@ def drawn_figures(drawn: Sequence[tuple[Trial, list[str]]]) -> list[Figure]:
         'records with indefinite covariances': sum(trial.indefinite > 0 for trial in trials),
     }
     return [
-        Figure(f'drawn motors and faults, {len(trials)}: {name}', float(count), 0.0) for name, count in counts.items()
+        Figure(f'drawn motors and faults, {len(trials)}: {name}', float(count), 0.0)
+        for name, count in counts.items()
     ]
 
 
@@ -117,7 +121,9 @@ def drawn_table(drawn: Sequence[tuple[Trial, list[str]]]) -> str:
 
 
 def command_failure(record: Record) -> str:
-    """Run ``identify --json -`` on a bag of the record; return what is wrong with how it ends, or nothing."""
+    """Run ``identify --json -`` on a bag of the record; return what is wrong with how it ends, or
+    nothing.
+    """
     output = io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / 'bag'
@@ -136,12 +142,12 @@ def command_failure(record: Record) -> str:
         ]
         try:
             with contextlib.redirect_stdout(output), contextlib.redirect_stderr(io.StringIO()):
-                status = identify.main(arguments)
+                status = command.main(arguments)
             if status == 0:
                 json.loads(output.getvalue(), parse_constant=_refuse)
         except Exception:
             return traceback.format_exc(limit=-3)
-    return '' if status in (0, identify.EXIT_USER_ERROR) else f'exit status {status}'
+    return '' if status in (0, command.EXIT_USER_ERROR) else f'exit status {status}'
 
 
 def write_bag(folder: Path, record: Record) -> None:

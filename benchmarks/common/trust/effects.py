@@ -1,7 +1,7 @@
 """What drivers and sensors do to voltages, currents, speeds and stamps.
 
-An effect of the driver maps the commanded to the true voltage, one of the sensor the true to the sensed current,
-both on the fine grid of the plant; a reading changes what is logged.
+An effect of the driver maps the commanded to the true voltage, one of the sensor the true to the
+sensed current, both on the fine grid of the plant; a reading changes what is logged.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ Reading = Callable[[Readings, np.random.Generator], Readings]
 
 
 def noise(size: int, std: float, rng: np.random.Generator, memory: float = 0.0) -> FloatArray:
-    """Draw noise of a standard deviation: white, or of first order with a memory from sample to sample."""
+    """Draw noise of a standard deviation: white, or of first order with a memory from sample to
+    sample.
+    """
     white = rng.normal(size=size)
     if memory == 0.0:
         return np.asarray(std * white)
@@ -99,7 +101,9 @@ def slew(intervals: float, span_v: float) -> Shape:
 
 
 def sag(share: float) -> Shape:
-    """Let the battery fall by a share of its voltage over the record, half of it in its last quarter."""
+    """Let the battery fall by a share of its voltage over the record, half of it in its last
+    quarter.
+    """
 
     def shape(voltage: FloatArray, grid: Grid, rng: np.random.Generator) -> FloatArray:
         progress = np.linspace(0.0, 1.0, voltage.size)

@@ -1,4 +1,6 @@
-"""Faults of logs, drawn beside the motors: readings that are no numbers, stamps out of order, units that are wrong."""
+"""Faults of logs, drawn beside the motors: readings that are no numbers, stamps out of order, units
+that are wrong.
+"""
 
 from __future__ import annotations
 

@@ -113,7 +113,9 @@ def _first_suspects(wrong: Sequence[Trial]) -> Figure:
     asked = [t for t in wrong if t.is_misfit and POINT_5 & set(scenario_of(t).suspects)]
     right = [t.suspects[:1] != [] and t.suspects[0] in scenario_of(t).suspects for t in asked]
     share = 100.0 * float(np.mean(right)) if right else None
-    return at_least(f'right suspect first, of {len(asked)} misfits of known kinds, in %', share, 80.0)
+    return at_least(
+        f'right suspect first, of {len(asked)} misfits of known kinds, in %', share, 80.0
+    )
 
 
 def _coloured_loop(judged: Sequence[Trial]) -> Figure:
@@ -126,17 +128,23 @@ def _coloured_loop(judged: Sequence[Trial]) -> Figure:
         if verdict in ('identified', 'converging') and trial.errors[name] != trial.values[name]
     ]
     share = 100.0 * float(np.mean(within)) if within else None
-    return at_least(f'closed loop, coloured noise: within 3 std, of {len(within)}, in %', share, 97.0)
+    return at_least(
+        f'closed loop, coloured noise: within 3 std, of {len(within)}, in %', share, 97.0
+    )
 
 
 def _mistakes(judged: Sequence[Trial]) -> Iterable[Figure]:
     """Count the mistakes of the user that are named in every record, nothing being identified."""
     asked = [trial for trial in judged if scenario_of(trial).words]
     names = sorted({trial.name for trial in asked})
-    good = [name for name in names if all(_is_named(trial) for trial in asked if trial.name == name)]
+    good = [
+        name for name in names if all(_is_named(trial) for trial in asked if trial.name == name)
+    ]
     if names:
         value = 100.0 * len(good) / len(names)
-        yield at_least(f'units and signs named, nothing identified, of {len(names)}, in %', value, 100.0)
+        yield at_least(
+            f'units and signs named, nothing identified, of {len(names)}, in %', value, 100.0
+        )
 
 
 def _is_named(trial: Trial) -> bool:
@@ -179,7 +187,9 @@ def _class_row(group: str, trials: Sequence[Trial]) -> list[str]:
     holds = {scenario_of(trial).holds for trial in trials}
     named = [t for t in trials if t.suspects and t.suspects[0] in scenario_of(t).suspects]
     ratios = [t.fit['ratio'] for t in trials if t.fit.get('ratio') is not None]
-    believed = [abs(t.deviations[name]) for t in trials for name, v in t.verdicts.items() if v in KNOWN]
+    believed = [
+        abs(t.deviations[name]) for t in trials for name, v in t.verdicts.items() if v in KNOWN
+    ]
     return [
         group,
         {(True,): 'yes', (False,): 'no'}.get(tuple(holds), 'part'),
@@ -188,7 +198,10 @@ def _class_row(group: str, trials: Sequence[Trial]) -> list[str]:
         str(sum(map(_was_false, trials))),
         str(sum(trial.is_misfit for trial in trials)),
         str(len(named)),
-        *(str(sum(t.verdicts.get(n) in KNOWN for t in trials)) for n in ('inductance', 'resistance')),
+        *(
+            str(sum(t.verdicts.get(n) in KNOWN for t in trials))
+            for n in ('inductance', 'resistance')
+        ),
         *(_worst_error(trials, name) for name in ('inductance', 'resistance')),
         number(max(believed, default=None)),
         '-' if not ratios else f'{min(ratios):.2g}..{max(ratios):.3g}',
@@ -210,7 +223,11 @@ def record_table(trials: Sequence[Trial]) -> str:
     rows = []
     for t in trials:
         others = [name for name in t.verdicts if name not in ('inductance', 'resistance')]
-        fit = '-' if not t.fit else f'{t.fit["verdict"]} {number(t.fit["ratio"])} {number(t.fit["whiteness"])}'
+        fit = (
+            '-'
+            if not t.fit
+            else f'{t.fit["verdict"]} {number(t.fit["ratio"])} {number(t.fit["whiteness"])}'
+        )
         rows.append(
             [
                 t.name,

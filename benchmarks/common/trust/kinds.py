@@ -21,7 +21,9 @@ CHANGE = ('change',)
 LAG_OR_DELAY = (*CURRENT_LAG, *DELAY)
 """A mean over some samples is a lag or a delay, whichever is named."""
 
-POINT_5 = frozenset({*ROTOR, *CURRENT_OFFSET, *VOLTAGE_OFFSET, *LAG_OR_DELAY, *VOLTAGE_GAIN, *CHANGE})
+POINT_5 = frozenset(
+    {*ROTOR, *CURRENT_OFFSET, *VOLTAGE_OFFSET, *LAG_OR_DELAY, *VOLTAGE_GAIN, *CHANGE}
+)
 """Effects that have to be named where they are left out."""
 
 UNITS = ('units',)
@@ -73,4 +75,6 @@ def _drawn_with(motor: Any, values: dict[str, float], rng: Any) -> Motor:
 
 def motor_changed(**factors: float) -> Any:
     """Return the change of a motor by factors."""
-    return lambda motor: replace(motor, **{name: factor * getattr(motor, name) for name, factor in factors.items()})
+    return lambda motor: replace(
+        motor, **{name: factor * getattr(motor, name) for name, factor in factors.items()}
+    )

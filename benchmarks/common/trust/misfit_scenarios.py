@@ -111,7 +111,9 @@ def _sensors() -> Iterator[Scenario]:
     yield case(group, '1 sample', gear | lag, sensor=(effects.low_pass(1.0),))
     yield case(group, '2 samples', gear | lag, sensor=(effects.low_pass(2.0),))
     yield case(group, '10 samples, no rotor', wrong | lag, sensor=(effects.low_pass(10.0),))
-    yield case(group, '2 samples, no rotor', wrong | lag, excitation=both, sensor=(effects.low_pass(2.0),))
+    yield case(
+        group, '2 samples, no rotor', wrong | lag, excitation=both, sensor=(effects.low_pass(2.0),)
+    )
     group = 'current averaged'
     yield case(group, 'over 1 sample', gear | mean, sensor=(effects.averaging(1.0),))
     yield case(group, 'over 8 samples', gear | mean, sensor=(effects.averaging(8.0),))
@@ -146,9 +148,15 @@ def _drivers() -> Iterator[Scenario]:
     group = 'voltage lost'
     lost = {'suspects': VOLTAGE_OFFSET}
     either = {'suspects': (*VOLTAGE_OFFSET, *CURRENT_OFFSET)}
-    yield case(group, '0.3 V', wrong | lost | both, motor=motor_with(thesis_like_motor, brush_drop=0.3))
-    yield case(group, '1 V, speed measured', gear | lost, motor=motor_with(steady_motor, brush_drop=1.0))
-    yield case(group, '0.5 V, speed measured', gear | lost, motor=motor_with(steady_motor, brush_drop=0.5))
+    yield case(
+        group, '0.3 V', wrong | lost | both, motor=motor_with(thesis_like_motor, brush_drop=0.3)
+    )
+    yield case(
+        group, '1 V, speed measured', gear | lost, motor=motor_with(steady_motor, brush_drop=1.0)
+    )
+    yield case(
+        group, '0.5 V, speed measured', gear | lost, motor=motor_with(steady_motor, brush_drop=0.5)
+    )
     yield case(
         group,
         '1 V, forward only',

@@ -44,7 +44,9 @@ def hysteresis_motor(rng: np.random.Generator) -> Motor:
 
 
 def slow_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor with L/R of 3 to 6 ms and 0.1 to 0.3 s of mechanical time constant, for slow sampling."""
+    """Draw a geared motor with L/R of 3 to 6 ms and 0.1 to 0.3 s of mechanical time constant, for
+    slow sampling.
+    """
     motor = gear_motor(rng)
     inductance = motor.resistance * _log_uniform(rng, 3e-3, 6e-3)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
@@ -73,12 +75,16 @@ def fast_motor(rng: np.random.Generator) -> Motor:
 
 
 def sticky_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor with so much viscous friction that its rotor follows the current within 5 to 20 ms."""
+    """Draw a geared motor with so much viscous friction that its rotor follows the current within 5
+    to 20 ms.
+    """
     motor = gear_motor(rng)
     follows_s = _log_uniform(rng, 0.005, 0.02)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     friction = scale * rng.uniform(3.0, 10.0)
-    return replace(motor, viscous_friction=friction, inertia=follows_s * friction, coulomb_friction=0.0)
+    return replace(
+        motor, viscous_friction=friction, inertia=follows_s * friction, coulomb_friction=0.0
+    )
 
 
 def thesis_motor(rng: np.random.Generator) -> Motor:
@@ -96,7 +102,9 @@ def tiny_motor(inductance_h: float, resistance_ohm: float, mechanical_s: float =
     """Return a geared motor of a given inductance, its speed soon there."""
     constant = 0.01
     scale = constant**2 / resistance_ohm
-    return Motor(inductance_h, resistance_ohm, 0.0, constant, constant, mechanical_s * scale, 0.05 * scale)
+    return Motor(
+        inductance_h, resistance_ohm, 0.0, constant, constant, mechanical_s * scale, 0.05 * scale
+    )
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

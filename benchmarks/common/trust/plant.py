@@ -1,8 +1,10 @@
-"""A motor with a rotor, dry friction and brushes, stepped exactly between events: independent of both packages.
+"""A motor with a rotor, dry friction and brushes, stepped exactly between events: independent of
+both packages.
 
-``L di/dt = V - R i - K_HS |w| i - Kb w - V_b sign(i)`` and ``J dw/dt = Kt i - B w - T_c sign(w)``. What is linear is
-advanced by a matrix exponential, so that the step may be longer than L/R; hysteresis, small in motors with a rotor, by
-the trapezoidal rule. Without a rotor (``w = Kt i``) the classical Runge-Kutta method takes the steps.
+``L di/dt = V - R i - K_HS |w| i - Kb w - V_b sign(i)`` and ``J dw/dt = Kt i - B w - T_c sign(w)``.
+What is linear is advanced by a matrix exponential, so that the step may be longer than L/R;
+hysteresis, small in motors with a rotor, by the trapezoidal rule. Without a rotor (``w = Kt i``)
+the classical Runge-Kutta method takes the steps.
 """
 
 from __future__ import annotations
@@ -150,7 +152,8 @@ def _direction(state: float, drive: float, resistance: float) -> float:
 
 
 def _past_zero(before: float, after: float, turned: float) -> float:
-    """Return a state that has changed its sign within a step, what opposes it having turned round on the way.
+    """Return a state that has changed its sign within a step, what opposes it having turned round
+    on the way.
 
     Args:
         before: at the beginning of the step; 0: it is held there.

@@ -1,4 +1,6 @@
-"""Logs of real motors: whole and in halves, with what is known of them. Read in place, never copied."""
+"""Logs of real motors: whole and in halves, with what is known of them. Read in place, never
+copied.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,12 @@ from scipy.io import loadmat
 
 from common.figures import Figure, table
 from common.trust.judge import KNOWN, at_least
-from gray_box_observer import offline
-from gray_box_observer.bag.csv_log import csv_to_bag
-from gray_box_observer.bag.csv_mapping import CsvMapping
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.describe import describe
+from gray_box_observer.csv_import.column_mapping import CsvMapping
+from gray_box_observer.csv_import.log_conversion import csv_to_bag
+from gray_box_observer.identify import offline_run
+from gray_box_observer.identify.result import describe
+from gray_box_observer.settings.configuration import Configuration
 
 Band = tuple[float, float]
 
@@ -47,7 +49,8 @@ EMPS_TRUTH: dict[str, Band] = {
     'resistance': (0.98 * 203.5 / 35.15, 1.02 * 203.5 / 35.15),
     'brush_drop': (0.98 * 20.39 / 35.15, 1.02 * 20.39 / 35.15),
 }
-"""The axis read as a motor: mass, viscous and dry friction over the gain of the drive, as its authors state them."""
+"""The axis read as a motor: mass, viscous and dry friction over the gain of the drive, as its
+authors state them."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +208,7 @@ def _identify(case: Case, text: str) -> tuple[dict[str, Estimate], dict[str, str
         log.write_text(text)
         bag = Path(folder) / 'bag'
         csv_to_bag(log, bag, CsvMapping.from_options(case.columns))
-        outcome = offline.run([bag], Configuration.from_flat(case.parameters), None)
+        outcome = offline_run.run([bag], Configuration.from_flat(case.parameters), None)
     motors = describe(outcome)['motors']
     fits = {name: (motor.get('fit') or {}).get('verdict', '') for name, motor in motors.items()}
     return outcome.observer.estimates(), fits
@@ -253,7 +256,9 @@ def real_figures(motors: Sequence[RealMotor]) -> list[Figure]:
             _rms([z for z, _ in differences]),
             1.5,
         ),
-        Figure('  of those identified in both', _rms([z for z, known in differences if known]), None),
+        Figure(
+            '  of those identified in both', _rms([z for z, known in differences if known]), None
+        ),
         Figure('healthy robot motors', float(count_healthy) if healthy else None, None),
         at_least('  identified with R in its band, in %', share, 100.0),
         Figure('real motors identified and wrong', float(wrong) if motors else None, 0.0),

@@ -33,7 +33,8 @@ class Scenario:
         rate_hz: samples a second.
         duration_s: of the record.
         holds: whether the white box explains the record to below its noise.
-        suspects: effects any of which is the right answer to what is left out; empty: none is asked for.
+        suspects: effects any of which is the right answer to what is left out; empty: none is asked
+            for.
         noise: standard deviation of the measured current over that of the current.
         memory: of that noise from sample to sample; 0: white.
         speed: whether speed is measured.
@@ -44,7 +45,8 @@ class Scenario:
         change: what becomes of the motor.
         changes: how often in the record, at equal spans of time; every second time it changes back.
         scale: whether a scale is wrong, which nothing can see.
-        words: what a message must contain to name the fault, as a regular expression; empty: not asked.
+        words: what a message must contain to name the fault, as a regular expression; empty: not
+            asked.
     """
 
     name: str
@@ -77,7 +79,8 @@ class Record:
     Attributes:
         scenario: where it is from.
         seed: of everything random.
-        readings: the log; the current in A, from which torque is made by the user's torque constant.
+        readings: the log; the current in A, from which torque is made by the user's torque
+            constant.
         parameters: what the user configures, by full names.
         truth: true values by names of parameters.
         changed: true values after every odd one of the changes.
@@ -114,7 +117,9 @@ def make_record(scenario: Scenario, seed: int) -> Record:
         log = replace(log, speed_rad_s=np.full(log.torque_stamp_ns.size, math.nan))
     after = motor if scenario.change is None else scenario.change(motor)
     change_ns = tuple(int(log.torque_stamp_ns[k]) for k in _change_samples(scenario, size))
-    return Record(scenario, seed, log, _parameters(scenario, motor), _truth(motor), _truth(after), change_ns)
+    return Record(
+        scenario, seed, log, _parameters(scenario, motor), _truth(motor), _truth(after), change_ns
+    )
 
 
 def _change_samples(scenario: Scenario, size: int) -> list[int]:
@@ -143,9 +148,13 @@ def _course(scenario: Scenario, motor: Motor, size: int, rng: np.random.Generato
     for effect in scenario.driver:
         true_v = effect(true_v, grid, rng)
     plant = Plant(motor, grid.interval_s / SUBSTEPS)
-    currents: list[float] = [0.0]  # the state after the last step of an interval is that at the next stamp
+    currents: list[float] = [
+        0.0
+    ]  # the state after the last step of an interval is that at the next stamp
     speeds: list[float] = [0.0]
-    for part, held in enumerate(np.split(true_v, [SUBSTEPS * k for k in _change_samples(scenario, size)])):
+    for part, held in enumerate(
+        np.split(true_v, [SUBSTEPS * k for k in _change_samples(scenario, size)])
+    ):
         if scenario.change is not None:
             plant.change(scenario.change(motor) if part % 2 else motor)
         more_a, more_w = plant.run(held.tolist())

@@ -1,4 +1,6 @@
-"""The scenarios, class by class: what a verdict must survive. Half of them choose thresholds, the others report."""
+"""The scenarios, class by class: what a verdict must survive. Half of them choose thresholds, the
+others report.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def scenarios() -> tuple[Scenario, ...]:
 
 
 def half(scenario: Scenario) -> str:
-    """Return ``choose`` or ``report``: the scenarios of a class belong to one and the other in turn."""
+    """Return ``choose`` or ``report``: the scenarios of a class belong to one and the other in
+    turn.
+    """
     alike = [one.name for one in scenarios() if one.group == scenario.group]
     return ('report', 'choose')[alike.index(scenario.name) % 2]
 
@@ -60,14 +64,20 @@ def _healthy() -> Iterator[Scenario]:
     yield case(group, 'both directions', THESIS, excitation=steps(-15.0, 15.0, 1.0, 10.0))
     group = 'thesis-like, other signals'
     yield case(group, 'noise 0.1 %', THESIS_LIKE, noise=0.001)
-    yield case(group, 'noise 2 %, chirp', THESIS_LIKE, noise=0.02, excitation=chirp(6.0, 0.02, 5.0, 8.0))
+    yield case(
+        group, 'noise 2 %, chirp', THESIS_LIKE, noise=0.02, excitation=chirp(6.0, 0.02, 5.0, 8.0)
+    )
     yield case(group, 'PRBS', THESIS_LIKE, excitation=prbs(3.0, 12.0, 0.5))
     yield case(group, 'ramps', THESIS_LIKE, excitation=ramps(-12.0, 12.0, 4.0))
     group = 'gear, speed measured'
     yield case(group, 'wide steps', GEAR)
     yield case(group, 'forward steps', GEAR, excitation=FORWARD)
-    yield case(group, 'PRBS, Kb too', GEAR, excitation=prbs(-9.0, 9.0, 0.02), nodes=NODES_WITH_SPEED)
-    yield case(group, 'chirp, Kb too', GEAR, excitation=chirp(9.0, 0.5, 50.0), nodes=NODES_WITH_SPEED)
+    yield case(
+        group, 'PRBS, Kb too', GEAR, excitation=prbs(-9.0, 9.0, 0.02), nodes=NODES_WITH_SPEED
+    )
+    yield case(
+        group, 'chirp, Kb too', GEAR, excitation=chirp(9.0, 0.5, 50.0), nodes=NODES_WITH_SPEED
+    )
     yield case(group, 'hysteresis', GEAR, motor=hysteresis_motor)
     yield case(group, 'hysteresis, noise 0.1 %', GEAR, motor=hysteresis_motor, noise=0.001)
     yield case(group, 'slow sampling', GEAR, motor=slow_motor, rate_hz=250.0, duration_s=20.0)

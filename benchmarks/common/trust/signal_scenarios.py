@@ -53,12 +53,18 @@ def _stamps() -> Iterator[Scenario]:
     yield case(group, 'voltage 0.5 samples', gear | delay, driver=(effects.late_voltage(0.5),))
     yield case(group, 'voltage 1 sample', gear | delay, driver=(effects.late_voltage(1.0),))
     yield case(group, 'voltage 3 samples', wrong | delay, driver=(effects.late_voltage(3.0),))
-    yield case(group, 'voltage 1.5 samples, no rotor', wrong | delay, driver=(effects.late_voltage(1.5),))
+    yield case(
+        group, 'voltage 1.5 samples, no rotor', wrong | delay, driver=(effects.late_voltage(1.5),)
+    )
     group = 'stamps late at random'
     jitter = {'suspects': (*DELAY, *CURRENT_LAG)}
     yield case(group, 'up to 1 sample', gear | jitter, log=(effects.jittered_stamps(1.0),))
-    yield case(group, 'up to 1 sample, no rotor', wrong | jitter, log=(effects.jittered_stamps(1.0),))
-    yield case(group, 'up to 3 samples, no rotor', wrong | jitter, log=(effects.jittered_stamps(3.0),))
+    yield case(
+        group, 'up to 1 sample, no rotor', wrong | jitter, log=(effects.jittered_stamps(1.0),)
+    )
+    yield case(
+        group, 'up to 3 samples, no rotor', wrong | jitter, log=(effects.jittered_stamps(3.0),)
+    )
     group = 'L/R shorter than a sample, skew'
     short = {
         'motor': lambda rng: tiny_motor(0.6e-3, 2.0, 0.05),
@@ -132,7 +138,9 @@ def _speeds() -> Iterator[Scenario]:
     group = 'speed late'
     late = {'suspects': (*SPEED_NOISE, 'speed_delay', *DELAY)}
     yield case(group, '5 samples', gear | late, log=(effects.late_speed(5),))
-    yield case(group, '2 samples, Kb too', gear | late | with_constant, log=(effects.late_speed(2),))
+    yield case(
+        group, '2 samples, Kb too', gear | late | with_constant, log=(effects.late_speed(2),)
+    )
 
 
 def _nothing_to_learn() -> Iterator[Scenario]:
@@ -169,7 +177,9 @@ def _mistakes() -> Iterator[Scenario]:
     group = 'units and signs'
     wrong = GEAR | {'motor': strong_motor, 'holds': False, 'suspects': UNITS}
     constant_kb = {'parameters': {'back_emf_constant': None}}
-    yield case(group, 'mA for A', wrong, log=(effects.current_gain(1000.0),), words='\\bmA\\b|milliamp')
+    yield case(
+        group, 'mA for A', wrong, log=(effects.current_gain(1000.0),), words='\\bmA\\b|milliamp'
+    )
     yield case(
         group,
         'speed sign',
@@ -192,4 +202,6 @@ def _mistakes() -> Iterator[Scenario]:
         log=(effects.stretched_stamps(1000.0),),
         words='\\bms\\b|millisecond',
     )
-    yield case(group, 'mV for V', wrong, log=(effects.voltage_gain(1000.0),), words='\\bmV\\b|millivolt')
+    yield case(
+        group, 'mV for V', wrong, log=(effects.voltage_gain(1000.0),), words='\\bmV\\b|millivolt'
+    )

@@ -1,4 +1,6 @@
-"""One record through the observer, as ``identify --skip-predictor`` would take it, and what was believed on the way."""
+"""One record through the observer, as ``identify --skip-predictor`` would take it, and what was
+believed on the way.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,20 @@ from typing import Any
 import numpy as np
 
 from common.trust.records import Record
-from gray_box_observer import offline
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.describe import describe, warnings_of
-from gray_box_observer.intake import Intake
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.identify import offline_run
+from gray_box_observer.identify.result import describe, warnings_of
+from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.observer import Observer, Result
+from gray_box_observer.settings.configuration import Configuration
 
 MOTOR = 'motor'
 STDS = 3.0
 RELATIVE = 0.02
 LONGEST_FALSE_S = 1.0
 NEGLIGIBLE_VOLTAGE = 0.01
-"""Share of the voltage that a parameter called negligible may truly move: twice what the verdict promises."""
+"""Share of the voltage that a parameter called negligible may truly move: twice what the verdict
+promises."""
 
 ROUNDING = 1e-9
 """Eigenvalue of a correlation matrix below zero that rounding may explain."""
@@ -45,7 +48,8 @@ class Trial:
         deviations: of the truth from the estimate in standard deviations, by parameter.
         false_at_end: parameters that are believed at the end and wrong.
         false_longest_s: longest time without a break in which any parameter was believed and wrong.
-        identified_s: when each parameter that is known at the end came to be known for the first time.
+        identified_s: when each parameter that is known at the end came to be known for the first
+            time.
         fit: what the result says of the fit; empty where it says nothing.
         warnings: what the user is told.
         cost_ms: mean CPU time of a sample.
@@ -122,7 +126,9 @@ class _Watch:
         elif self._false_since_ns is None:
             self._false_since_ns = stamp_ns
         time_s = (stamp_ns - self._first_ns) / 1e9
-        for parameter, verdict in zip(result.estimate.parameters, result.estimate.verdicts[0], strict=True):
+        for parameter, verdict in zip(
+            result.estimate.parameters, result.estimate.verdicts[0], strict=True
+        ):
             if verdict.value in KNOWN:
                 self._known_since.setdefault(parameter.name, time_s)
 
@@ -174,11 +180,11 @@ def run_trial(record: Record) -> Trial:
     return trial
 
 
-def observe(record: Record, listener: Any, trial: Trial) -> offline.Outcome:
+def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
     """Feed a record to an observer of its own; note what it cost."""
     configuration = Configuration.from_flat(record.parameters)
     observer = Observer(configuration)
-    outcome = offline.Outcome(observer, Intake(observer, configuration))
+    outcome = offline_run.Outcome(observer, Intake(observer, configuration))
     costs_ns = []
     log = record.readings
     torques = log.torque_stamp_ns.tolist(), record.torque_nm.tolist(), log.speed_rad_s.tolist()
@@ -199,11 +205,11 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline.Outcome:
     return outcome
 
 
-def _note(results: list[Result], outcome: offline.Outcome, listener: Any) -> None:
+def _note(results: list[Result], outcome: offline_run.Outcome, listener: Any) -> None:
     for result in results:
         course = outcome.courses.get(result.motor)
         if course is None:
-            course = outcome.courses[result.motor] = offline.Course(result.sample.stamp_ns)
+            course = outcome.courses[result.motor] = offline_run.Course(result.sample.stamp_ns)
         course.take(result)
         listener(result)
 
@@ -222,7 +228,9 @@ def _judge(record: Record, estimate: Estimate, watch: _Watch, trial: Trial) -> N
         trial.deviations[name] = (value - truth[name]) / std if std > 0.0 else math.nan
         if trial.verdicts[name] in KNOWN:
             trial.identified_s[name] = watch.known_since_s(name)
-    trial.false_at_end = false_parameters(record, estimate, int(record.readings.torque_stamp_ns[-1]))
+    trial.false_at_end = false_parameters(
+        record, estimate, int(record.readings.torque_stamp_ns[-1])
+    )
 
 
 def truth_at(record: Record, stamp_ns: int) -> dict[str, float]:
@@ -244,7 +252,9 @@ def false_parameters(record: Record, estimate: Estimate, stamp_ns: int) -> list[
             is_false = _voltage_share(record, parameter.name, true) > NEGLIGIBLE_VOLTAGE
         else:
             error = abs(float(estimate.value[0, j]) - true)
-            is_false = not (error <= STDS * float(estimate.std[0, j]) or error <= RELATIVE * abs(true))
+            is_false = not (
+                error <= STDS * float(estimate.std[0, j]) or error <= RELATIVE * abs(true)
+            )
         if is_false:
             false.append(parameter.name)
     return false

@@ -1,4 +1,6 @@
-"""Errors that a user can cause; each message says what, got, expected, and the next step, on one line."""
+"""Errors that a user can cause; each message says what, got, expected, and the next step, on one
+line.
+"""
 
 
 class SimulationError(Exception):

@@ -1,12 +1,14 @@
 """The excitation language: which voltage drives a motor, written like in the thesis (4.1.2, 5.1.1).
 
     excitation := base { '+' addend }
-    base       := R[a,b]D[c,d]                    levels drawn uniformly from [a,b] V, each held for [c,d] s
+    base       := R[a,b]D[c,d]                    levels drawn uniformly from [a,b] V, each held for
+    [c,d] s
                 | C[v]                            constant v V
                 | external                        whatever is commanded from outside
                 | table_5_1/1 ... table_5_1/8     a data set of table 5.1, by its column
     addend     := sin | sin(t) | sin(A,w)         A sin(w t); 1 V and 1 rad/s if not given
-                | noise | v(t) | noise(s)         white noise of standard deviation s in V, held over a sample
+                | noise | v(t) | noise(s)         white noise of standard deviation s in V, held
+                over a sample
 
 Blanks do not matter.
 """
@@ -79,7 +81,9 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """`+noise(s)`: white noise in V held over a sample; None stands for a standard deviation not said."""
+    """`+noise(s)`: white noise in V held over a sample; None stands for a standard deviation not
+    said.
+    """
 
     std_v: float | None = None
 
@@ -97,8 +101,9 @@ class Excitation:
         """Standard deviation of the voltage noise in V.
 
         Args:
-            voltage_noise_std: The simulation's own noise in V; 0 for none. It is the noise of every motor,
-                except where the excitation gives a number itself; `+noise` without any number means 0.5 V.
+            voltage_noise_std: The simulation's own noise in V; 0 for none. It is the noise of every
+                motor, except where the excitation gives a number itself; `+noise` without any
+                number means 0.5 V.
         """
         if self.noise is None:
             return voltage_noise_std
@@ -111,8 +116,8 @@ def parse_excitation(text: str) -> Excitation:
     """Parse a text of the excitation language; the module's docstring has the grammar.
 
     Raises:
-        ExcitationError: It is not in the language or out of range; one line with column (from 1) and valid
-            forms.
+        ExcitationError: It is not in the language or out of range; one line with column (from 1)
+            and valid forms.
     """
     scanner = _Scanner(text)
     name = scanner.match(r'table_5_1/[1-8](?!\d)')
@@ -220,7 +225,9 @@ class _Scanner:
         rest = self._text[self._position : self._position + 12]
         got = f'got {rest!r}' if rest else 'got the end of the text'
         column = self._position + 1
-        return ExcitationError(f'excitation {self._text!r}, column {column}: {what}; {got}; valid forms: {VALID_FORMS}')
+        return ExcitationError(
+            f'excitation {self._text!r}, column {column}: {what}; {got}; valid forms: {VALID_FORMS}'
+        )
 
     def _skip_blanks(self) -> None:
         while self._position < len(self._text) and self._text[self._position].isspace():

@@ -5,9 +5,9 @@
     thesis mode:  w = Kt i
     rotor mode:   J dw/dt = Kt i - b w - T_c sign(w) - T_load
 
-The thesis writes the hysteresis voltage of its mode as `K_HS Kt i^2`, which would feed energy into a motor
-whose current is negative; `K_HS |w| i` is the same for positive current and dissipates in all four
-quadrants.
+The thesis writes the hysteresis voltage of its mode as `K_HS Kt i^2`, which would feed energy into
+a motor whose current is negative; `K_HS |w| i` is the same for positive current and dissipates in
+all four quadrants.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from dc_motor_sim.solver import FloatArray, integrate
 SPEED_MODES = ('thesis', 'rotor')
 
 BRUSH_SMOOTHING_A = 0.02
-"""sign(i) of the brush drop is tanh(i / BRUSH_SMOOTHING_A): 96 % of it is there at twice this current."""
+"""sign(i) of the brush drop is tanh(i / BRUSH_SMOOTHING_A): 96 % of it is there at twice this
+current."""
 
 FRICTION_SMOOTHING_RAD_S = 0.1
 """sign(w) of the Coulomb friction is tanh(w / FRICTION_SMOOTHING_RAD_S)."""
@@ -40,31 +41,43 @@ MAX_SUBSTEPS = 100_000
 class PlantParameters:
     """Physical parameters of one motor in SI units; the defaults are the motor of the thesis.
 
-    The rotor parameters count in rotor mode only. Their defaults (a friction of 1 N m s / rad, which makes
-    `w = Kt i` in the steady state, and a small inertia) turn the thesis's motor into the same motor with a
-    10 ms mechanical lag.
+    The rotor parameters count in rotor mode only. Their defaults (a friction of 1 N m s / rad,
+    which makes `w = Kt i` in the steady state, and a small inertia) turn the thesis's motor into
+    the same motor with a 10 ms mechanical lag.
 
     Raises:
         PlantError: A value is not a finite number or out of its bounds.
     """
 
     inductance: float = field(default=0.5, metadata=about('armature inductance L', 'H', 1e-6, 1e3))
-    resistance: float = field(default=1.0, metadata=about('armature resistance R', 'ohm', 1e-6, 1e6))
+    resistance: float = field(
+        default=1.0, metadata=about('armature resistance R', 'ohm', 1e-6, 1e6)
+    )
     hysteresis: float = field(
         default=10.0, metadata=about('magnetic hysteresis constant K_HS', 'V s / (rad A)', 0.0, 1e6)
     )
-    torque_constant: float = field(default=0.01, metadata=about('torque constant Kt', 'N m / A', 1e-6, 1e3))
-    back_emf_constant: float = field(default=0.01, metadata=about('back-EMF constant Kb', 'V s / rad', 0.0, 1e3))
+    torque_constant: float = field(
+        default=0.01, metadata=about('torque constant Kt', 'N m / A', 1e-6, 1e3)
+    )
+    back_emf_constant: float = field(
+        default=0.01, metadata=about('back-EMF constant Kb', 'V s / rad', 0.0, 1e3)
+    )
     brush_drop: float = field(
         default=0.0, metadata=about('brush voltage drop V_b, against the current', 'V', 0.0, 100.0)
     )
-    inertia: float = field(default=0.01, metadata=about('moment of inertia J of rotor and load', 'kg m^2', 1e-9, 1e6))
-    viscous_friction: float = field(default=1.0, metadata=about('viscous friction b', 'N m s / rad', 0.0, 1e6))
+    inertia: float = field(
+        default=0.01, metadata=about('moment of inertia J of rotor and load', 'kg m^2', 1e-9, 1e6)
+    )
+    viscous_friction: float = field(
+        default=1.0, metadata=about('viscous friction b', 'N m s / rad', 0.0, 1e6)
+    )
     coulomb_friction: float = field(
-        default=0.0, metadata=about('Coulomb friction torque T_c, against the rotation', 'N m', 0.0, 1e6)
+        default=0.0,
+        metadata=about('Coulomb friction torque T_c, against the rotation', 'N m', 0.0, 1e6),
     )
     load_torque: float = field(
-        default=0.0, metadata=about('load torque T_load, against positive rotation', 'N m', -1e6, 1e6)
+        default=0.0,
+        metadata=about('load torque T_load, against positive rotation', 'N m', -1e6, 1e6),
     )
 
     def __post_init__(self) -> None:
@@ -74,12 +87,13 @@ class PlantParameters:
 class Plant:
     """Motors with fixed parameters; the state goes in and comes out, nothing is remembered.
 
-    State: shape (motor, 1) holding the current in A in thesis mode, (motor, 2) holding current in A and
-    speed in rad/s in rotor mode. Voltages, torques and speeds: shape (motor,).
+    State: shape (motor, 1) holding the current in A in thesis mode, (motor, 2) holding current in A
+    and speed in rad/s in rotor mode. Voltages, torques and speeds: shape (motor,).
 
     Args:
         motors: Parameters of each motor, in the order of the motor axis.
-        speed_mode: `thesis` (the speed follows the current, `w = Kt i`) or `rotor` (the speed is a state).
+        speed_mode: `thesis` (the speed follows the current, `w = Kt i`) or `rotor` (the speed is a
+            state).
 
     Raises:
         PlantError: No motor, or an unknown speed mode.
@@ -89,10 +103,15 @@ class Plant:
         if not motors:
             raise PlantError('a plant needs at least one motor; got none')
         if speed_mode not in SPEED_MODES:
-            raise PlantError(f'speed_mode must be one of {", ".join(SPEED_MODES)}; got {speed_mode!r}')
+            raise PlantError(
+                f'speed_mode must be one of {", ".join(SPEED_MODES)}; got {speed_mode!r}'
+            )
         self.motors = tuple(motors)
         self.speed_mode = speed_mode
-        columns = {f.name: np.array([getattr(motor, f.name) for motor in self.motors]) for f in fields(PlantParameters)}
+        columns = {
+            f.name: np.array([getattr(motor, f.name) for motor in self.motors])
+            for f in fields(PlantParameters)
+        }
         self._L: FloatArray = columns['inductance']
         self._R: FloatArray = columns['resistance']
         self._K: FloatArray = columns['hysteresis']
@@ -132,8 +151,11 @@ class Plant:
         speed_rate = (self._Kt * current - friction - self._Tl) / self._J
         return np.stack((current_rate, speed_rate), axis=1)
 
-    def step(self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int) -> FloatArray:
-        """Advance by `step_s` under a held voltage and return the new state; the given one is left as it is.
+    def step(
+        self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int
+    ) -> FloatArray:
+        """Advance by `step_s` under a held voltage and return the new state; the given one is left
+        as it is.
 
         Args:
             state: Shape (motor, state).
@@ -155,18 +177,24 @@ class Plant:
             )
         return after
 
-    def substeps_for(self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float) -> int:
+    def substeps_for(
+        self, state: FloatArray, voltage_v: FloatArray, step_s: float, solver_step_s: float
+    ) -> int:
         """Number of equal solver steps within `step_s` that is accurate and stable.
 
-        A solver step is at most `solver_step_s` and at most a tenth of the shortest time constant: the
-        electrical one at the present state and at the one that the voltage drives to, and in rotor mode the
-        mechanical ones. The smoothed signs are stiff near zero; there the step only has to stay well inside
-        the stability limit.
+        A solver step is at most `solver_step_s` and at most a tenth of the shortest time constant:
+        the electrical one at the present state and at the one that the voltage drives to, and in
+        rotor mode the mechanical ones. The smoothed signs are stiff near zero; there the step only
+        has to stay well inside the stability limit.
 
         Raises:
             PlantError: More than `MAX_SUBSTEPS` would be needed.
         """
-        fastest = self._rotor_rate(state, voltage_v, step_s) if self._rotor else self._rate(state, voltage_v)
+        fastest = (
+            self._rotor_rate(state, voltage_v, step_s)
+            if self._rotor
+            else self._rate(state, voltage_v)
+        )
         rate = STEPS_PER_TIME_CONSTANT * float(fastest.max())
         if self._brushes:
             rate = max(rate, float((self._Vb / (BRUSH_SMOOTHING_A * self._L)).max()))
@@ -175,7 +203,8 @@ class Plant:
         substeps = max(math.ceil(step_s / solver_step_s - 1e-9), math.ceil(step_s * rate - 1e-9), 1)
         if substeps > MAX_SUBSTEPS:
             raise PlantError(
-                f'{substeps} solver steps would be needed for {step_s:g} s (at most {MAX_SUBSTEPS}); '
+                f'{substeps} solver steps would be needed for {step_s:g} s (at most '
+                f'{MAX_SUBSTEPS}); '
                 'a time constant is too short for this sample rate'
             )
         return substeps
@@ -183,8 +212,8 @@ class Plant:
     def _rate(self, state: FloatArray, voltage_v: FloatArray) -> FloatArray:
         """Inverse of the electrical time constant in thesis mode, 1/s, shape (motor,).
 
-        The differential resistance is `r + 2 k |i|` with `r = R + Kb Kt`, `k = K_HS Kt`; in the steady
-        state of V it is the root of the discriminant of `k i^2 + r i = |V|`.
+        The differential resistance is `r + 2 k |i|` with `r = R + Kb Kt`, `k = K_HS Kt`; in the
+        steady state of V it is the root of the discriminant of `k i^2 + r i = |V|`.
         """
         r = self._R + self._Kb * self._Kt
         k = self._K * self._Kt
@@ -193,10 +222,14 @@ class Plant:
         return rate
 
     def _rotor_rate(self, state: FloatArray, voltage_v: FloatArray, step_s: float) -> FloatArray:
-        """Bound on the fastest electrical or mechanical rate within the coming step, 1/s, shape (motor,)."""
+        """Bound on the fastest electrical or mechanical rate within the coming step, 1/s, shape
+        (motor,).
+        """
         current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
         torque = self._Kt * current + np.abs(self._Tl)
-        gained = torque / np.maximum(self._J / step_s, self._b)  # inertia or friction, whichever limits more
+        gained = torque / np.maximum(
+            self._J / step_s, self._b
+        )  # inertia or friction, whichever limits more
         speed = np.abs(state[:, 1]) + gained
         electrical = (self._R + self._K * speed) / self._L
         coupling = np.sqrt(self._Kt * (self._Kb + self._K * current) / (self._L * self._J))

@@ -1,7 +1,8 @@
 """What a configuration field means: text, unit and bounds, declared once, beside its default.
 
-A frozen dataclass carries a `Quantity` in the metadata of each field. Validation, ROS parameter descriptors
-and the usage text are all read from there, so none of them can drift away from the others.
+A frozen dataclass carries a `Quantity` in the metadata of each field. Validation, ROS parameter
+descriptors and the usage text are all read from there, so none of them can drift away from the
+others.
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ _KEY = 'quantity'
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Meaning of one field: description, SI unit (empty for none), inclusive bounds, or the words allowed."""
+    """Meaning of one field: description, SI unit (empty for none), inclusive bounds, or the words
+    allowed.
+    """
 
     text: str
     unit: str = ''
@@ -44,7 +47,11 @@ class Quantity:
             return f'{name} must be one of {", ".join(self.choices)}; got {value!r}'
         if not self.numeric:
             return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+        ):
             return f'{name} must be a finite number; got {value!r}'
         if not self.low <= value <= self.high:
             return f'{name} must be {self.bounds()}; got {value:g}'
@@ -81,7 +88,8 @@ def quantity_of(field: Field[Any]) -> Quantity:
 
 
 def check_fields(instance: Any, error: type[SimulationError]) -> None:
-    """Raise `error` with one line about the first field of a dataclass instance that is out of bounds.
+    """Raise `error` with one line about the first field of a dataclass instance that is out of
+    bounds.
 
     Args:
         instance: A dataclass instance whose fields were all declared with `about`.

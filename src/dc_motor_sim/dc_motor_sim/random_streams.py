@@ -1,7 +1,7 @@
 """Seeded random numbers: one independent stream for each motor and purpose.
 
-A stream depends on (seed, place of the motor, purpose) only: a second motor beside the first, or noise
-switched on, leaves every other stream as it was.
+A stream depends on (seed, place of the motor, purpose) only: a second motor beside the first, or
+noise switched on, leaves every other stream as it was.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ class Purpose(IntEnum):
 
 
 def generator(seed: int, motor: int, purpose: Purpose) -> np.random.Generator:
-    """Return the stream of one motor and purpose: what `SeedSequence(seed).spawn` twice over would give."""
+    """Return the stream of one motor and purpose: what `SeedSequence(seed).spawn` twice over would
+    give.
+    """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(motor, int(purpose))))
 
 

@@ -50,8 +50,8 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
         motors: Parameters of each motor by name.
 
     Raises:
-        ScheduleError: It has neither form, names an unknown motor or parameter, or leads to a value out of
-            bounds.
+        ScheduleError: It has neither form, names an unknown motor or parameter, or leads to a value
+            out of bounds.
     """
     found = _ENTRY.fullmatch(text)
     if found is None or (found['last'] is None) != (found['end'] is None):
@@ -61,28 +61,36 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
         )
     motor, parameter = found['motor'], found['parameter']
     if motor not in motors:
-        raise ScheduleError(f'schedule entry {text!r}: no motor {motor!r}; motors: {", ".join(motors)}')
+        raise ScheduleError(
+            f'schedule entry {text!r}: no motor {motor!r}; motors: {", ".join(motors)}'
+        )
     if parameter not in _PARAMETERS:
         raise ScheduleError(
-            f'schedule entry {text!r}: no parameter {parameter!r}; parameters: {", ".join(_PARAMETERS)}'
+            f'schedule entry {text!r}: no parameter {parameter!r}; parameters: '
+            f'{", ".join(_PARAMETERS)}'
         )
     first, last = float(found['first']), float(found['last'] or found['first'])
     begin_s, end_s = float(found['begin']), float(found['end'] or found['begin'])
     if not 0.0 <= begin_s <= end_s <= 1e9:
-        raise ScheduleError(f'schedule entry {text!r}: times must not be negative nor run backwards')
+        raise ScheduleError(
+            f'schedule entry {text!r}: times must not be negative nor run backwards'
+        )
     try:
         for value in (first, last):
             replace(motors[motor], **{parameter: value})
     except SimulationError as error:
         raise ScheduleError(f'schedule entry {text!r}: {error}') from None
-    return ScheduledChange(motor, parameter, first, last, to_nanoseconds(begin_s), to_nanoseconds(end_s))
+    return ScheduledChange(
+        motor, parameter, first, last, to_nanoseconds(begin_s), to_nanoseconds(end_s)
+    )
 
 
 class Schedule:
-    """Hands out the changes that are due, each until it has reached its last value, then never again.
+    """Hands out the changes that are due, each until it has reached its last value, then never
+    again.
 
-    Where two overlap on one parameter, the one that began later wins; so does a change from outside after
-    the last.
+    Where two overlap on one parameter, the one that began later wins; so does a change from outside
+    after the last.
 
     Args:
         changes: The changes, in any order.

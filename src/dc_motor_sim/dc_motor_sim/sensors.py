@@ -28,10 +28,13 @@ class SensorParameters:
     )
     torque_limit: float = field(
         default=0.0,
-        metadata=about('the torque sensor saturates at plus and minus this; 0 for never', 'N m', 0.0, 1e6),
+        metadata=about(
+            'the torque sensor saturates at plus and minus this; 0 for never', 'N m', 0.0, 1e6
+        ),
     )
     speed_noise_std: float = field(
-        default=0.0, metadata=about('standard deviation of the white speed noise', 'rad/s', 0.0, 1e6)
+        default=0.0,
+        metadata=about('standard deviation of the white speed noise', 'rad/s', 0.0, 1e6),
     )
     speed_quantisation: float = field(
         default=0.0, metadata=about('resolution of the speed sensor; 0 for none', 'rad/s', 0.0, 1e6)
@@ -46,26 +49,34 @@ class Sensors:
 
     Args:
         parameters: What is imperfect.
-        torque_noise_std: Standard deviation of the torque noise of each motor in N m, in place of the one in
-            `parameters`; shape (motor,).
+        torque_noise_std: Standard deviation of the torque noise of each motor in N m, in place of
+            the one in `parameters`; shape (motor,).
         seed: Seed of the simulation.
     """
 
-    def __init__(self, parameters: SensorParameters, torque_noise_std: FloatArray, seed: int) -> None:
+    def __init__(
+        self, parameters: SensorParameters, torque_noise_std: FloatArray, seed: int
+    ) -> None:
         self._parameters = parameters
         speed_noise_std = np.full(len(torque_noise_std), parameters.speed_noise_std)
         self._torque_noise = WhiteNoise(seed, Purpose.TORQUE_NOISE, torque_noise_std)
         self._speed_noise = WhiteNoise(seed, Purpose.SPEED_NOISE, speed_noise_std)
 
-    def measure(self, torque_nm: FloatArray, speed_rad_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def measure(
+        self, torque_nm: FloatArray, speed_rad_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Return measured torque in N m and speed in rad/s of the next sample, shape (motor,) each.
 
         Noise comes first, then the resolution, then the range, as in a real converter.
         """
-        torque = _rounded(torque_nm + self._torque_noise.next(), self._parameters.torque_quantisation)
+        torque = _rounded(
+            torque_nm + self._torque_noise.next(), self._parameters.torque_quantisation
+        )
         if self._parameters.torque_limit > 0.0:
             torque = np.clip(torque, -self._parameters.torque_limit, self._parameters.torque_limit)
-        speed = _rounded(speed_rad_s + self._speed_noise.next(), self._parameters.speed_quantisation)
+        speed = _rounded(
+            speed_rad_s + self._speed_noise.next(), self._parameters.speed_quantisation
+        )
         return torque, speed
 
 

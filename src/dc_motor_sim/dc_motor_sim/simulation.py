@@ -1,4 +1,6 @@
-"""Excitation, plant and sensors on one exact sample grid: what a node publishes and a benchmark records."""
+"""Excitation, plant and sensors on one exact sample grid: what a node publishes and a benchmark
+records.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Consecutive samples: `stamp_ns` has shape (sample,), everything else (motor, sample); see `Sample`."""
+    """Consecutive samples: `stamp_ns` has shape (sample,), everything else (motor, sample); see
+    `Sample`.
+    """
 
     motors: tuple[str, ...]
     stamp_ns: NDArray[np.int64]
@@ -56,8 +60,8 @@ class Recording:
 class Simulation:
     """Simulated motors, one sample at a time.
 
-    Sample k is stamped `start_ns + k * period_ns` with `period_ns = round(1e9 / sample_rate_hz)`. The same
-    arguments and the same calls give the same bytes.
+    Sample k is stamped `start_ns + k * period_ns` with `period_ns = round(1e9 / sample_rate_hz)`.
+    The same arguments and the same calls give the same bytes.
 
     Args:
         motors: Parameters of each motor by name; the order is the motor axis.
@@ -66,15 +70,16 @@ class Simulation:
         seed: Of everything random; each motor and each kind of noise has a stream of its own.
         start_ns: Stamp of the first sample.
         speed_mode: `thesis` (w = Kt i) or `rotor` (speed is a state).
-        solver_step_s: Longest solver step; it is subdivided further to at most a tenth of the electrical time
-            constant, see `Plant.substeps_for`.
-        voltage_noise_std: White noise on the voltage in V, held over a sample, before the plant: extra
-            excitation that is published. A number inside the excitation (`+noise(0.2)`) goes first.
+        solver_step_s: Longest solver step; it is subdivided further to at most a tenth of the
+            electrical time constant, see `Plant.substeps_for`.
+        voltage_noise_std: White noise on the voltage in V, held over a sample, before the plant:
+            extra excitation that is published. A number inside the excitation (`+noise(0.2)`) goes
+            first.
         torque_noise_std: White noise of the torque sensor in N m.
-        torque_noise_relative: The same as a fraction of the standard deviation of each motor's noise-free
-            torque. That is measured once, before the first sample, in a dry run of 60 s with the same seed,
-            motors and excitation, at no more than 100 Hz; later changes of the motors do not change the
-            noise.
+        torque_noise_relative: The same as a fraction of the standard deviation of each motor's
+            noise-free torque. That is measured once, before the first sample, in a dry run of 60 s
+            with the same seed, motors and excitation, at no more than 100 Hz; later changes of the
+            motors do not change the noise.
         torque_quantisation: Resolution of the torque sensor in N m; 0 for none.
         torque_limit: Torque at which the sensor saturates in N m; 0 for never.
         speed_noise_std: White noise of the speed sensor in rad/s.
@@ -153,7 +158,9 @@ class Simulation:
                 solver_step_s=solver_step_s,
                 voltage_noise_std=voltage_noise_std,
             )
-            noise_nm = torque_noise_relative * dry_run.record(SPREAD_DURATION_S).true_torque_nm.std(axis=1)
+            noise_nm = torque_noise_relative * dry_run.record(SPREAD_DURATION_S).true_torque_nm.std(
+                axis=1
+            )
         self.torque_noise_std_nm = noise_nm  # shape: (motor,)
         self._sensors = Sensors(sensors, noise_nm, seed)
 
@@ -172,7 +179,8 @@ class Simulation:
         self._plant_with(changed)
 
     def set_parameters(self, changed: Mapping[str, PlantParameters]) -> None:
-        """Give some motors new parameters from the next sample on; current and speed stay as they are.
+        """Give some motors new parameters from the next sample on; current and speed stay as they
+        are.
 
         Raises:
             ConfigurationError: A name is no motor of this simulation; nothing has changed then.
@@ -186,7 +194,9 @@ class Simulation:
         if unknown:
             raise ConfigurationError(f'no motor {unknown[0]!r}; motors: {", ".join(self.motors)}')
         plant = Plant(list({**self._parameters, **changed}.values()), self._plant.speed_mode)
-        plant.substeps_for(self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s)
+        plant.substeps_for(
+            self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s
+        )
         return plant
 
     def is_external(self, motor: str) -> bool:
@@ -197,35 +207,43 @@ class Simulation:
         """Hold a voltage on a motor with `external` excitation from the next sample on.
 
         Returns:
-            False, and the last command stays, if the motor is unknown or not external, or if the voltage is
-            not finite or beyond 10 kV.
+            False, and the last command stays, if the motor is unknown or not external, or if the
+            voltage is not finite or beyond 10 kV.
         """
-        return motor in self._parameters and self._source.command(self.motors.index(motor), voltage_v)
+        return motor in self._parameters and self._source.command(
+            self.motors.index(motor), voltage_v
+        )
 
     def step(self) -> Sample:
         """Make the next sample, then let its voltage act on the plant until the one after.
 
         Raises:
-            PlantError: The plant cannot be solved or became non-finite; it names the motor by its place.
+            PlantError: The plant cannot be solved or became non-finite; it names the motor by its
+                place.
         """
         elapsed_ns = self._sample * self.period_ns
         due = self._schedule.due(elapsed_ns)
         if due:
             self._carry_out(due)
         true_torque_nm = self._plant.torque_nm(self._state)
-        torque_nm, speed_rad_s = self._sensors.measure(true_torque_nm, self._plant.speed_rad_s(self._state))
+        torque_nm, speed_rad_s = self._sensors.measure(
+            true_torque_nm, self._plant.speed_rad_s(self._state)
+        )
         voltage_v = self._voltage_v = self._source.step()
         period_s = to_seconds(self.period_ns)
         substeps = self._plant.substeps_for(self._state, voltage_v, period_s, self._solver_step_s)
         self._state = self._plant.step(self._state, voltage_v, period_s, substeps)
         self._sample += 1
-        return Sample(self._start_ns + elapsed_ns, voltage_v, torque_nm, true_torque_nm, speed_rad_s)
+        return Sample(
+            self._start_ns + elapsed_ns, voltage_v, torque_nm, true_torque_nm, speed_rad_s
+        )
 
     def record(self, duration_s: float) -> Recording:
         """Make all samples of the next `duration_s` seconds.
 
         Args:
-            duration_s: Time to record in s; rounded to whole samples, of which there is at least one.
+            duration_s: Time to record in s; rounded to whole samples, of which there is at least
+                one.
 
         Raises:
             ConfigurationError: Less than one sample.
@@ -233,13 +251,20 @@ class Simulation:
         """
         count = round(duration_s * NANOSECONDS_PER_SECOND / self.period_ns)
         if count < 1:
-            raise ConfigurationError(f'duration_s must be at least one sample period; got {duration_s:g}')
+            raise ConfigurationError(
+                f'duration_s must be at least one sample period; got {duration_s:g}'
+            )
         stamp_ns = np.empty(count, dtype=np.int64)
         series = np.empty((4, len(self.motors), count))
         for k in range(count):
             sample = self.step()
             stamp_ns[k] = sample.stamp_ns
-            series[:, :, k] = (sample.voltage_v, sample.torque_nm, sample.true_torque_nm, sample.speed_rad_s)
+            series[:, :, k] = (
+                sample.voltage_v,
+                sample.torque_nm,
+                sample.true_torque_nm,
+                sample.speed_rad_s,
+            )
         return Recording(self.motors, stamp_ns, *series)
 
     def _carry_out(self, due: Sequence[tuple[str, str, float]]) -> None:
@@ -254,11 +279,14 @@ def _require(name: str, value: float, low: float, high: float) -> None:
         raise ConfigurationError(f'{name} must be from {low:g} to {high:g}; got {value:g}')
 
 
-def _excitation_of_each(motors: Sequence[str], excitation: str | Mapping[str, str]) -> dict[str, Excitation]:
+def _excitation_of_each(
+    motors: Sequence[str], excitation: str | Mapping[str, str]
+) -> dict[str, Excitation]:
     texts = dict.fromkeys(motors, excitation) if isinstance(excitation, str) else dict(excitation)
     if set(texts) != set(motors):
         raise ConfigurationError(
-            f'excitation must name every motor and no other; got {", ".join(texts)} for {", ".join(motors)}'
+            f'excitation must name every motor and no other; got {", ".join(texts)} for '
+            f'{", ".join(motors)}'
         )
     return {motor: parse_excitation(texts[motor]) for motor in motors}
 
@@ -267,6 +295,7 @@ def _refuse_external(excitations: Mapping[str, Excitation]) -> None:
     for motor, parsed in excitations.items():
         if isinstance(parsed.base, External):
             raise ConfigurationError(
-                f'torque_noise_relative needs an excitation known in advance, but {motor} is external; '
+                f'torque_noise_relative needs an excitation known in advance, but {motor} is '
+                'external; '
                 'set torque_noise_std in N m'
             )

@@ -14,8 +14,8 @@ Derivative = Callable[[FloatArray], FloatArray]
 def bogacki_shampine_step(derivative: Derivative, state: FloatArray, step_s: float) -> FloatArray:
     """Advance an autonomous system by one step of third order; the given state is left as it is.
 
-    The input of the system must not change within the step. For a voltage held between samples this costs no
-    accuracy, because a step never straddles a sample.
+    The input of the system must not change within the step. For a voltage held between samples this
+    costs no accuracy, because a step never straddles a sample.
 
     Args:
         derivative: Time derivative as a function of the state, same shape as the state.
@@ -25,8 +25,8 @@ def bogacki_shampine_step(derivative: Derivative, state: FloatArray, step_s: flo
     Returns:
         The state after the step, same shape.
 
-    Source: P. Bogacki and L. F. Shampine, "A 3(2) pair of Runge-Kutta formulas", Applied Mathematics
-    Letters 2 (1989) 321-325, without the embedded error estimate.
+    Source: P. Bogacki and L. F. Shampine, "A 3(2) pair of Runge-Kutta formulas", Applied
+    Mathematics Letters 2 (1989) 321-325, without the embedded error estimate.
     """
     k1 = derivative(state)
     k2 = derivative(state + (0.5 * step_s) * k1)
@@ -34,7 +34,9 @@ def bogacki_shampine_step(derivative: Derivative, state: FloatArray, step_s: flo
     return state + (step_s / 9.0) * (2.0 * k1 + 3.0 * k2 + 4.0 * k3)
 
 
-def integrate(derivative: Derivative, state: FloatArray, duration_s: float, substeps: int) -> FloatArray:
+def integrate(
+    derivative: Derivative, state: FloatArray, duration_s: float, substeps: int
+) -> FloatArray:
     """Advance by `duration_s` in `substeps` equal steps; see `bogacki_shampine_step`."""
     step_s = duration_s / substeps
     for _ in range(substeps):

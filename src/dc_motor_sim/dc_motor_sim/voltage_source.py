@@ -25,9 +25,10 @@ _NEVER_NS = np.iinfo(np.int64).max
 class VoltageSource:
     """Steps through the samples; the voltage of sample k holds from `k * period_ns` to the next.
 
-    What was not commanded from outside depends on the excitations, the seed and k only. A level begins with
-    the first sample at or after the instant at which the level before it ends; the instants themselves are
-    not rounded to samples, so a hold time shorter than a sample can pass unseen.
+    What was not commanded from outside depends on the excitations, the seed and k only. A level
+    begins with the first sample at or after the instant at which the level before it ends; the
+    instants themselves are not rounded to samples, so a hold time shorter than a sample can pass
+    unseen.
 
     Args:
         excitations: One a motor, in the order of the motor axis.
@@ -63,7 +64,11 @@ class VoltageSource:
                 case RandomLevels() as levels:
                     self._levels[motor] = (levels, generator(seed, motor, Purpose.LEVELS))
                     self._level_end_ns[motor] = 0
-        sines = [(motor, sine) for motor, excitation in enumerate(excitations) for sine in excitation.sines]
+        sines = [
+            (motor, sine)
+            for motor, excitation in enumerate(excitations)
+            for sine in excitation.sines
+        ]
         self._sine_motor = np.array([motor for motor, _ in sines], dtype=np.intp)
         self._sine_v = np.array([sine.amplitude_v for _, sine in sines])
         self._sine_rad_per_s = np.array([sine.frequency_rad_per_s for _, sine in sines])
@@ -78,10 +83,14 @@ class VoltageSource:
         """Hold a commanded voltage from the next sample on.
 
         Returns:
-            False, and the last command stays, if the voltage is not finite or beyond 10 kV, or if the motor's
-            excitation is not `external`.
+            False, and the last command stays, if the voltage is not finite or beyond 10 kV, or if
+            the motor's excitation is not `external`.
         """
-        if not self._external[motor] or not math.isfinite(voltage_v) or abs(voltage_v) > VOLTAGE_LIMIT_V:
+        if (
+            not self._external[motor]
+            or not math.isfinite(voltage_v)
+            or abs(voltage_v) > VOLTAGE_LIMIT_V
+        ):
             return False
         self._level_v[motor] = voltage_v
         if self._timeout_ns:

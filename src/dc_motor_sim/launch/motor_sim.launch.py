@@ -11,7 +11,10 @@ from launch_ros.parameter_descriptions import ParameterValue
 from dc_motor_sim.ros import discovery, launch_arguments
 
 ARGUMENTS = {
-    'excitation': ('R[5,15]D[1,20]', 'voltage signal, or external to drive the motor by motor/voltage_command'),
+    'excitation': (
+        'R[5,15]D[1,20]',
+        'voltage signal, or external to drive the motor by motor/voltage_command',
+    ),
     'duration': ('0.0', 'simulated seconds after which the node ends; 0 for never'),
     'seed': ('1', 'seed of everything random'),
     'params_file': ('', 'parameter file (YAML); the arguments above win over it'),
@@ -21,7 +24,9 @@ ARGUMENTS = {
 
 def make_nodes(context: LaunchContext) -> list[Node]:
     """Make the simulator's node from the launch arguments."""
-    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
+    files = launch_arguments.parameter_files(
+        'params_file', LaunchConfiguration('params_file').perform(context)
+    )
     duration = LaunchConfiguration('duration').perform(context)
     seed = LaunchConfiguration('seed').perform(context)
     parameters = [
@@ -38,7 +43,8 @@ def make_nodes(context: LaunchContext) -> list[Node]:
             name='motor_sim',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            # of this node alone: the environment of the launch belongs to whoever includes this file
+            # of this node alone: the environment of the launch belongs to whoever includes this
+            # file
             additional_env=discovery.default_range(context.environment),
             parameters=[*files, *parameters],
         )

@@ -1,7 +1,8 @@
-"""What ``ros2 run`` starts: each loads its module, and says in one line which package that module lacks.
+"""What ``ros2 run`` starts: each loads its module, and says in one line which package that module
+lacks.
 
-A distribution of ROS brings rclpy, numpy and yaml, but not what ``ros_ws/requirements/runtime.txt`` pins. The modules
-are imported here and not above, so that the line can be said at all.
+A distribution of ROS brings rclpy, numpy and yaml, but not what ``ros_ws/requirements/runtime.txt``
+pins. The modules are imported here and not above, so that the line can be said at all.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
-from gray_box_observer.standard_streams import readers_may_leave
+from gray_box_observer.safe_io.standard_streams import readers_may_leave
 
 EXIT_USER_ERROR = 2
 
@@ -41,29 +42,30 @@ _OF_ROS = re.compile(r'rclpy|(ament|rcl|ros|rosidl)_.*|.*_(msgs|srvs|interfaces)
 
 def observer(args: Sequence[str] | None = None) -> int:
     """Start the observer; the result is the exit code."""
-    return _start('observer', 'gray_box_observer.ros.observer_node', args)
+    return _start('observer', 'gray_box_observer.ros.observer.observer_node', args)
 
 
 def recorder(args: Sequence[str] | None = None) -> int:
     """Start the recorder; the result is the exit code."""
-    return _start('recorder', 'gray_box_observer.ros.recorder_node', args)
+    return _start('recorder', 'gray_box_observer.ros.bags.recorder_node', args)
 
 
 def player(args: Sequence[str] | None = None) -> int:
     """Start the player; the result is the exit code."""
-    return _start('player', 'gray_box_observer.ros.player_node', args)
+    return _start('player', 'gray_box_observer.ros.bags.player_node', args)
 
 
 def identify(args: Sequence[str] | None = None) -> int:
     """Run the offline command; the result is the exit code."""
-    return _start('identify', 'gray_box_observer.identify', args, is_node=False)
+    return _start('identify', 'gray_box_observer.identify.command', args, is_node=False)
 
 
 def settle_memory() -> None:
     """Let the C library give large blocks back, however many there have been.
 
-    By itself glibc serves them from its heap once one of that size has been freed, and what lies above them there keeps
-    them: one message of a million names would leave its size behind for good.
+    By itself glibc serves them from its heap once one of that size has been freed, and what lies
+    above them there keeps them: one message of a million names would leave its size behind for
+    good.
     """
     try:
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, LARGE_BYTES)
@@ -84,10 +86,14 @@ def _start(name: str, module: str, args: Sequence[str] | None, *, is_node: bool 
 
 
 def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -> int:
-    for variable in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
+    for (
+        variable
+    ) in THREADS:  # our matrices are small: more threads wait for each other and double the CPU
         os.environ.setdefault(variable, '1')
     settle_memory()
-    unreadable = next((word for word in (sys.argv if args is None else args) if not _is_text(word)), None)
+    unreadable = next(
+        (word for word in (sys.argv if args is None else args) if not _is_text(word)), None
+    )
     if unreadable is not None:  # no message, JSON or report could name it
         shown = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
         print(f'{name}: error: the argument {shown} is no UTF-8: rename the file', file=sys.stderr)
@@ -95,7 +101,9 @@ def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -
     try:
         main = importlib.import_module(module).main
         if not is_node:
-            signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on it is the command's own affair
+            signal.signal(
+                signal.SIGINT, signal.default_int_handler
+            )  # from here on it is the command's own affair
         code: int = main(args)
     except ModuleNotFoundError as error:
         package = (error.name or '').partition('.')[0]
@@ -108,7 +116,8 @@ def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -
 
 @contextmanager
 def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
-    """Let a signal end a process that still loads its modules, and change nothing of one that is done.
+    """Let a signal end a process that still loads its modules, and change nothing of one that is
+    done.
 
     Terminal and launch both send one, the second of which may come when the first has been obeyed.
     """
@@ -119,7 +128,11 @@ def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
         os._exit(0 if is_node else EXIT_INTERRUPTED)
 
     # nohup asked for what is ignored; a command that is terminated ends as every other
-    ends = [n for n in (SIGNALS if is_node else (signal.SIGINT,)) if signal.getsignal(n) is not signal.SIG_IGN]
+    ends = [
+        n
+        for n in (SIGNALS if is_node else (signal.SIGINT,))
+        if signal.getsignal(n) is not signal.SIG_IGN
+    ]
     for number in ends:
         signal.signal(number, end)
     try:
@@ -130,7 +143,9 @@ def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
 
 
 def _is_text(word: str) -> bool:
-    """Whether an argument can be written down; Python keeps bytes that are no UTF-8 as lone surrogates."""
+    """Whether an argument can be written down; Python keeps bytes that are no UTF-8 as lone
+    surrogates.
+    """
     try:
         word.encode('utf-8')
     except UnicodeEncodeError:

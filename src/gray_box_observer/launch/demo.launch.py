@@ -1,6 +1,8 @@
-"""Simulator, observer and recorder together: ``ros2 launch gray_box_observer demo.launch.py duration:=60.0``.
+"""Simulator, observer and recorder together: ``ros2 launch gray_box_observer demo.launch.py
+duration:=60.0``.
 
-Ends when one of them does, which the simulator does after its duration. The observer's first guess is three times off.
+Ends when one of them does, which the simulator does after its duration. The observer's first guess
+is three times off.
 """
 
 from __future__ import annotations
@@ -18,8 +20,14 @@ from gray_box_observer.ros import discovery, launch_arguments
 ARGUMENTS = {
     'excitation': ('R[5,15]D[1,20]', 'voltage signal of the simulator'),
     'duration': ('60.0', 'seconds'),
-    'output': ('', 'folder of the bag, which must not exist yet; empty: demo_bag, or demo_bag_2 and so on'),
-    'params_file': ('', "parameter file (YAML) of all three nodes, in place of the demo's motor and first guess"),
+    'output': (
+        '',
+        'folder of the bag, which must not exist yet; empty: demo_bag, or demo_bag_2 and so on',
+    ),
+    'params_file': (
+        '',
+        "parameter file (YAML) of all three nodes, in place of the demo's motor and first guess",
+    ),
     'namespace': ('', 'namespace of the nodes and their topics'),
 }
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
@@ -29,7 +37,9 @@ READERS_OF_TORQUE = 2
 
 def make_nodes(context: LaunchContext) -> list[Node]:
     """Make the three nodes from the launch arguments."""
-    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
+    files = launch_arguments.parameter_files(
+        'params_file', LaunchConfiguration('params_file').perform(context)
+    )
     duration = LaunchConfiguration('duration').perform(context)
     output = LaunchConfiguration('output').perform(context)
     motor = {f'motor.{name}': value for name, value in TRUTH.items()}
@@ -41,7 +51,8 @@ def make_nodes(context: LaunchContext) -> list[Node]:
         'wait_for_subscribers': READERS_OF_TORQUE,
     }
 
-    # Plain nodes: launch_ros ends with an error where the end is asked for twice and one of the nodes is managed.
+    # Plain nodes: launch_ros ends with an error where the end is asked for twice and one of the
+    # nodes is managed.
     shared: dict[str, Any] = {
         'namespace': LaunchConfiguration('namespace'),
         'output': 'screen',

@@ -1,4 +1,6 @@
-"""Starts the observer: ``ros2 launch gray_box_observer observer.launch.py params_file:=my_motors.yaml``."""
+"""Starts the observer: ``ros2 launch gray_box_observer observer.launch.py
+params_file:=my_motors.yaml``.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ ARGUMENTS = {
 
 def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
     """Make the observer's node from the launch arguments."""
-    files = launch_arguments.parameter_files('params_file', LaunchConfiguration('params_file').perform(context))
+    files = launch_arguments.parameter_files(
+        'params_file', LaunchConfiguration('params_file').perform(context)
+    )
     parameters = [{'autostart': ParameterValue(LaunchConfiguration('autostart'), value_type=bool)}]
     return [
         LifecycleNode(
@@ -28,7 +32,8 @@ def make_nodes(context: LaunchContext) -> list[LifecycleNode]:
             name='gray_box_observer',
             namespace=LaunchConfiguration('namespace'),
             output='screen',
-            # of this node alone: the environment of the launch belongs to whoever includes this file
+            # of this node alone: the environment of the launch belongs to whoever includes this
+            # file
             additional_env=discovery.default_range(context.environment),
             parameters=[*files, *parameters],
         )

@@ -28,7 +28,8 @@ class Listener:
         self.peer = peer
         self.wait = peer.wait
         self.voltage, self.torque, self.clock = (
-            peer.listen(topic.type, topic.name) for topic in (topics.VOLTAGE, topics.TORQUE, topics.CLOCK)
+            peer.listen(topic.type, topic.name)
+            for topic in (topics.VOLTAGE, topics.TORQUE, topics.CLOCK)
         )
         self.command = peer.publisher(
             topics.VOLTAGE_COMMAND.type, topics.VOLTAGE_COMMAND.name, topics.VOLTAGE_COMMAND.qos
@@ -62,12 +63,20 @@ def stamp_ns(message):
 
 
 def number(name, value):
-    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+    return Parameter(
+        name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    )
 
 
 def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(listener, launch):
     began_ns = time.time_ns()
-    process = launch(duration_s=1.0, seed=7, sample_rate_hz=300.0, torque_noise_std=0.01, excitation='R[1,2]D[0.1,0.2]')
+    process = launch(
+        duration_s=1.0,
+        seed=7,
+        sample_rate_hz=300.0,
+        torque_noise_std=0.01,
+        excitation='R[1,2]D[0.1,0.2]',
+    )
     listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 300, 'all samples')
     code, _, err = listener.peer.end(process, None)
     assert code == 0
@@ -91,45 +100,68 @@ def test_what_is_published_is_the_simulation_sample_by_sample_on_the_exact_grid(
 
 def test_a_sped_up_clock_starts_at_zero_and_finishes_early(listener, launch):
     process = launch(
-        duration_s=10.0, publish_clock='true', clock_speed_up=10.0, speed_mode='rotor', motors='[left, right]'
+        duration_s=10.0,
+        publish_clock='true',
+        clock_speed_up=10.0,
+        speed_mode='rotor',
+        motors='[left, right]',
     )
     listener.wait(lambda: len(listener.torque) == len(listener.voltage) == 1000, 'all samples')
     listener.wait(lambda: len(listener.clock) == 1000, 'the clock')
     assert listener.peer.end(process, None)[0] == 0
-    assert [stamp_ns(message) for message in listener.torque] == [k * 10_000_000 for k in range(1000)]
-    clock_ns = [message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock]
+    assert [stamp_ns(message) for message in listener.torque] == [
+        k * 10_000_000 for k in range(1000)
+    ]
+    clock_ns = [
+        message.clock.sec * 1_000_000_000 + message.clock.nanosec for message in listener.clock
+    ]
     assert clock_ns == [k * 10_000_000 for k in range(1000)], 'every message of the clock'
     assert topics.CLOCK.qos.depth >= 100, 'messages that the transport drops are sent again'
     last = listener.torque[-1]
     assert list(last.name) == ['left', 'right']
     assert len(last.velocity) == len(last.effort) == 2
-    assert last.velocity[0] == pytest.approx(last.effort[0], rel=0.2)  # unit friction: w follows Kt i
+    assert last.velocity[0] == pytest.approx(
+        last.effort[0], rel=0.2
+    )  # unit friction: w follows Kt i
 
 
 def test_a_live_resistance_takes_effect_and_a_set_with_a_bad_one_changes_nothing(listener, launch):
     launch(excitation='C[10]', motor__hysteresis=0.0, sample_rate_hz=50.0)
     settled = 0.01 * 10.0 / 1.0001
-    listener.wait(lambda: listener.torque and listener.torque[-1].effort[0] > 0.999 * settled, 'a settled torque')
+    listener.wait(
+        lambda: listener.torque and listener.torque[-1].effort[0] > 0.999 * settled,
+        'a settled torque',
+    )
 
     bad = [number('motor.inductance', 0.1), number('motor.resistance', -1.0)]
     answer = listener.call(
-        SetParametersAtomically, 'set_parameters_atomically', SetParametersAtomically.Request(parameters=bad)
+        SetParametersAtomically,
+        'set_parameters_atomically',
+        SetParametersAtomically.Request(parameters=bad),
     ).result
     assert not answer.successful
     assert 'motor.resistance' in answer.reason
     answer = listener.call(
-        SetParameters, 'set_parameters', SetParameters.Request(parameters=[number('motor.inductance', float('nan'))])
+        SetParameters,
+        'set_parameters',
+        SetParameters.Request(parameters=[number('motor.inductance', float('nan'))]),
     ).results[0]
     assert not answer.successful
     present = listener.call(
-        GetParameters, 'get_parameters', GetParameters.Request(names=['motor.inductance', 'motor.resistance'])
+        GetParameters,
+        'get_parameters',
+        GetParameters.Request(names=['motor.inductance', 'motor.resistance']),
     )
     assert [value.double_value for value in present.values] == [0.5, 1.0]
 
     good = SetParameters.Request(parameters=[number('motor.resistance', 2.0)])
     assert listener.call(SetParameters, 'set_parameters', good).results[0].successful
-    listener.wait(lambda: listener.torque[-1].effort[0] < 0.501 * settled, 'the torque of the new resistance')
-    listener.wait(lambda: listener.torque[-1].effort[0] == pytest.approx(0.1 / 2.0001, rel=1e-4), 'settling')
+    listener.wait(
+        lambda: listener.torque[-1].effort[0] < 0.501 * settled, 'the torque of the new resistance'
+    )
+    listener.wait(
+        lambda: listener.torque[-1].effort[0] == pytest.approx(0.1 / 2.0001, rel=1e-4), 'settling'
+    )
 
 
 def test_what_was_fixed_at_the_start_cannot_be_set(listener, launch):
@@ -148,7 +180,9 @@ def test_a_schedule_shows_in_torque_and_parameters(listener, launch):
         publish_clock='true',
         clock_speed_up=10.0,
     )
-    listener.wait(lambda: listener.torque and stamp_ns(listener.torque[-1]) > 10_000_000_000, 'ten seconds')
+    listener.wait(
+        lambda: listener.torque and stamp_ns(listener.torque[-1]) > 10_000_000_000, 'ten seconds'
+    )
     by_time = {stamp_ns(message): message.effort[0] for message in listener.torque}
     assert by_time[4_000_000_000] == pytest.approx(0.1 / 1.0001, rel=1e-3)
     assert by_time[9_000_000_000] == pytest.approx(0.1 / 2.0001, rel=1e-3)
@@ -194,11 +228,13 @@ def test_a_signal_ends_it_when_its_readers_have_acknowledged(listener, launch, n
 
 def test_who_interrupts_again_waits_no_longer_for_a_reader_that_hangs(listener, tmp_path):
     peer = listener.peer
-    reader = peer.start('gray_box_observer.ros.recorder_node', '-o', str(tmp_path / 'bag'))
+    reader = peer.start('gray_box_observer.ros.bags.recorder_node', '-o', str(tmp_path / 'bag'))
     process = peer.start(MODULE, wait_for_subscribers=2)
     listener.wait(lambda: listener.torque, 'samples')
     reader.send_signal(signal.SIGSTOP)
-    listener.wait(lambda: psutil.Process(reader.pid).status() == psutil.STATUS_STOPPED, 'the reader to hang')
+    listener.wait(
+        lambda: psutil.Process(reader.pid).status() == psutil.STATUS_STOPPED, 'the reader to hang'
+    )
     count = len(listener.torque)
     listener.wait(lambda: len(listener.torque) > count + 5, 'samples that it does not acknowledge')
     process.send_signal(signal.SIGINT)
@@ -209,7 +245,9 @@ def test_who_interrupts_again_waits_no_longer_for_a_reader_that_hangs(listener, 
     process.send_signal(signal.SIGINT)
     code, _, err = peer.end(process, None)
     assert code == 0
-    assert float(re.search(r'not acknowledged by every subscriber within ([0-9.]+) s', err)[1]) < 4.5
+    assert (
+        float(re.search(r'not acknowledged by every subscriber within ([0-9.]+) s', err)[1]) < 4.5
+    )
 
 
 def test_a_node_waits_for_its_subscribers_only_so_long(peer):
@@ -229,7 +267,10 @@ def test_a_node_waits_for_its_subscribers_only_so_long(peer):
         ({'motors': 'motor'}, 'motors must be a list'),
         ({'speed_mode': 'gear'}, 'speed_mode must be one of thesis, rotor'),
         ({'schedule': '[motor.mass=1@1]'}, "no parameter 'mass'"),
-        ({'qos_overrides./motor/voltage.publisher.depth': 'deep'}, 'quality of service of motor/voltage'),
+        (
+            {'qos_overrides./motor/voltage.publisher.depth': 'deep'},
+            'quality of service of motor/voltage',
+        ),
     ],
 )
 def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, values, what):
@@ -242,7 +283,9 @@ def test_a_start_that_makes_no_sense_ends_with_status_2_and_one_line(peer, value
 
 
 def test_a_whole_number_will_do_for_a_parameter_with_a_point(peer):
-    code, _, err = peer.end(peer.start(MODULE, duration_s=1, motor__resistance=2, sample_rate_hz=10), None)
+    code, _, err = peer.end(
+        peer.start(MODULE, duration_s=1, motor__resistance=2, sample_rate_hz=10), None
+    )
     assert code == 0
     assert 'published 10 samples' in err
 
@@ -274,7 +317,10 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(peer, 
         codes.append(code)
         said.append(err)
     assert codes == [0, 2]
-    assert 'no parameter of motor_sim, ignored: gap_s, m_1.initial.resistance, m_2.resistance; ' in said[0]
+    assert (
+        'no parameter of motor_sim, ignored: gap_s, m_1.initial.resistance, m_2.resistance; '
+        in said[0]
+    )
     assert 'm_1.resistence (did you mean m_1.resistance?)' in said[1]
 
 

@@ -46,7 +46,9 @@ def test_every_sensor_parameter_is_a_parameter_of_the_node():
     assert {f.name: f.default for f in fields(SensorParameters)}.items() <= node.items()
 
 
-@pytest.mark.parametrize('motors', [(), ('a', 'a'), ('1st',), ('a b',), ('a/b',), ('a.b',), ('seed',), ('',)])
+@pytest.mark.parametrize(
+    'motors', [(), ('a', 'a'), ('1st',), ('a b',), ('a/b',), ('a.b',), ('seed',), ('',)]
+)
 def test_a_name_that_cannot_name_a_motor_is_refused(motors):
     with pytest.raises(ConfigurationError, match='motors'):
         NodeParameters(motors=motors)

@@ -14,8 +14,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from gray_box_observer.bag import mcap_file, mcap_tail, writer
+from gray_box_observer.bag import writer
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
+from gray_box_observer.bag.mcap import mcap_file, mcap_tail
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions, BagWriter
@@ -24,7 +25,8 @@ TEXT = schema_text(TYPE_NAME, built_in_lookup)
 KINDS = ['none', 'lz4', 'zstd']
 
 Change = tuple[str, int, bytes]
-"""What one system call does to a file: its name, from which byte on it is replaced, and by what (nothing: cut)."""
+"""What one system call does to a file: its name, from which byte on it is replaced, and by what
+(nothing: cut)."""
 
 
 def ours(folder: Path) -> list[bytes]:
@@ -63,7 +65,14 @@ def test_a_killed_writer_leaves_a_bag_that_everybody_reads(tmp_path, compression
                 writer.flush()
         os.kill(os.getpid(), 9)
     """
-    command = [sys.executable, '-c', textwrap.dedent(script), str(tmp_path / 'run'), compression, str(split_s)]
+    command = [
+        sys.executable,
+        '-c',
+        textwrap.dedent(script),
+        str(tmp_path / 'run'),
+        compression,
+        str(split_s),
+    ]
     done = subprocess.run(command, timeout=30, check=False)
     assert done.returncode == -signal.SIGKILL
     found = [int.from_bytes(data[4:], 'little') for data in ours(tmp_path / 'run')]
@@ -75,7 +84,9 @@ def test_a_killed_writer_leaves_a_bag_that_everybody_reads(tmp_path, compression
         assert sorted(int.from_bytes(data[4:], 'little') for data in theirs) == sorted(found)
 
 
-def test_a_file_too_long_for_an_index_at_every_chunk_is_still_read_by_everybody(tmp_path, monkeypatch):
+def test_a_file_too_long_for_an_index_at_every_chunk_is_still_read_by_everybody(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(mcap_tail, 'LARGEST_PROVISIONAL_BYTES', 2000)
     made = BagWriter(tmp_path / 'run')
     made.add_topic('/t', TYPE_NAME, TEXT)
@@ -107,7 +118,9 @@ def test_a_bag_that_is_still_recorded_can_be_read(tmp_path):
 
 
 class Disk:
-    """Notes every change that a writer makes to its files, so that the writer can be killed after any of them."""
+    """Notes every change that a writer makes to its files, so that the writer can be killed after
+    any of them.
+    """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.changes: list[Change] = []
@@ -155,11 +168,15 @@ class Disk:
         self.flushed.append(self.count)
 
     def states(self, random: random.Random) -> Iterator[tuple[dict[str, bytes], int]]:
-        """The files after each change, and after a part of it; with the messages that must be in them."""
+        """The files after each change, and after a part of it; with the messages that must be in
+        them.
+        """
         files: dict[str, bytes] = {}
         for (name, start, content), flushed in zip(self.changes, self.flushed, strict=True):
             before = files.get(name, b'')
-            for length in sorted({0, 1, *random.sample(range(len(content) + 1), min(len(content), 6)), len(content)}):
+            for length in sorted(
+                {0, 1, *random.sample(range(len(content) + 1), min(len(content), 6)), len(content)}
+            ):
                 if length or not content:
                     end = start + length
                     kept = before[end:] if content else b''
@@ -168,7 +185,9 @@ class Disk:
 
 
 @pytest.mark.parametrize('compression', KINDS)
-def test_whatever_the_writer_was_doing_everything_before_is_read(tmp_path, monkeypatch, compression):
+def test_whatever_the_writer_was_doing_everything_before_is_read(
+    tmp_path, monkeypatch, compression
+):
     disk = Disk(monkeypatch)
     options = BagOptions(compression=compression, chunk_bytes=1200, max_file_bytes=5000)
     expected = [encode_joint_state(index, ['m'], effort=[index]) for index in range(150)]
@@ -210,7 +229,9 @@ def test_a_writer_that_splits_all_the_time_can_be_killed_at_any_moment(tmp_path,
         command = [sys.executable, '-c', textwrap.dedent(script), str(folder), compression]
         child = subprocess.Popen(command, stdout=subprocess.PIPE)
         try:
-            kept = child.stdout.read(4 * draw.randrange(1, 300))  # a moment that the child's progress decides
+            kept = child.stdout.read(
+                4 * draw.randrange(1, 300)
+            )  # a moment that the child's progress decides
         finally:
             child.kill()
             kept += child.communicate(timeout=30)[0]

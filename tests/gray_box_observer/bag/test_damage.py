@@ -1,4 +1,6 @@
-"""Bags that were cut, killed or damaged: read as far as they go, or one clear line; nothing else ever."""
+"""Bags that were cut, killed or damaged: read as far as they go, or one clear line; nothing else
+ever.
+"""
 
 from __future__ import annotations
 
@@ -52,9 +54,13 @@ def file_of(kind: str, folder: Path, make_bag) -> Path:
     path = folder / 'reference.mcap'
     with path.open('wb') as stream:
         compression = CompressionType.LZ4 if kind == 'reference, lz4' else CompressionType.NONE
-        writer = Writer(stream, chunk_size=1500, compression=compression, use_chunking='unchunked' not in kind)
+        writer = Writer(
+            stream, chunk_size=1500, compression=compression, use_chunking='unchunked' not in kind
+        )
         writer.start(profile='ros2')
-        schema = writer.register_schema(TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode())
+        schema = writer.register_schema(
+            TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode()
+        )
         channel = writer.register_channel('/motor/torque', 'cdr', schema)
         for index in range(200):
             data = encode_joint_state(index, ['motor'], effort=[float(index)])
@@ -67,7 +73,9 @@ KINDS = ['ours', 'ours, zstd', 'ours, lz4', 'reference, lz4', 'reference, unchun
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_was_lost(tmp_path, make_bag, kind):
+def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_was_lost(
+    tmp_path, make_bag, kind
+):
     path = file_of(kind, tmp_path, make_bag)
     whole = path.read_bytes()
     expected, lost = read(path)
@@ -84,7 +92,9 @@ def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_was_lost(tmp
             continue
         messages, lost = outcome
         assert messages == expected[: len(messages)]
-        assert lost is not None and ('bytes could not be read' in lost or 'without an end mark' in lost)
+        assert lost is not None and (
+            'bytes could not be read' in lost or 'without an end mark' in lost
+        )
         counts.append(len(messages))
     assert counts == sorted(counts), 'a longer piece must not give fewer messages'
     assert counts[-1] > 0.9 * len(expected)
@@ -166,7 +176,9 @@ def test_a_file_that_was_never_finished_is_read_whole_with_a_warning(tmp_path, m
     path.write_bytes(path.read_bytes()[: last.offset + last.length])
     messages, lost = read(path)
     assert messages == expected
-    assert lost.endswith('without an end mark, so its last messages may be missing'), 'and nothing of 0 bytes'
+    assert lost.endswith('without an end mark, so its last messages may be missing'), (
+        'and nothing of 0 bytes'
+    )
 
 
 def test_garbage_behind_the_magic_is_one_clear_line(tmp_path):

@@ -10,10 +10,14 @@ from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import ConfigurationError, SampleError
 
-WRENCH = SimpleNamespace(wrench=SimpleNamespace(torque=SimpleNamespace(x=1.0, z=3.0)), effort=[5.0, 6.0, 7.0])
+WRENCH = SimpleNamespace(
+    wrench=SimpleNamespace(torque=SimpleNamespace(x=1.0, z=3.0)), effort=[5.0, 6.0, 7.0]
+)
 
 
-@pytest.mark.parametrize(('path', 'value'), [('wrench.torque.z', 3.0), ('effort', [5.0, 6.0, 7.0]), ('effort[2]', 7.0)])
+@pytest.mark.parametrize(
+    ('path', 'value'), [('wrench.torque.z', 3.0), ('effort', [5.0, 6.0, 7.0]), ('effort[2]', 7.0)]
+)
 def test_a_path_leads_to_its_value(path, value):
     assert FieldPath(path)(WRENCH) == value
 
@@ -30,7 +34,22 @@ def test_a_path_works_on_messages_of_a_bag_and_of_rclpy(make_bag):
 
 @pytest.mark.parametrize(
     'text',
-    ['', '.', 'a.', '.a', 'a[b]', 'a[-1]', 'a[1', '__class__', 'a.__class__', 'a()', 'a b', '1a', 'a[1]b', 'a\n'],
+    [
+        '',
+        '.',
+        'a.',
+        '.a',
+        'a[b]',
+        'a[-1]',
+        'a[1',
+        '__class__',
+        'a.__class__',
+        'a()',
+        'a b',
+        '1a',
+        'a[1]b',
+        'a\n',
+    ],
 )
 def test_what_is_no_path_is_refused_when_it_is_made(text):
     with pytest.raises(ConfigurationError, match='is no field path'):
@@ -41,7 +60,9 @@ def test_a_missing_field_is_named_with_those_that_are_there(make_bag):
     with pytest.raises(SampleError, match=r"torque has no field 'y'; there are: x, z"):
         FieldPath('wrench.torque.y')(WRENCH)
     joint_state = pytest.importorskip('sensor_msgs.msg').JointState()
-    with pytest.raises(SampleError, match="JointState has no field 'efort'; there are: header, name, position"):
+    with pytest.raises(
+        SampleError, match="JointState has no field 'efort'; there are: header, name, position"
+    ):
         FieldPath('efort')(joint_state)
     with BagReader(make_bag(1)) as bag:
         _, decoded = next(bag.decoded())

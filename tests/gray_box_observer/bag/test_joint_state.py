@@ -94,7 +94,9 @@ def test_what_rclpy_serializes_is_decoded_and_what_is_encoded_rclpy_deserializes
         theirs = serialization.deserialize_message(data, joint_state)
         assert theirs.name == message['names'] and list(theirs.effort) == message['effort']
         assert theirs.header.frame_id == message['frame_id']
-        assert decode_joint_state(serialization.serialize_message(theirs)) == decode_joint_state(data)
+        assert decode_joint_state(serialization.serialize_message(theirs)) == decode_joint_state(
+            data
+        )
 
 
 def test_texts_that_are_no_utf_8_or_lack_their_final_zero_are_read_as_rclpy_reads_them():
@@ -128,7 +130,9 @@ def test_two_messages_that_differ_only_late_in_their_names_are_told_apart():
         assert decode(encode_joint_state(1, [name], effort=[1.0])).names == (name,)
 
 
-@pytest.mark.parametrize('message', [{'names': ['motor'], 'effort': [1.0]}, {'names': ['a', 'b'], 'effort': [1, 2]}])
+@pytest.mark.parametrize(
+    'message', [{'names': ['motor'], 'effort': [1.0]}, {'names': ['a', 'b'], 'effort': [1, 2]}]
+)
 def test_a_message_cut_anywhere_is_refused_with_a_reason(message):
     data = encode_joint_state(5, **message)
     decode = JointStateDecoder()
@@ -144,7 +148,9 @@ def test_random_bytes_and_flipped_bits_raise_nothing_but_a_sample_error():
     decode = JointStateDecoder()
     refused = 0
     for _ in range(500):
-        data = bytearray(good if generator.random() < 0.7 else b'\0\1\0\0' + generator.randbytes(60))
+        data = bytearray(
+            good if generator.random() < 0.7 else b'\0\1\0\0' + generator.randbytes(60)
+        )
         data[generator.randrange(len(data))] ^= 1 << generator.randrange(8)
         try:
             decode(bytes(data))
@@ -172,7 +178,9 @@ def test_ever_new_messages_with_very_long_texts_do_not_fill_the_memory(text):
     try:
         for k in range(4):
             long = 'x' * (size + 8 * k)
-            message = {'names': [long]} if text == 'names' else {'names': ['motor'], 'frame_id': long}
+            message = (
+                {'names': [long]} if text == 'names' else {'names': ['motor'], 'frame_id': long}
+            )
             assert len(decode(encode_joint_state(k, **message)).names) == 1
         kept, _ = tracemalloc.get_traced_memory()
     finally:
@@ -185,7 +193,10 @@ def test_ever_new_lists_of_very_many_names_do_not_fill_the_memory():
     tracemalloc.start()
     try:
         for k in range(6):
-            assert len(decode(encode_joint_state(k, [f'{k}_{j}' for j in range(count)])).names) == count
+            assert (
+                len(decode(encode_joint_state(k, [f'{k}_{j}' for j in range(count)])).names)
+                == count
+            )
         kept, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -12,10 +12,10 @@ import zstandard
 from gray_box_observer.bag import limits
 from gray_box_observer.bag.contents import name_list
 from gray_box_observer.bag.limits import ReadLimits
-from gray_box_observer.bag.mcap_records import CHANNEL, SCHEMA, Definitions
+from gray_box_observer.bag.mcap.mcap_records import CHANNEL, SCHEMA, Definitions
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError
-from gray_box_observer.identify import main
+from gray_box_observer.identify.command import main
 
 START_NS = 10**18
 MakeBag = Callable[..., Path]
@@ -40,7 +40,9 @@ def chunk(records: bytes) -> bytes:
 
 
 def channel(number: int, topic: str) -> bytes:
-    return record(4, struct.pack('<HH', number, 0) + text(topic) + text('cdr') + struct.pack('<I', 0))
+    return record(
+        4, struct.pack('<HH', number, 0) + text(topic) + text('cdr') + struct.pack('<I', 0)
+    )
 
 
 @pytest.fixture
@@ -58,7 +60,9 @@ def count_and_loss(path: Path, read_limits: ReadLimits) -> tuple[int, str]:
         return sum(1 for _ in bag.messages()), str(bag.lost)
 
 
-def test_a_chunk_beyond_the_limit_is_left_out_by_a_line_that_names_the_option_and_read_when_it_is_given(write) -> None:
+def test_a_chunk_beyond_the_limit_is_left_out_by_a_line_that_names_the_option_and_read_when_it_is_given(
+    write,
+) -> None:
     path = write(message(START_NS), chunk(message(START_NS + 1, bytes(range(256)) * 8_000)))
     limited = ReadLimits(1_000_000, float('inf'), '--max-chunk-mb {}')
     count, loss = count_and_loss(path, limited)
@@ -67,7 +71,9 @@ def test_a_chunk_beyond_the_limit_is_left_out_by_a_line_that_names_the_option_an
     assert count_and_loss(path, ReadLimits.from_mb(3))[0] == 2
 
 
-def test_what_unpacks_to_a_thousand_times_its_size_is_left_out_unless_the_limit_was_raised(write) -> None:
+def test_what_unpacks_to_a_thousand_times_its_size_is_left_out_unless_the_limit_was_raised(
+    write,
+) -> None:
     path = write(message(START_NS), chunk(message(START_NS + 1) * 200_000))
     count, loss = count_and_loss(path, ReadLimits(option='--max-chunk-mb {}'))
     assert count == 1
@@ -80,8 +86,14 @@ def test_chunks_that_wait_for_each_other_share_one_limit(write) -> None:
     path = write(*[each] * 6)
     count, loss = count_and_loss(path, ReadLimits.from_mb(1, '--max-chunk-mb {}'))
     assert count == 3 * 500
-    assert 'with those of overlapping chunks, where 2 MB are the limit; --max-chunk-mb 2 reads it' in loss
-    assert count_and_loss(path, ReadLimits.from_mb(2)) == (3000, count_and_loss(path, ReadLimits.from_mb(2))[1])
+    assert (
+        'with those of overlapping chunks, where 2 MB are the limit; --max-chunk-mb 2 reads it'
+        in loss
+    )
+    assert count_and_loss(path, ReadLimits.from_mb(2)) == (
+        3000,
+        count_and_loss(path, ReadLimits.from_mb(2))[1],
+    )
 
 
 def test_overlapping_chunks_within_the_limit_come_in_the_order_of_time(write) -> None:
@@ -111,14 +123,19 @@ def test_declarations_are_held_up_to_a_limit_and_repeated_ones_cost_nothing() ->
         for number in range(20):
             yield struct.pack('<H', number) + text(f'T{number}') + text('') + text('x' * 3_000_000)
 
-    assert sum(definitions.add(SCHEMA, content) for content in long_ones()) == limits.MOST_DECLARED_BYTES // 3_000_000
+    assert (
+        sum(definitions.add(SCHEMA, content) for content in long_ones())
+        == limits.MOST_DECLARED_BYTES // 3_000_000
+    )
     again = Definitions()
     schema = struct.pack('<H', 1) + text('T') + text('') + text('x' * 3_000_000)
     assert all(again.add(SCHEMA, schema) for _ in range(100))
     assert all(again.add(CHANNEL, channel(1, '/x')[9:]) for _ in range(100_000))
 
 
-def test_the_command_takes_the_limit(make_bag: MakeBag, write, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_takes_the_limit(
+    make_bag: MakeBag, write, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = write(chunk(message(START_NS) * 200_000))
     assert main(['identify', str(path)]) == 2
     said = capsys.readouterr().err

@@ -13,7 +13,9 @@ WAIT_S = 20.0
 
 
 class Replay:
-    """A thread that waits for one recorded time after the other, and keeps when each was let through."""
+    """A thread that waits for one recorded time after the other, and keeps when each was let
+    through.
+    """
 
     def __init__(self, pacer: Pacer, times_ns: list[int]) -> None:
         self.passed: list[tuple[int, float]] = []
@@ -123,4 +125,8 @@ def test_ticks_tell_the_recorded_time_while_waiting():
     replay = Replay(Pacer(1.0), [0, 100_000_000])
     replay.thread.join(WAIT_S)
     assert len(replay.ticks) >= 5
-    assert replay.ticks == sorted(replay.ticks) and replay.ticks[0] >= 0 and replay.ticks[-1] <= 100_000_000
+    assert (
+        replay.ticks == sorted(replay.ticks)
+        and replay.ticks[0] >= 0
+        and replay.ticks[-1] <= 100_000_000
+    )

@@ -10,7 +10,6 @@ import pytest
 import zstandard
 from mcap.writer import Writer
 
-from gray_box_observer.archive.discovery import find_bags
 from gray_box_observer.bag import packed
 from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
 from gray_box_observer.bag.limits import ReadLimits
@@ -18,7 +17,8 @@ from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagOptions
 from gray_box_observer.errors import BagError
-from gray_box_observer.identify import main
+from gray_box_observer.identify.archive.bag_search import find_bags
+from gray_box_observer.identify.command import main
 
 MODERATE = Path(__file__).resolve().parents[3] / 'bags' / 'moderate'
 NAMES = [f'motor_{k}' for k in range(20)]
@@ -36,7 +36,9 @@ def pack_files(folder: Path) -> list[Path]:
     names, files = text.split('  files:\n')
     names = names.replace('.mcap\n', '.mcap.zstd\n')
     names = names.replace("compression_format: ''", 'compression_format: zstd')
-    metadata.write_text(names.replace("compression_mode: ''", 'compression_mode: FILE') + '  files:\n' + files)
+    metadata.write_text(
+        names.replace("compression_mode: ''", 'compression_mode: FILE') + '  files:\n' + files
+    )
     return made
 
 
@@ -93,7 +95,10 @@ def test_identify_gives_the_same_numbers_of_a_packed_bag(tmp_path):
     pack_files(folder)
     digests = []
     for bag in (MODERATE, folder):
-        assert main(['identify', str(bag), '--skip-predictor', '--json', str(tmp_path / 'found.json')]) == 0
+        assert (
+            main(['identify', str(bag), '--skip-predictor', '--json', str(tmp_path / 'found.json')])
+            == 0
+        )
         digests.append(json.loads((tmp_path / 'found.json').read_text())['digest'])
     assert digests[0] == digests[1]
 
@@ -122,7 +127,9 @@ def test_a_file_that_unpacks_to_more_than_the_limit_is_refused_with_the_remedies
     compressor = zstandard.ZstdCompressor(write_content_size=told)
     bomb.write_bytes(compressor.compress(random.Random(1).randbytes(1000) * 30_000))
     limits = ReadLimits(20_000_000, 1e9, '--max-chunk-mb {}')
-    with pytest.raises(BagError, match=rf'--max-chunk-mb \d+ reads it; or unpack it first: unzstd --rm {bomb}$'):
+    with pytest.raises(
+        BagError, match=rf'--max-chunk-mb \d+ reads it; or unpack it first: unzstd --rm {bomb}$'
+    ):
         BagReader(bomb, limits)
     with pytest.raises(BagError, match='no recording holds 1000 times as much'):
         BagReader(bomb)
@@ -132,7 +139,9 @@ def bag_of_packed(path: Path, *messages: bytes) -> Path:
     with path.open('wb') as stream:
         writer = Writer(stream)
         writer.start(profile='ros2')
-        schema = writer.register_schema(TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode())
+        schema = writer.register_schema(
+            TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode()
+        )
         channel = writer.register_channel('/motor/torque', 'cdr', schema)
         for k, data in enumerate(messages):
             writer.add_message(channel, k, data, k)
@@ -145,13 +154,17 @@ def test_a_packed_message_that_lies_about_its_size_or_is_damaged_is_left_out_alo
     frame = zstandard.compress(good)
     unsaid = zstandard.ZstdCompressor(write_content_size=False).compress(good)
     bomb = zstandard.compress(bytes(3_000_000))
-    path = bag_of_packed(tmp_path / 'odd.mcap', frame, frame[:-3], unsaid, bomb, packed.MARK, good, frame)
+    path = bag_of_packed(
+        tmp_path / 'odd.mcap', frame, frame[:-3], unsaid, bomb, packed.MARK, good, frame
+    )
     found, lost = contents(path, ReadLimits(2_000_000, 1e9))
     assert found == [good] * 3
     assert '4 packed messages that cannot be unpacked' in lost
 
 
-def test_packed_messages_that_together_unpack_to_more_than_fits_are_left_out_with_the_remedy(tmp_path):
+def test_packed_messages_that_together_unpack_to_more_than_fits_are_left_out_with_the_remedy(
+    tmp_path,
+):
     frames = [zstandard.compress(bytes([k]) * 900_000) for k in range(10)]
     path = bag_of_packed(tmp_path / 'bombs.mcap', *frames)
     found, lost = contents(path, ReadLimits(1_000_000, 1e9, '--max-chunk-mb {}'))
@@ -160,14 +173,22 @@ def test_packed_messages_that_together_unpack_to_more_than_fits_are_left_out_wit
     assert contents(path, ReadLimits(5_000_000, 1e9))[1] == ''
 
 
-@pytest.mark.parametrize('entry', ['compression_mode: FILE\n  compression_format: bz2', 'storage_identifier: sqlite3'])
+@pytest.mark.parametrize(
+    'entry', ['compression_mode: FILE\n  compression_format: bz2', 'storage_identifier: sqlite3']
+)
 def test_what_is_not_read_is_refused_with_the_lines_that_convert_it(make_bag, entry):
     folder = make_bag(5)
     metadata = folder / 'metadata.yaml'
     key = entry.partition(':')[0]
-    lines = [line for line in metadata.read_text().splitlines() if key not in line and 'compression_format' not in line]
+    lines = [
+        line
+        for line in metadata.read_text().splitlines()
+        if key not in line and 'compression_format' not in line
+    ]
     metadata.write_text('\n'.join([*lines, f'  {entry}', '']))
     with pytest.raises(BagError) as caught:
         BagReader(folder)
     assert f'; ros2 bag convert -i {folder} -o to_mcap.yaml`' in str(caught.value)
-    assert "echo '{output_bags: [{uri: NEW, storage_id: mcap, all: true}]}' >to_mcap.yaml" in str(caught.value)
+    assert "echo '{output_bags: [{uri: NEW, storage_id: mcap, all: true}]}' >to_mcap.yaml" in str(
+        caught.value
+    )

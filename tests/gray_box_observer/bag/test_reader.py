@@ -23,7 +23,9 @@ def write_with_mcap(path: Path, log_times: list[int], **options: object) -> None
     with path.open('wb') as stream:
         writer = Writer(stream, **options)
         writer.start(profile='ros2')
-        schema = writer.register_schema(TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode())
+        schema = writer.register_schema(
+            TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode()
+        )
         channel = writer.register_channel(TORQUE, 'cdr', schema)
         for index, log_time in enumerate(log_times):
             data = encode_joint_state(log_time, ['motor'], effort=[float(index)])
@@ -40,10 +42,16 @@ def test_a_folder_gives_back_every_message_with_its_times(make_bag):
     with BagReader(make_bag(100)) as bag:
         messages = list(bag.messages())
         assert bag.lost is None
-        assert (bag.message_count, bag.start_ns, bag.duration_ns) == (200, 1_000_000_000, 990_000_000)
+        assert (bag.message_count, bag.start_ns, bag.duration_ns) == (
+            200,
+            1_000_000_000,
+            990_000_000,
+        )
     assert [m.topic for m in messages[:2]] == [VOLTAGE, TORQUE]
     assert all(m.publish_time_ns == m.log_time_ns - 7 for m in messages)
-    assert [decode_joint_state(m.data).effort[0] for m in messages[::2]] == [5.0 + k for k in range(100)]
+    assert [decode_joint_state(m.data).effort[0] for m in messages[::2]] == [
+        5.0 + k for k in range(100)
+    ]
 
 
 def test_topics_tell_type_count_and_definition(make_bag):
@@ -75,7 +83,9 @@ def test_several_files_read_as_one_bag(make_bag):
 def test_files_of_the_reference_writer_are_read(tmp_path, compression, use_chunking):
     path = tmp_path / 'reference.mcap'
     times = [1000 + k for k in range(300)]
-    write_with_mcap(path, times, compression=compression, use_chunking=use_chunking, chunk_size=1000)
+    write_with_mcap(
+        path, times, compression=compression, use_chunking=use_chunking, chunk_size=1000
+    )
     assert indices(path) == list(range(300))
 
 
@@ -117,7 +127,9 @@ def test_a_message_that_does_not_fit_its_type_is_left_out_and_counted(tmp_path):
     with path.open('wb') as stream:
         writer = Writer(stream)
         writer.start(profile='ros2')
-        schema = writer.register_schema(TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode())
+        schema = writer.register_schema(
+            TYPE_NAME, 'ros2msg', schema_text(TYPE_NAME, built_in_lookup).encode()
+        )
         channel = writer.register_channel(TORQUE, 'cdr', schema)
         good = encode_joint_state(1, ['m'], effort=[1.0])
         for index, data in enumerate([good, good[:17], b'', good]):
@@ -182,9 +194,15 @@ METADATA = """rosbag2_bagfile_information:
     ('text', 'message'),
     [
         (METADATA.format('gone.mcap'), "'gone.mcap', listed in metadata.yaml, is missing"),
-        (METADATA.format('gone.mcap, ../run_1.mcap'), "'gone.mcap', listed in metadata.yaml, is missing, and 1 more"),
+        (
+            METADATA.format('gone.mcap, ../run_1.mcap'),
+            "'gone.mcap', listed in metadata.yaml, is missing, and 1 more",
+        ),
         (METADATA.format('run_0.mcap').replace('mcap\n', 'sqlite3\n', 1), "'sqlite3'"),
-        (METADATA.format('run_0.mcap').replace('mcap\n', '[a]\n', 1), "stored as a list, expected 'mcap'"),
+        (
+            METADATA.format('run_0.mcap').replace('mcap\n', '[a]\n', 1),
+            "stored as a list, expected 'mcap'",
+        ),
         (METADATA.format('run_0.mcap') + '  compression_mode: FILE\n', "compressed by 'file'"),
     ],
 )
@@ -212,7 +230,9 @@ def test_metadata_of_another_kind_of_bag_is_one_clear_line(make_bag, text, messa
         ('a: !!python/object/apply:os.system [ls]', 'cannot be understood'),
     ],
 )
-def test_without_usable_metadata_the_files_are_read_by_their_numbers_with_a_warning(make_bag, text, message):
+def test_without_usable_metadata_the_files_are_read_by_their_numbers_with_a_warning(
+    make_bag, text, message
+):
     folder = make_bag(300, options=BagOptions(chunk_bytes=500, max_file_duration_s=0.25))
     with BagReader(folder) as bag:
         expected = list(bag.messages())
@@ -275,7 +295,11 @@ def test_a_link_that_leads_out_of_the_folder_is_not_read_and_one_inside_is(make_
             (folder / 'metadata.yaml').unlink()
         with BagReader(folder) as bag:
             assert 0 < len(list(bag.messages())) < whole
-            assert not metadata or "'run_1.mcap', listed in metadata.yaml, leads out of it by a link" in str(bag.lost)
+            assert (
+                not metadata
+                or "'run_1.mcap', listed in metadata.yaml, leads out of it by a link"
+                in str(bag.lost)
+            )
 
 
 def test_nor_is_metadata_that_lies_elsewhere(make_bag, tmp_path):

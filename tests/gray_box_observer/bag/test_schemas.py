@@ -15,7 +15,10 @@ LINE = '=' * 80
 
 def test_a_definition_is_followed_by_everything_it_needs_once():
     texts = {
-        ('a', 'Top'): 'Part[3] parts # Ghost no\nb/Other[<=4] others\nuint8 GHOST=3\nstring<=7 text\nb/msg/Other o\n',
+        (
+            'a',
+            'Top',
+        ): 'Part[3] parts # Ghost no\nb/Other[<=4] others\nuint8 GHOST=3\nstring<=7 text\nb/msg/Other o\n',
         ('a', 'Part'): 'Header header\nb/Other other\n',
         ('b', 'Other'): 'float64 x\n',
         ('std_msgs', 'Header'): 'string frame_id\n',
@@ -32,7 +35,9 @@ def test_types_that_contain_themselves_come_to_an_end():
 
 def test_a_missing_dependency_is_named():
     with pytest.raises(BagError, match=r'no definition of b/msg/Gone \(needed for a/msg/Top\)'):
-        schemas.schema_text('a/msg/Top', lambda package, _: 'b/Gone gone' if package == 'a' else None)
+        schemas.schema_text(
+            'a/msg/Top', lambda package, _: 'b/Gone gone' if package == 'a' else None
+        )
 
 
 @pytest.mark.parametrize('name', ['', 'JointState', 'a/srv/B', '../a/B', 'a/msg/B\n'])
@@ -43,11 +48,16 @@ def test_what_is_no_type_is_refused(name):
 
 def test_the_built_in_definitions_say_the_same_as_the_installed_ones():
     share = schemas.share_lookup()
-    if Path(sys.prefix, 'share/sensor_msgs').exists() is False and share('sensor_msgs', 'Imu') is None:
+    if (
+        Path(sys.prefix, 'share/sensor_msgs').exists() is False
+        and share('sensor_msgs', 'Imu') is None
+    ):
         pytest.skip('needs the installed message packages')
 
     def fields(text: str) -> list[list[str]]:
-        return [line.split('#')[0].split() for line in text.splitlines() if line.split('#')[0].strip()]
+        return [
+            line.split('#')[0].split() for line in text.splitlines() if line.split('#')[0].strip()
+        ]
 
     name = 'sensor_msgs/msg/JointState'
     built_in = schemas.schema_text(name, schemas.built_in_lookup)
@@ -61,9 +71,16 @@ def test_every_installed_message_gets_its_definition_and_its_hash_matches():
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
-    for name in ('diagnostic_msgs/msg/DiagnosticArray', 'std_msgs/msg/Float64MultiArray', 'sensor_msgs/msg/Imu'):
+    for name in (
+        'diagnostic_msgs/msg/DiagnosticArray',
+        'std_msgs/msg/Float64MultiArray',
+        'sensor_msgs/msg/Imu',
+    ):
         text = schemas.schema_text(name, share)
-        assert DecoderFactory().decoder_for('cdr', Schema(1, text.encode(), 'ros2msg', name)) is not None
+        assert (
+            DecoderFactory().decoder_for('cdr', Schema(1, text.encode(), 'ros2msg', name))
+            is not None
+        )
 
 
 def test_a_sourced_workspace_is_looked_at_before_the_environment(tmp_path, monkeypatch):

@@ -68,7 +68,9 @@ def test_mcap_reads_the_file_with_checksums_and_mcap_ros2_decodes_it(make_bag, o
         assert summary.statistics.message_count == len(raw) > 0
         assert summary.statistics.chunk_count == len(summary.chunk_indexes)
         decoded = list(read_ros2_messages(str(path)))
-        assert [m.ros_msg.header.stamp.nanosec for m in decoded] == [r[2].log_time % 10**9 for r in raw]
+        assert [m.ros_msg.header.stamp.nanosec for m in decoded] == [
+            r[2].log_time % 10**9 for r in raw
+        ]
 
 
 def test_metadata_is_what_jazzy_writes(tmp_path):
@@ -77,8 +79,14 @@ def test_metadata_is_what_jazzy_writes(tmp_path):
         add(writer, '/silent')
         for time_ns in (5, 9, 7):
             writer.write('/t', encode_joint_state(0, []), time_ns, time_ns)
-    information = yaml.safe_load((tmp_path / 'run' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    file = {'path': 'run_0.mcap', 'duration': {'nanoseconds': 4}, 'starting_time': {'nanoseconds_since_epoch': 5}}
+    information = yaml.safe_load((tmp_path / 'run' / 'metadata.yaml').read_text())[
+        'rosbag2_bagfile_information'
+    ]
+    file = {
+        'path': 'run_0.mcap',
+        'duration': {'nanoseconds': 4},
+        'starting_time': {'nanoseconds_since_epoch': 5},
+    }
     topic = {
         'name': '/t',
         'type': TYPE_NAME,
@@ -117,15 +125,23 @@ def test_the_file_itself_tells_rosbag2_the_distribution(tmp_path, is_finished):
         (found,) = [record for record in reader.iter_metadata() if record.name == 'rosbag2']
         assert reader.get_summary().statistics.metadata_count == 1
     told = yaml.safe_load(found.metadata['serialized_metadata'])
-    whole = yaml.safe_load((tmp_path / 'run' / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    whole = yaml.safe_load((tmp_path / 'run' / 'metadata.yaml').read_text())[
+        'rosbag2_bagfile_information'
+    ]
     assert told.keys() == whole.keys(), 'rosbag2 asks for every one'
-    assert (told['ros_distro'], told['version'], told['custom_data']) == ('jazzy', 9, {'plant': 'one'})
+    assert (told['ros_distro'], told['version'], told['custom_data']) == (
+        'jazzy',
+        9,
+        {'plant': 'one'},
+    )
 
 
 def test_the_level_of_a_compression_counts(make_bag):
     sizes = [
         sum(path.stat().st_size for path in make_bag(300, f'level_{k}', options).glob('*.mcap'))
-        for k, options in enumerate(BagOptions(compression='zstd', compression_level=level) for level in (-5, 19))
+        for k, options in enumerate(
+            BagOptions(compression='zstd', compression_level=level) for level in (-5, 19)
+        )
     ]
     assert sizes[1] < 0.9 * sizes[0]
 
@@ -149,11 +165,15 @@ def test_channels_carry_the_qos_and_the_hash_of_their_topic(tmp_path):
         (BagOptions(max_file_bytes=12_000, chunk_bytes=2000), [105, 95]),
     ],
 )
-def test_files_are_numbered_and_the_metadata_lists_the_times_and_counts_that_are_in_them(make_bag, options, counts):
+def test_files_are_numbered_and_the_metadata_lists_the_times_and_counts_that_are_in_them(
+    make_bag, options, counts
+):
     folder = make_bag(100, options=options)
     names = [f'run_{k}.mcap' for k in range(len(counts))]
     assert sorted(path.name for path in folder.glob('*.mcap')) == names
-    information = yaml.safe_load((folder / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    information = yaml.safe_load((folder / 'metadata.yaml').read_text())[
+        'rosbag2_bagfile_information'
+    ]
     assert information['relative_file_paths'] == names
     for entry, name, count in zip(information['files'], names, counts, strict=True):
         with (folder / name).open('rb') as stream:
@@ -165,10 +185,14 @@ def test_files_are_numbered_and_the_metadata_lists_the_times_and_counts_that_are
     assert information['duration'] == {'nanoseconds': 990_000_000}
 
 
-@pytest.mark.parametrize('name', ['ran: [a, \'b\'] # "c"', '1e3', 'fährt', '-', 'true', '{}\n  files: []'])
+@pytest.mark.parametrize(
+    'name', ['ran: [a, \'b\'] # "c"', '1e3', 'fährt', '-', 'true', '{}\n  files: []']
+)
 def test_a_folder_of_any_name_is_listed_as_it_is_called(make_bag, name):
     folder = make_bag(5, name=name)
-    information = yaml.safe_load((folder / 'metadata.yaml').read_text(encoding='utf-8'))['rosbag2_bagfile_information']
+    information = yaml.safe_load((folder / 'metadata.yaml').read_text(encoding='utf-8'))[
+        'rosbag2_bagfile_information'
+    ]
     assert information['relative_file_paths'] == [f'{name}_0.mcap']
     assert [entry['path'] for entry in information['files']] == [f'{name}_0.mcap']
     with BagReader(folder) as bag:
@@ -206,7 +230,9 @@ def test_a_full_disk_is_one_clear_line_and_what_was_written_stays_readable(tmp_p
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
     try:
-        with pytest.raises(BagError, match=r'run_0\.mcap: cannot be written: File too large') as caught:
+        with pytest.raises(
+            BagError, match=r'run_0\.mcap: cannot be written: File too large'
+        ) as caught:
             for index in range(1000):
                 writer.write('/t', encode_joint_state(index, ['m']), index, index)
         assert '\n' not in str(caught.value)

@@ -21,7 +21,9 @@ Rule = Callable[..., Any]
 Samples = list[Sample]
 
 RULES = [
-    getattr(context_nodes, name) for name in context_nodes.__all__ if name in ('GradientUpdate', 'RecursiveUpdate')
+    getattr(context_nodes, name)
+    for name in context_nodes.__all__
+    if name in ('GradientUpdate', 'RecursiveUpdate')
 ]
 NAMES = ('inductance', 'resistance', 'hysteresis')
 TRUTH = np.array([[0.5, 1.0, 10.0]])
@@ -80,21 +82,32 @@ def test_it_reaches_the_noise_free_truth_from_three_times_off(
 
 
 def test_noisy_torque_is_identified_with_an_honest_covariance(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     distances = []
     for seed in range(3):
         nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
-        teach(nodes, samples_of(record('R[5,15]D[0.001,2]', 60.0, 20 + seed, torque_noise_relative=0.01)))
+        teach(
+            nodes,
+            samples_of(record('R[5,15]D[0.001,2]', 60.0, 20 + seed, torque_noise_relative=0.01)),
+        )
         estimate = nodes.estimate()
         error = (estimate.value - TRUTH)[0]
         assert np.all(np.abs(error / TRUTH[0]) < [0.03, 0.02, 0.03])
         distances.append(error @ np.linalg.solve(estimate.covariance[0], error))
-    assert np.median(distances) < 40.0  # three squared standard deviations are expected; far above: false certainty
+    assert (
+        np.median(distances) < 40.0
+    )  # three squared standard deviations are expected; far above: false certainty
 
 
 def test_the_samples_are_left_as_they_were(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     samples = samples_of(record(duration_s=5.0))
     before = copy.deepcopy(samples)
@@ -105,7 +118,10 @@ def test_the_samples_are_left_as_they_were(
 
 
 def test_the_initial_values_are_left_as_they_were(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     initial = THREE_TIMES_OFF.copy()
     teach(rule(thesis_box, initial, 0), samples_of(record(duration_s=5.0)))
@@ -113,18 +129,27 @@ def test_the_initial_values_are_left_as_they_were(
 
 
 def test_the_same_seed_gives_the_same_bytes(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     samples = samples_of(record(duration_s=10.0, torque_noise_relative=0.01))
     first, second = (teach(rule(thesis_box, THREE_TIMES_OFF, 7), samples) for _ in range(2))
     assert len(first) > 10
     for a, b in zip(first, second, strict=True):
-        assert a.value.tobytes() + a.covariance.tobytes() == b.value.tobytes() + b.covariance.tobytes()
+        assert (
+            a.value.tobytes() + a.covariance.tobytes() == b.value.tobytes() + b.covariance.tobytes()
+        )
 
 
 @pytest.mark.parametrize('at', [17, 700, 1111])
 def test_what_is_restored_goes_on_bit_for_bit(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples], at: int
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
+    at: int,
 ) -> None:
     samples = samples_of(record(duration_s=20.0, torque_noise_relative=0.01))
     nodes, twin = rule(thesis_box, THREE_TIMES_OFF, 3), rule(thesis_box, TRUTH, 99)
@@ -141,7 +166,10 @@ def test_what_is_restored_goes_on_bit_for_bit(
 
 
 def test_a_state_that_was_taken_does_not_change_when_learning_goes_on(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     samples = samples_of(record(duration_s=20.0))
     nodes = rule(thesis_box, THREE_TIMES_OFF, 3)
@@ -159,7 +187,9 @@ def test_the_state_of_other_parameters_is_refused(rule: Rule, thesis_box: MotorW
         rule(thesis_box, THREE_TIMES_OFF, 0).restore(*fewer.state())
 
 
-def test_without_voltage_nothing_moves_and_nothing_is_certain(rule: Rule, thesis_box: MotorWhiteBox) -> None:
+def test_without_voltage_nothing_moves_and_nothing_is_certain(
+    rule: Rule, thesis_box: MotorWhiteBox
+) -> None:
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples_from(np.zeros(3000), np.zeros(3000)))
     sound(nodes)
@@ -167,7 +197,9 @@ def test_without_voltage_nothing_moves_and_nothing_is_certain(rule: Rule, thesis
     assert set(nodes.estimate().verdicts[0]) == {Verdict.UNEXCITED}
 
 
-def test_a_resting_motor_with_a_noisy_sensor_identifies_nothing(rule: Rule, thesis_box: MotorWhiteBox) -> None:
+def test_a_resting_motor_with_a_noisy_sensor_identifies_nothing(
+    rule: Rule, thesis_box: MotorWhiteBox
+) -> None:
     noise = np.random.default_rng(5).normal(0.0, 1e-3, 3000)
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples_from(np.zeros(3000), noise))
@@ -186,7 +218,11 @@ def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
             command = float(random.uniform(5.0, 15.0))
         simulation.command('m', command)
         now = simulation.step()
-        samples.append(Sample.of_one_motor(now.stamp_ns, 0.01 if k else 0.0, previous_v, float(now.torque_nm[0])))
+        samples.append(
+            Sample.of_one_motor(
+                now.stamp_ns, 0.01 if k else 0.0, previous_v, float(now.torque_nm[0])
+            )
+        )
         previous_v = command
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples[:5000])
@@ -203,15 +239,22 @@ def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
 
 
 @pytest.mark.parametrize('size', [1e9, -1e9, 1e-12])
-def test_torque_of_any_size_leaves_the_estimate_finite(rule: Rule, thesis_box: MotorWhiteBox, size: float) -> None:
+def test_torque_of_any_size_leaves_the_estimate_finite(
+    rule: Rule, thesis_box: MotorWhiteBox, size: float
+) -> None:
     random = np.random.default_rng(6)
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
-    teach(nodes, samples_from(random.uniform(5.0, 15.0, 1500), size * random.uniform(0.5, 1.0, 1500)))
+    teach(
+        nodes, samples_from(random.uniform(5.0, 15.0, 1500), size * random.uniform(0.5, 1.0, 1500))
+    )
     sound(nodes)
 
 
 def test_one_absurd_burst_does_not_spoil_a_settled_estimate(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     samples = samples_of(record(seed=3, torque_noise_relative=0.01))
     for k in range(3000, 3003):
@@ -219,14 +262,21 @@ def test_one_absurd_burst_does_not_spoil_a_settled_estimate(
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples)
     sound(nodes)
-    if rule.__name__ != 'GradientUpdate':  # the thesis's L1 loss has no defence: current stands in the regressors too
+    if (
+        rule.__name__ != 'GradientUpdate'
+    ):  # the thesis's L1 loss has no defence: current stands in the regressors too
         assert np.all(np.abs(nodes.theta / TRUTH - 1.0) < 0.1)
 
 
 def test_samples_across_a_restart_teach_nothing(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
-    pieces = [samples_of(record(duration_s=20.0, seed=seed)) for seed in (1, 2, 3)]  # each begins at rest again
+    pieces = [
+        samples_of(record(duration_s=20.0, seed=seed)) for seed in (1, 2, 3)
+    ]  # each begins at rest again
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, [sample for piece in pieces for sample in piece])
     assert np.all(np.abs(nodes.theta / TRUTH - 1.0)[0] < [0.02, 0.01, 0.01])
@@ -234,7 +284,9 @@ def test_samples_across_a_restart_teach_nothing(
 
 
 def test_irregular_stamps_are_no_hindrance(rule: Rule, thesis_box: MotorWhiteBox) -> None:
-    recording = Simulation({'m': PlantParameters()}, 'R[5,15]D[0.1,2]', seed=8, sample_rate_hz=1000.0).record(40.0)
+    recording = Simulation(
+        {'m': PlantParameters()}, 'R[5,15]D[0.1,2]', seed=8, sample_rate_hz=1000.0
+    ).record(40.0)
     random = np.random.default_rng(8)
     kept = np.cumsum(random.integers(2, 20, 4000))
     kept = kept[kept < recording.stamp_ns.size]
@@ -253,7 +305,10 @@ def test_irregular_stamps_are_no_hindrance(rule: Rule, thesis_box: MotorWhiteBox
 
 
 def test_freezing_stops_all_change_and_says_so(
-    rule: Rule, thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
+    rule: Rule,
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., Samples],
 ) -> None:
     samples = samples_of(record(duration_s=20.0, torque_noise_relative=0.01))
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
@@ -263,7 +318,10 @@ def test_freezing_stops_all_change_and_says_so(
     assert set(before.verdicts[0]) == {Verdict.FROZEN}
     assert teach(nodes, samples[600:1300]) == []
     after = nodes.estimate()
-    assert after.value.tobytes() + after.covariance.tobytes() == before.value.tobytes() + before.covariance.tobytes()
+    assert (
+        after.value.tobytes() + after.covariance.tobytes()
+        == before.value.tobytes() + before.covariance.tobytes()
+    )
     nodes.freeze(False)
     assert len(teach(nodes, samples[1300:])) > 5
     assert Verdict.FROZEN not in nodes.estimate().verdicts[0]
@@ -276,7 +334,9 @@ def test_motors_in_one_array_learn_what_each_learns_alone(
 ) -> None:
     recording = record('R[5,15]D[0.1,3]', 30.0, 4, ('a', 'b'))
     samples = samples_of(recording)
-    box = MotorWhiteBox(NAMES, np.array([0.01, 0.01]), {'back_emf_constant': np.array([0.01, 0.01])})
+    box = MotorWhiteBox(
+        NAMES, np.array([0.01, 0.01]), {'back_emf_constant': np.array([0.01, 0.01])}
+    )
     together = rule(box, np.repeat(THREE_TIMES_OFF, 2, axis=0), 0)
     teach(together, samples)
     sound(together)
@@ -284,7 +344,10 @@ def test_motors_in_one_array_learn_what_each_learns_alone(
         chosen = slice(motor, motor + 1)
         alone = rule(box.of_motors(chosen), THREE_TIMES_OFF, 0)
         fields = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
-        teach(alone, [Sample(s.stamp_ns, *(getattr(s, name)[chosen] for name in fields)) for s in samples])
+        teach(
+            alone,
+            [Sample(s.stamp_ns, *(getattr(s, name)[chosen] for name in fields)) for s in samples],
+        )
         np.testing.assert_allclose(together.theta[chosen], alone.theta, rtol=1e-3)
     truth = np.array([[0.5, 1.0, 10.0], [0.5, 1.5, 10.0]])
     assert np.all(np.abs(together.theta / truth - 1.0) < [0.02, 0.01, 0.01])
@@ -297,7 +360,9 @@ def rotor_samples() -> Samples:
         inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05, back_emf_constant=0.05,
         inertia=2e-4, viscous_friction=1e-3,
     )  # fmt: skip
-    simulation = Simulation({'m': plant}, 'R[-12,12]D[0.05,0.3]', seed=4, speed_mode='rotor', sample_rate_hz=1000.0)
+    simulation = Simulation(
+        {'m': plant}, 'R[-12,12]D[0.05,0.3]', seed=4, speed_mode='rotor', sample_rate_hz=1000.0
+    )
     r, samples = simulation.record(6.0), []
     for k, stamp in enumerate(r.stamp_ns.tolist()):
         held_v, interval_s = float(r.voltage_v[0, max(k - 1, 0)]), 1e-3 if k else 0.0
@@ -310,14 +375,18 @@ ROTOR_BOX = MotorWhiteBox((*NAMES, 'back_emf_constant'), 0.05, {}, True)
 ROTOR_TRUTH = np.array([[2e-3, 0.8, 0.01, 0.05]])
 
 
-def test_back_emf_is_a_fourth_node_where_speed_is_measured(rule: Rule, rotor_samples: Samples) -> None:
+def test_back_emf_is_a_fourth_node_where_speed_is_measured(
+    rule: Rule, rotor_samples: Samples
+) -> None:
     nodes = rule(ROTOR_BOX, 2.0 * ROTOR_TRUTH, 0)
     teach(nodes, rotor_samples)
     assert np.all(np.abs(nodes.theta / ROTOR_TRUTH - 1.0)[0] < [0.05, 0.02, 0.05, 0.02])
     sound(nodes)
 
 
-def test_a_sample_without_its_speed_does_not_poison_the_estimate(rule: Rule, rotor_samples: Samples) -> None:
+def test_a_sample_without_its_speed_does_not_poison_the_estimate(
+    rule: Rule, rotor_samples: Samples
+) -> None:
     samples = copy.deepcopy(rotor_samples[:3000])
     for k in (50, 700, 701, 2000):
         samples[k].speed_rad_s[:] = np.nan
@@ -335,19 +404,29 @@ def test_a_step_of_the_resistance_is_followed(
     samples_of: Callable[..., Samples],
     noise: float,
 ) -> None:
-    recording = record('R[5,15]D[0.2,3]', 100.0, 5, torque_noise_relative=noise, schedule=('motor.resistance=1.3@50',))
+    recording = record(
+        'R[5,15]D[0.2,3]',
+        100.0,
+        5,
+        torque_noise_relative=noise,
+        schedule=('motor.resistance=1.3@50',),
+    )
     samples = samples_of(recording)
     nodes = rule(thesis_box, THREE_TIMES_OFF, 0)
     teach(nodes, samples[:5000])
     assert nodes.theta[0, 1] == pytest.approx(1.0, rel=0.02)
     teach(nodes, samples[5000:])
-    tolerance = 0.2 if rule.__name__ == 'GradientUpdate' else 0.02  # plateau cuts end the gradient's way early
+    tolerance = (
+        0.2 if rule.__name__ == 'GradientUpdate' else 0.02
+    )  # plateau cuts end the gradient's way early
     assert np.all(np.abs(nodes.theta / [[0.5, 1.3, 10.0]] - 1.0) < tolerance)
     assert nodes.theta[0, 1] > 1.1
     sound(nodes)
 
 
-def test_a_start_outside_the_bounds_is_brought_inside(rule: Rule, thesis_box: MotorWhiteBox) -> None:
+def test_a_start_outside_the_bounds_is_brought_inside(
+    rule: Rule, thesis_box: MotorWhiteBox
+) -> None:
     nodes = rule(thesis_box, np.array([[1e9, 1e-9, 1.0]]), 0)
     assert nodes.theta[0, 0] == pytest.approx(thesis_box.parameters[0].upper)
     assert nodes.theta[0, 1] == pytest.approx(thesis_box.parameters[1].lower)

@@ -8,7 +8,11 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes import Estimate, RecursiveUpdate, Verdict
-from gray_box_observer.context_nodes.following import FREE_EXAMINATIONS, LONGEST_PATIENCE, patience
+from gray_box_observer.context_nodes.recursive.change_tracking import (
+    FREE_EXAMINATIONS,
+    LONGEST_PATIENCE,
+    patience,
+)
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -33,11 +37,17 @@ def _learnt(
     for k in range(current.size):
         interval, held = (step_s, voltage[k - 1]) if k else (0.0, 0.0)
         turning = np.nan if speed is None else speed[k]
-        nodes.learn(Sample.of_one_motor(round(k * step_s * 1e9), interval, held, constant * current[k], turning))
+        nodes.learn(
+            Sample.of_one_motor(
+                round(k * step_s * 1e9), interval, held, constant * current[k], turning
+            )
+        )
     return nodes
 
 
-def _blocked(voltage: np.ndarray, step_s: float, inductance: float, resistance: float) -> np.ndarray:
+def _blocked(
+    voltage: np.ndarray, step_s: float, inductance: float, resistance: float
+) -> np.ndarray:
     """Current of a motor without hysteresis that does not turn."""
     decay, current = np.exp(-step_s * resistance / inductance), np.zeros(voltage.size + 1)
     for k, volt in enumerate(voltage):
@@ -51,7 +61,9 @@ def _levels(samples: int, seed: int) -> np.ndarray:
 
 
 def _nobody_is_known(estimate: Estimate) -> bool:
-    return all(verdict not in (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE) for verdict in estimate.verdicts[0])
+    return all(
+        verdict not in (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE) for verdict in estimate.verdicts[0]
+    )
 
 
 def test_hysteresis_that_is_truly_zero_becomes_negligible_and_the_motor_identified() -> None:
@@ -107,7 +119,9 @@ def test_a_motor_that_has_rested_is_identified_once_it_moves() -> None:
 
 @pytest.mark.parametrize('noise', [0.0, 0.003])
 @pytest.mark.parametrize('begin', [0, 1, 20])
-def test_a_rotor_that_gathers_speed_at_one_voltage_is_not_taken_for_an_inductance(noise: float, begin: int) -> None:
+def test_a_rotor_that_gathers_speed_at_one_voltage_is_not_taken_for_an_inductance(
+    noise: float, begin: int
+) -> None:
     rng, samples = np.random.default_rng(1), np.arange(3001)
     current = 0.25 + 0.7 * np.exp(-samples / 350.0) - 0.95 * np.exp(-samples / 0.15)
     voltage = 8.0 * (1.0 + noise * rng.standard_normal(3000))
@@ -117,7 +131,9 @@ def test_a_rotor_that_gathers_speed_at_one_voltage_is_not_taken_for_an_inductanc
 
 
 @pytest.mark.parametrize('seed', [3, 4, 5, 6])
-@pytest.mark.parametrize('names', [('inductance', 'resistance', 'back_emf_constant'), (*NAMES, 'back_emf_constant')])
+@pytest.mark.parametrize(
+    'names', [('inductance', 'resistance', 'back_emf_constant'), (*NAMES, 'back_emf_constant')]
+)
 def test_resistance_and_back_emf_that_no_data_tell_apart_are_not_identified_on_wrong_values(
     names: tuple[str, ...], seed: int
 ) -> None:
@@ -127,10 +143,14 @@ def test_resistance_and_back_emf_that_no_data_tell_apart_are_not_identified_on_w
     noisy = current + 0.01 * current.std() * rng.standard_normal(current.size)
     start = (*START[: len(names) - 1], 30.0)
     speed = record.speed_rad_s[0]
-    nodes = _learnt(record.voltage_v[0][:-1], noisy, 0.01, constant=0.01, speed=speed, names=names, start=start)
+    nodes = _learnt(
+        record.voltage_v[0][:-1], noisy, 0.01, constant=0.01, speed=speed, names=names, start=start
+    )
     estimate = nodes.estimate()
     truth = np.array([0.5, 1.0, 10.0, 0.01])[[NAMES.index(n) if n in NAMES else 3 for n in names]]
-    for value, std, true, verdict in zip(estimate.value[0], estimate.std[0], truth, estimate.verdicts[0], strict=True):
+    for value, std, true, verdict in zip(
+        estimate.value[0], estimate.std[0], truth, estimate.verdicts[0], strict=True
+    ):
         assert verdict is not Verdict.IDENTIFIED or abs(value - true) < 4.0 * std
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.context_nodes import Estimate, Verdict, VerdictRules
-from gray_box_observer.white_box.base import Parameter
+from gray_box_observer.white_box.interface import Parameter
 
 PARAMETER = Parameter('resistance', 'ohm', 3.0, 0.1, 100.0, 'R.')
 
@@ -23,7 +23,9 @@ PARAMETER = Parameter('resistance', 'ohm', 3.0, 0.1, 100.0, 'R.')
         (99.0, 1e-9, Verdict.IDENTIFIED),
     ],
 )
-def test_a_verdict_follows_from_value_and_standard_deviation(value: float, std: float, verdict: Verdict) -> None:
+def test_a_verdict_follows_from_value_and_standard_deviation(
+    value: float, std: float, verdict: Verdict
+) -> None:
     judged = VerdictRules().judge((PARAMETER,), np.array([[value]]), np.array([[std]]))
     assert judged == ((verdict,),)
 
@@ -41,5 +43,7 @@ def test_a_motor_is_identified_when_all_its_parameters_are() -> None:
 
 def test_the_standard_deviation_is_the_root_of_the_diagonal() -> None:
     covariance = np.array([[[4.0, 1.0], [1.0, 9.0]]])
-    estimate = Estimate(0, (PARAMETER,) * 2, np.ones((1, 2)), covariance, ((Verdict.CONVERGING,) * 2,))
+    estimate = Estimate(
+        0, (PARAMETER,) * 2, np.ones((1, 2)), covariance, ((Verdict.CONVERGING,) * 2,)
+    )
     np.testing.assert_array_equal(estimate.std, [[2.0, 3.0]])

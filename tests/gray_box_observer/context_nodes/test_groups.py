@@ -1,4 +1,6 @@
-"""Motors in a group learn what each would learn alone, whatever happens to the others and whoever has to wait."""
+"""Motors in a group learn what each would learn alone, whatever happens to the others and whoever
+has to wait.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,8 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate, Verdict, learner, recursive
+from gray_box_observer.context_nodes import RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes.recursive import block_updater, estimator
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -23,12 +26,16 @@ BOX = MotorWhiteBox(NAMES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(
 
 @pytest.fixture(scope='module')
 def samples() -> list[Sample]:
-    """Eight motors: one changes, one has outliers, one rests, one comes late, one goes, one is quick, one has gaps."""
+    """Eight motors: one changes, one has outliers, one rests, one comes late, one goes, one is
+    quick, one has gaps.
+    """
     plants = {f'm{k}': PlantParameters(resistance=1.0 + 0.1 * k) for k in range(MOTORS)}
     plants[f'm{STIFF}'] = PlantParameters(inductance=1e-3, resistance=1.6)
     excitation = dict.fromkeys(plants, 'R[5,15]D[0.2,3]') | {f'm{RESTING}': 'C[8]'}
     schedule = (f'm{CHANGED}.resistance=1.6@15',)
-    r = Simulation(plants, excitation, seed=3, torque_noise_std=1e-4, schedule=schedule).record(30.0)
+    r = Simulation(plants, excitation, seed=3, torque_noise_std=1e-4, schedule=schedule).record(
+        30.0
+    )
     random, made = np.random.default_rng(1), []
     torque = r.torque_nm.copy()
     torque[DISTURBED, random.choice(np.arange(300, 3000), 60, replace=False)] *= 1.5
@@ -40,7 +47,11 @@ def samples() -> list[Sample]:
         before = np.maximum(last, 0)
         interval = np.where(last < 0, 0.0, (k - last) * 0.01)
         held = [r.voltage_v[m, before[m] : max(k, before[m] + 1)].mean() for m in range(MOTORS)]
-        made.append(Sample(stamp, interval, np.array(held), torque[:, k], np.full(MOTORS, np.nan), present[k]))
+        made.append(
+            Sample(
+                stamp, interval, np.array(held), torque[:, k], np.full(MOTORS, np.nan), present[k]
+            )
+        )
         last = np.where(present[k], k, last)
     return made
 
@@ -52,7 +63,9 @@ def learnt_by(nodes: RecursiveUpdate, samples: list[Sample]) -> list[list[bytes]
         if nodes.learn(sample):
             estimate = nodes.estimate()
             for motor in np.flatnonzero(nodes.changed):
-                taken[motor].append(estimate.value[motor].tobytes() + estimate.covariance[motor].tobytes())
+                taken[motor].append(
+                    estimate.value[motor].tobytes() + estimate.covariance[motor].tobytes()
+                )
     return taken
 
 
@@ -63,7 +76,11 @@ def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdat
     for motor in range(MOTORS):
         chosen = slice(motor, motor + 1)
         nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
-        own = [s.of(chosen)._replace(present=None) for s in samples if s.present is None or s.present[motor]]
+        own = [
+            s.of(chosen)._replace(present=None)
+            for s in samples
+            if s.present is None or s.present[motor]
+        ]
         taken += learnt_by(nodes, own)
         rules.append(nodes)
     return taken, rules
@@ -76,7 +93,9 @@ def test_what_happens_to_one_motor_leaves_the_others_alone(
     together = learnt_by(nodes, samples)
     for motor in range(MOTORS):
         assert together[motor] == alone[0][motor][: len(together[motor])]
-        assert len(alone[0][motor]) - len(together[motor]) <= 1  # whoever is due last may still wait
+        assert (
+            len(alone[0][motor]) - len(together[motor]) <= 1
+        )  # whoever is due last may still wait
         assert nodes.counters(motor) == alone[1][motor].counters()
     assert nodes.counters(CHANGED)['motor changes'] == 1
     assert nodes.counters(CALM)['motor changes'] == 0
@@ -84,7 +103,9 @@ def test_what_happens_to_one_motor_leaves_the_others_alone(
     np.testing.assert_allclose(nodes.theta[CHANGED], [0.5, 1.6, 10.0], rtol=0.02)
     estimate = nodes.estimate()
     assert set(estimate.verdicts[CALM]) == set(estimate.verdicts[LATE]) == {Verdict.IDENTIFIED}
-    assert estimate.verdicts[RESTING][2] is not Verdict.IDENTIFIED  # one transition does not tell hysteresis from R
+    assert (
+        estimate.verdicts[RESTING][2] is not Verdict.IDENTIFIED
+    )  # one transition does not tell hysteresis from R
 
 
 def test_whoever_has_to_wait_learns_the_same_later(
@@ -92,9 +113,9 @@ def test_whoever_has_to_wait_learns_the_same_later(
     alone: tuple[list[list[bytes]], list[RecursiveUpdate]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(learner, 'UPDATES', 2)
-    monkeypatch.setattr(recursive, 'CAREFUL', 1)
-    monkeypatch.setattr(recursive, 'HEAVY', 100)
+    monkeypatch.setattr(block_updater, 'UPDATES', 2)
+    monkeypatch.setattr(estimator, 'CAREFUL', 1)
+    monkeypatch.setattr(estimator, 'HEAVY', 100)
     together = learnt_by(RecursiveUpdate(BOX, START), samples)
     for motor in range(MOTORS):
         assert len(together[motor]) >= len(alone[0][motor]) - 2
@@ -116,7 +137,9 @@ def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sam
     rest = [samples[1500]._replace(interval_s=np.zeros(MOTORS)), *samples[1501:2000]]
     together = learnt_by(again, rest)
     for motor in range(MOTORS):
-        own = [s.of(slice(motor, motor + 1))._replace(present=None) for s in rest if s.present[motor]]
+        own = [
+            s.of(slice(motor, motor + 1))._replace(present=None) for s in rest if s.present[motor]
+        ]
         single = learnt_by(parts[motor], own)[0]
         assert together[motor] == single[: len(together[motor])]
         assert len(single) - len(together[motor]) <= 1
@@ -138,16 +161,22 @@ def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
 
 
 def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
-    """Quick and slow motors, their voltages and loads by leaps, with outliers of torque; their physics, a start."""
+    """Quick and slow motors, their voltages and loads by leaps, with outliers of torque; their
+    physics, a start.
+    """
     random, motors = np.random.default_rng(seed), 5
     inductance = np.array([0.5, 0.02, 0.3, 0.5, 0.1])
-    box = MotorWhiteBox(NAMES, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, speed_measured)
+    box = MotorWhiteBox(
+        NAMES, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)}, speed_measured
+    )
     start = np.column_stack([3.0 * inductance, np.full(motors, 3.0), np.full(motors, 30.0)])
     (current, voltage, speed), samples = np.zeros((3, motors)), []
     for k in range(400):
         before, speed = speed, random.uniform(-0.3, 0.3, motors)
         for step in range(20):
-            driven = before + (step + 0.5) / 20 * (speed - before) if speed_measured else 0.01 * current
+            driven = (
+                before + (step + 0.5) / 20 * (speed - before) if speed_measured else 0.01 * current
+            )
             current = current + 5e-4 / inductance * (
                 voltage - current - 10.0 * np.abs(driven) * current - 0.01 * driven
             )
@@ -159,11 +188,15 @@ def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, l
 
 
 @pytest.mark.parametrize(('seed', 'speed_measured'), [(9, False), (44, False), (4, True)])
-def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(seed: int, speed_measured: bool) -> None:
+def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(
+    seed: int, speed_measured: bool
+) -> None:
     box, start, samples = rough(seed, speed_measured)
     together = learnt_by(RecursiveUpdate(box, start), samples)
     for motor in range(start.shape[0]):
         chosen = slice(motor, motor + 1)
-        single = learnt_by(RecursiveUpdate(box.of_motors(chosen), start[chosen]), [s.of(chosen) for s in samples])[0]
+        single = learnt_by(
+            RecursiveUpdate(box.of_motors(chosen), start[chosen]), [s.of(chosen) for s in samples]
+        )[0]
         assert together[motor] == single[: len(together[motor])]
         assert len(together[motor]) > 10

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Estimate, RecursiveUpdate
-from gray_box_observer.context_nodes.trajectory import UNKNOWN, restart_variance
+from gray_box_observer.context_nodes.recursive.trajectory import UNKNOWN, restart_variance
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -46,7 +46,9 @@ def test_a_motor_heard_in_snatches_is_known_as_well_as_is_said(
 ) -> None:
     nees = []
     for seed in range(SEEDS):
-        samples = list(samples_of(record('R[5,15]D[0.2,2]', 20.0, seed, torque_noise_relative=0.01)))
+        samples = list(
+            samples_of(record('R[5,15]D[0.2,2]', 20.0, seed, torque_noise_relative=0.01))
+        )
         nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
         for k, sample in enumerate(samples):  # every half second something is missing
             nodes.learn(sample.beginning() if k % 50 == 0 else sample)

@@ -1,4 +1,6 @@
-"""What is taken back from a checkpoint goes on as what was saved, wherever in a block or a drift that was."""
+"""What is taken back from a checkpoint goes on as what was saved, wherever in a block or a drift
+that was.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def test_a_memory_of_another_size_goes_on_from_what_there_is(
     other = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(replay_capacity=capacity))
     other.restore(*one.state())
     assert len(other.replay) == min(capacity, 200 + 370 % 32)
-    np.testing.assert_array_equal(other.replay.newest(50, slice(None)), one.replay.newest(50, slice(None)))
+    np.testing.assert_array_equal(
+        other.replay.newest(50, slice(None)), one.replay.newest(50, slice(None))
+    )
     for sample in samples[370:]:
         other.learn(sample)
     np.testing.assert_allclose(other.theta, [[0.5, 1.0, 10.0]], rtol=0.01)

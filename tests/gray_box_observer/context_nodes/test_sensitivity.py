@@ -1,4 +1,6 @@
-"""What an error of a known constant does to the estimate, against what algebra says (docs/METHOD.md, The form)."""
+"""What an error of a known constant does to the estimate, against what algebra says
+(docs/METHOD.md, The form).
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,15 @@ import pytest
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import RecursiveUpdate
-from gray_box_observer.context_nodes.sensitivity import sensitivity
+from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 
 def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_into_resistance(
-    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., list[Sample]],
 ) -> None:
     nodes = RecursiveUpdate(thesis_box, np.array([[1.5, 3.0, 30.0]]))
     for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0)):
@@ -31,7 +35,9 @@ def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_i
 
 
 def test_too_few_samples_tell_nothing(
-    thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
+    thesis_box: MotorWhiteBox,
+    record: Callable[..., Recording],
+    samples_of: Callable[..., list[Sample]],
 ) -> None:
     nodes = RecursiveUpdate(thesis_box, np.array([[1.5, 3.0, 30.0]]))
     for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0))[:90]:

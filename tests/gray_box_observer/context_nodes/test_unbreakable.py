@@ -1,6 +1,8 @@
-"""Whatever the motor, the voltage and the fault: estimates are finite and covariances positive definite.
+"""Whatever the motor, the voltage and the fault: estimates are finite and covariances positive
+definite.
 
-Every case is drawn from its own seed. ``DRAWN_MOTORS=10000`` draws as many instead of those of the suite.
+Every case is drawn from its own seed. ``DRAWN_MOTORS=10000`` draws as many instead of those of the
+suite.
 """
 
 from __future__ import annotations
@@ -40,8 +42,12 @@ def _voltage(rng: np.random.Generator, samples: int) -> np.ndarray:
     return size * kinds[rng.integers(len(kinds))]
 
 
-def _motor(rng: np.random.Generator, voltage: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Current in A and speed in rad/s of a motor with or without a rotor of its own, and its torque constant."""
+def _motor(
+    rng: np.random.Generator, voltage: np.ndarray, step_s: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Current in A and speed in rad/s of a motor with or without a rotor of its own, and its torque
+    constant.
+    """
     constant = 10.0 ** rng.uniform(-3.0, 0.0)
     resistance = 10.0 ** rng.uniform(-1.5, 2.0)
     decay = np.exp(-step_s / (10.0 ** rng.uniform(-5.0, 0.5)))
@@ -60,7 +66,9 @@ def _motor(rng: np.random.Generator, voltage: np.ndarray, step_s: float) -> tupl
 def _spoilt(rng: np.random.Generator, current: np.ndarray) -> np.ndarray:
     """The current as a sensor might tell it."""
     size = np.abs(current).max() + 1e-12
-    measured = current + rng.choice([0.0, 1e-4, 0.01, 0.3]) * size * rng.standard_normal(current.size)
+    measured = current + rng.choice([0.0, 1e-4, 0.01, 0.3]) * size * rng.standard_normal(
+        current.size
+    )
     if rng.random() < 0.3:
         step = size * 10.0 ** rng.uniform(-3.0, 0.0)
         measured = np.round(measured / step) * step
@@ -86,7 +94,12 @@ def _samples(seed: int) -> tuple[RecursiveUpdate, list[Sample]]:
     told = {} if 'back_emf_constant' in names else {'back_emf_constant': constant}
     box = MotorWhiteBox(names, constant, told, speed_measured=with_speed)
     guess = np.array(
-        [[TERMS[name].parameter.initial * 10.0 ** rng.uniform(-1.0, 3.5 * rng.random()) for name in names]]
+        [
+            [
+                TERMS[name].parameter.initial * 10.0 ** rng.uniform(-1.0, 3.5 * rng.random())
+                for name in names
+            ]
+        ]
     )
     gaps = rng.random(count + 1) < rng.choice([0.0, 0.0, 0.02])
     samples = [
@@ -116,7 +129,9 @@ def _assert_sound(nodes: RecursiveUpdate, seed: int, at: int) -> None:
 
 
 @pytest.mark.parametrize('part', range(PARTS))
-def test_no_drawn_motor_makes_numbers_that_are_none_or_a_covariance_that_is_indefinite(part: int) -> None:
+def test_no_drawn_motor_makes_numbers_that_are_none_or_a_covariance_that_is_indefinite(
+    part: int,
+) -> None:
     for seed in range(part, CASES, PARTS):
         nodes, samples = _samples(seed)
         with warnings.catch_warnings():

@@ -13,7 +13,9 @@ INDUCTANCE, RESISTANCE, TORQUE_CONSTANT = 0.69e-3, 4.2, 1.2e-3
 
 
 @pytest.mark.parametrize('interval_s', [0.02, 0.002])
-def test_inductance_is_not_claimed_but_resistance_is_where_samples_come_too_slowly(interval_s: float) -> None:
+def test_inductance_is_not_claimed_but_resistance_is_where_samples_come_too_slowly(
+    interval_s: float,
+) -> None:
     random = np.random.default_rng(0)
     box = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
     rule = RecursiveUpdate(box, np.array([[2e-3, 10.0]]))
@@ -21,7 +23,11 @@ def test_inductance_is_not_claimed_but_resistance_is_where_samples_come_too_slow
     voltage_v, current_a, held_v = 0.0, 0.0, 0.0
     for k in range(2000):
         noisy_nm = TORQUE_CONSTANT * (current_a + 5e-3 * random.standard_normal())
-        rule.learn(Sample.of_one_motor(round(k * interval_s * 1e9), interval_s if k else 0.0, held_v, noisy_nm))
+        rule.learn(
+            Sample.of_one_motor(
+                round(k * interval_s * 1e9), interval_s if k else 0.0, held_v, noisy_nm
+            )
+        )
         voltage_v = random.uniform(1.0, 6.0) if k % 5 == 0 else voltage_v
         current_a = voltage_v / RESISTANCE + (current_a - voltage_v / RESISTANCE) * decay
         held_v = voltage_v

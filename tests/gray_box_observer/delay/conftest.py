@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.observer.observer import Observer, Result
+from gray_box_observer.settings.configuration import Configuration
 
 START_NS = 1_000_000_000
 Feed = Callable[..., list[Result]]
@@ -27,7 +27,9 @@ def observer() -> Callable[..., Observer]:
 
 @pytest.fixture
 def feed() -> Feed:
-    """Feed a recording whose voltage is stamped ``delay_s`` too early, in the order of arrival that is asked for."""
+    """Feed a recording whose voltage is stamped ``delay_s`` too early, in the order of arrival that
+    is asked for.
+    """
 
     def run(
         one: Observer,

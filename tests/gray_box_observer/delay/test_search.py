@@ -21,14 +21,18 @@ INITIAL = to_coordinates(np.array([[1.5, 3.0, 1.0]]))
 
 
 def signals_of(recording: Recording, delay_s: float) -> RawSignals:
-    """The signals of a recording whose voltage is stamped too early, cut to where every delay in reach is known."""
+    """The signals of a recording whose voltage is stamped too early, cut to where every delay in
+    reach is known.
+    """
     history, shift_ns = RawHistory(), round(delay_s * 1e9)
     for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
         history.voltage(stamp_ns - shift_ns, float(recording.voltage_v[0, k]))
         history.torque(stamp_ns, float(recording.torque_nm[0, k]))
     signals = history.signals(int(recording.stamp_ns[-1]), 0)
     assert signals is not None
-    keep = (signals.time_s >= signals.voltage_time_s[0] + REACH_S[1]) & (signals.time_s <= REACH_S[0])
+    keep = (signals.time_s >= signals.voltage_time_s[0] + REACH_S[1]) & (
+        signals.time_s <= REACH_S[0]
+    )
     return replace(
         signals,
         time_s=signals.time_s[keep],
@@ -67,14 +71,18 @@ def test_the_coarse_profile_is_that_of_least_squares_at_every_delay_one_by_one(
     for at in range(0, found.delay_s.size, 7):
         volt = np.diff(signals.voltage_integral(signals.time_s - found.delay_s[at]))[None] / STEP_S
         blank = np.full_like(state, np.nan)
-        phi, drive = integrated_regressors(thesis_box, volt, state, blank, np.full_like(volt, STEP_S))
+        phi, drive = integrated_regressors(
+            thesis_box, volt, state, blank, np.full_like(volt, STEP_S)
+        )
         whole = np.concatenate([phi[0], drive[0][:, None]], axis=1)
         rows = np.cumsum(np.pad(whole, ((1, 0), (0, 0))), axis=0)
         rows = rows[window:] - rows[:-window]
         columns = np.stack([rows[:, -1], *(-rows[:, 1:-1]).T], axis=1)
         solution, *_ = np.linalg.lstsq(columns, rows[:, 0], rcond=None)
         if solution[0] < 0.0:  # no inductance is negative: then the voltage explains nothing
-            solution = np.concatenate([[0.0], np.linalg.lstsq(columns[:, 1:], rows[:, 0], rcond=None)[0]])
+            solution = np.concatenate(
+                [[0.0], np.linalg.lstsq(columns[:, 1:], rows[:, 0], rcond=None)[0]]
+            )
         expected = np.sum((rows[:, 0] - columns @ solution) ** 2)
         assert found.misfit[at] == pytest.approx(expected, rel=1e-4)
     assert found.best() == pytest.approx(delay, abs=0.003)
@@ -116,7 +124,9 @@ def test_evidence_grows_with_the_delay_and_is_that_of_chance_without_one(
     signals = signals_of(record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01), delay)
     best = fine(thesis_box, signals, coarse(thesis_box, signals).best(), free=True)
     brought = evidence(best, fine(thesis_box, signals, 0.0, free=False))
-    expected = 0.5 * (delay / best.std_s) ** 2  # the log-likelihood of a Gaussian, where the delay is small
+    expected = (
+        0.5 * (delay / best.std_s) ** 2
+    )  # the log-likelihood of a Gaussian, where the delay is small
     if delay == 0.0:
         assert brought < 5.0
     elif delay <= 0.002:
@@ -125,7 +135,9 @@ def test_evidence_grows_with_the_delay_and_is_that_of_chance_without_one(
         assert brought > 200.0
 
 
-def test_gaps_and_outliers_do_not_move_the_delay(record: Callable[..., Recording], thesis_box: MotorWhiteBox) -> None:
+def test_gaps_and_outliers_do_not_move_the_delay(
+    record: Callable[..., Recording], thesis_box: MotorWhiteBox
+) -> None:
     random = np.random.default_rng(3)
     whole = signals_of(record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01), 0.07)
     kept = random.random(whole.time_s.size) < 0.95
@@ -134,7 +146,9 @@ def test_gaps_and_outliers_do_not_move_the_delay(record: Callable[..., Recording
     struck = random.random(torque.size) < 0.002
     torque = np.where(struck, torque + 0.2 * random.normal(size=torque.size), torque)
     torque[1000] = 1e6
-    signals = replace(whole, time_s=whole.time_s[kept], torque_nm=torque, speed_rad_s=whole.speed_rad_s[kept])
+    signals = replace(
+        whole, time_s=whole.time_s[kept], torque_nm=torque, speed_rad_s=whole.speed_rad_s[kept]
+    )
     found = fine(thesis_box, signals, coarse(thesis_box, signals).best(), free=True)
     assert found.delay_s == pytest.approx(0.07, abs=4.0 * found.std_s)
     assert found.std_s < 0.1 * STEP_S
@@ -144,7 +158,9 @@ def test_a_search_changes_nothing_that_it_was_given(
     record: Callable[..., Recording], thesis_box: MotorWhiteBox
 ) -> None:
     signals = signals_of(record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.02), 0.03)
-    copies: dict[str, Any] = {name: getattr(signals, name).copy() for name in RawSignals.__dataclass_fields__}
+    copies: dict[str, Any] = {
+        name: getattr(signals, name).copy() for name in RawSignals.__dataclass_fields__
+    }
     first = fine(thesis_box, signals, coarse(thesis_box, signals).best(), free=True)
     again = fine(thesis_box, signals, coarse(thesis_box, signals).best(), free=True)
     assert first == again

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer import checkpoint
-from gray_box_observer.configuration import Configuration
+from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.delay import DelayEstimate, DelayVerdict, DelayWatch
-from gray_box_observer.observer import Observer, Result
+from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.settings.configuration import Configuration
 
 RATE_HZ = 100.0
 START_NS = 1_000_000_000
@@ -20,14 +20,22 @@ START_NS = 1_000_000_000
 
 def trace(results: list[Result]) -> list[bytes]:
     return [
-        b'' if r.estimate is None else r.estimate.value.tobytes() + r.estimate.covariance.tobytes() for r in results
+        b'' if r.estimate is None else r.estimate.value.tobytes() + r.estimate.covariance.tobytes()
+        for r in results
     ]
 
 
 @pytest.mark.parametrize('intervals', [1, 2, 5, 30])
-@pytest.mark.parametrize(('excitation', 'noise'), [('R[5,15]D[0.2,2]', 0.02), ('R[1,2]D[3,3]', 0.0)])
+@pytest.mark.parametrize(
+    ('excitation', 'noise'), [('R[5,15]D[0.2,2]', 0.02), ('R[1,2]D[3,3]', 0.0)]
+)
 def test_a_delay_that_was_not_declared_is_flagged_with_its_remedy(
-    record: Callable[..., Recording], observer: Any, feed: Any, intervals: int, excitation: str, noise: float
+    record: Callable[..., Recording],
+    observer: Any,
+    feed: Any,
+    intervals: int,
+    excitation: str,
+    noise: float,
 ) -> None:
     one = observer()
     feed(one, record(excitation, 20.0, torque_noise_relative=noise), intervals / RATE_HZ)
@@ -37,11 +45,15 @@ def test_a_delay_that_was_not_declared_is_flagged_with_its_remedy(
     assert found.value_s == pytest.approx(intervals / RATE_HZ, abs=max(4.0 * found.std_s, 1e-4))
     complaint = found.complaint('left')
     assert complaint is not None
-    assert complaint.startswith(f'voltage seems to lead torque by {found.value_s * 1e3:.3g} ms: set left.delay to ')
+    assert complaint.startswith(
+        f'voltage seems to lead torque by {found.value_s * 1e3:.3g} ms: set left.delay to '
+    )
     assert complaint.endswith(' or to estimate')
 
 
-@pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]', 'R[5,15]D[1,20]+v(t)'])
+@pytest.mark.parametrize(
+    'excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]', 'R[5,15]D[1,20]+v(t)']
+)
 @pytest.mark.parametrize('noise', [0.0, 0.02])
 def test_nothing_is_flagged_where_there_is_no_delay(
     record: Callable[..., Recording], observer: Any, feed: Any, excitation: str, noise: float
@@ -58,7 +70,8 @@ def test_nothing_is_flagged_where_there_is_no_delay(
 
 
 @pytest.mark.parametrize(
-    'schedule', ['motor.resistance=1.3@20', 'motor.resistance=1.0..1.3@0..40', 'motor.inductance=0.4@20']
+    'schedule',
+    ['motor.resistance=1.3@20', 'motor.resistance=1.0..1.3@0..40', 'motor.inductance=0.4@20'],
 )
 def test_a_motor_that_changes_is_not_taken_for_a_delay(
     record: Callable[..., Recording], observer: Any, feed: Any, schedule: str
@@ -74,7 +87,11 @@ def test_an_asked_for_delay_is_applied_and_the_motor_identified_as_if_it_had_bee
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
     recording, delay_s = record('R[5,15]D[0.2,2]', 40.0, torque_noise_relative=0.01), 0.0537
-    asked, told, deceived = observer(**{'motor.delay': 'estimate'}), observer(**{'motor.delay': delay_s}), observer()
+    asked, told, deceived = (
+        observer(**{'motor.delay': 'estimate'}),
+        observer(**{'motor.delay': delay_s}),
+        observer(),
+    )
     for one in (asked, told, deceived):
         feed(one, recording, delay_s)
     found = asked.delays()['motor']
@@ -102,7 +119,9 @@ def test_a_declared_delay_is_confirmed_and_a_wrong_one_is_flagged(
     assert ', not by 20 ms: set motor.delay to 0.05' in said
 
 
-def test_torque_that_leads_is_found_and_said_too(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+def test_torque_that_leads_is_found_and_said_too(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
     one = observer()
     feed(one, record('R[5,15]D[0.2,2]', 20.0, torque_noise_relative=0.01), -0.03)
     said = one.delays()['motor'].complaint('motor')
@@ -112,7 +131,9 @@ def test_torque_that_leads_is_found_and_said_too(record: Callable[..., Recording
     assert one.delays()['motor'].value_s == pytest.approx(-0.03, abs=1e-3)
 
 
-def test_constant_voltage_tells_nothing_for_ever(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+def test_constant_voltage_tells_nothing_for_ever(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
     one = observer(**{'motor.delay': 'estimate'})
     recording = record('C[5]', 120.0, torque_noise_relative=0.02)
     feed(one, recording, 0.05, until=600)
@@ -139,7 +160,11 @@ def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_co
 
 @pytest.mark.parametrize('rule', ['recursive', 'gradient'])
 def test_the_search_goes_on_where_nobody_waits_for_an_estimate_and_still_where_somebody_always_does(
-    record: Callable[..., Recording], observer: Any, feed: Any, monkeypatch: pytest.MonkeyPatch, rule: str
+    record: Callable[..., Recording],
+    observer: Any,
+    feed: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    rule: str,
 ) -> None:
     worked: list[int] = []
     search = DelayWatch._search
@@ -180,7 +205,9 @@ def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_wa
 def test_a_delay_that_grows_sharper_after_a_restart_costs_no_certainty_learnt_before_it(
     record: Callable[..., Recording], observer: Any, feed: Any, tmp_path: Path
 ) -> None:
-    """A sharper delay makes everything learnt anew from the history, which a restart has left behind."""
+    """A sharper delay makes everything learnt anew from the history, which a restart has left
+    behind.
+    """
     recording = record('R[5,15]D[0.1,1]', 15.0, seed=3, torque_noise_std=5e-4)
     one, other = (observer(**{'motor.delay': 'estimate'}) for _ in range(2))
     feed(one, recording, 0.04, until=500)
@@ -208,7 +235,9 @@ def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(
     assert one.counts('motor').restarts == 1
 
 
-def test_gaps_duplicates_and_junk_do_not_hide_the_delay(record: Callable[..., Recording], observer: Any) -> None:
+def test_gaps_duplicates_and_junk_do_not_hide_the_delay(
+    record: Callable[..., Recording], observer: Any
+) -> None:
     random, one = np.random.default_rng(5), observer()
     recording = record('R[5,15]D[0.2,2]', 30.0, torque_noise_relative=0.01)
     for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
@@ -235,7 +264,9 @@ def test_memory_is_bounded_whatever_comes_or_stays_away(observer: Callable[..., 
     assert len(history) < 30_000
 
 
-def test_a_frozen_observer_applies_nothing(record: Callable[..., Recording], observer: Any, feed: Any) -> None:
+def test_a_frozen_observer_applies_nothing(
+    record: Callable[..., Recording], observer: Any, feed: Any
+) -> None:
     one = observer(**{'motor.delay': 'estimate', 'freeze': True})
     feed(one, record('R[5,15]D[0.2,2]', 12.0, torque_noise_relative=0.01), 0.05)
     assert one.delays()['motor'].applied_s == 0.0
@@ -253,7 +284,12 @@ def test_the_gradient_rule_goes_on_with_what_was_paired_anew(
 def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
     record: Callable[..., Recording], feed: Any
 ) -> None:
-    small = {'training.hidden': 3, 'training.context': 8, 'training.period': 50, 'training.steps': 3}
+    small = {
+        'training.hidden': 3,
+        'training.context': 8,
+        'training.period': 50,
+        'training.steps': 3,
+    }
     one = Observer(Configuration.from_flat({**small, 'motor.delay': 'estimate'}), InlineTraining)
     recording = record('R[5,15]D[0.2,2]', 12.0)
     results = feed(one, recording, 0.05)
@@ -264,9 +300,13 @@ def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
     assert len(said) == 200
     predictor = one.group_of('motor').observer.predictor
     assert predictor is not None
-    last = (results[-1].sample.stamp_ns - START_NS) // 10_000_000  # the very last torque may wait for its voltage
+    last = (
+        results[-1].sample.stamp_ns - START_NS
+    ) // 10_000_000  # the very last torque may wait for its voltage
     expected = recording.voltage_v[0, last - 1000 : last]
-    np.testing.assert_allclose(predictor.training.replay.voltage_v(1000)[0], expected, rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(
+        predictor.training.replay.voltage_v(1000)[0], expected, rtol=0.0, atol=0.05
+    )
 
 
 @pytest.mark.parametrize(
@@ -281,5 +321,7 @@ def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
         ),
     ],
 )
-def test_only_a_delay_that_was_not_declared_is_complained_of(known: DelayEstimate, said: str | None) -> None:
+def test_only_a_delay_that_was_not_declared_is_complained_of(
+    known: DelayEstimate, said: str | None
+) -> None:
     assert known.complaint('m') == said

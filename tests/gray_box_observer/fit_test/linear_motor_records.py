@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.context_nodes.trajectory import Stretch
-from gray_box_observer.observer import Observer
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
 Floats = NDArray[np.float64]
@@ -38,14 +38,22 @@ class Record:
         current_a = self.current_a[None]
         voltage_v = self.voltage_v[None, :-1]
         restart = np.zeros(voltage_v.shape, dtype=bool)
-        return Stretch(current_a, voltage_v, np.full(voltage_v.shape, INTERVAL_S), 0.0 * current_a, restart)
+        return Stretch(
+            current_a, voltage_v, np.full(voltage_v.shape, INTERVAL_S), 0.0 * current_a, restart
+        )
 
     def observed(self, **motor: object) -> Observer:
         """Return an observer that has learnt the record."""
-        values = {'torque_constant': TORQUE_CONSTANT, 'back_emf_constant': 1e-6, 'context_nodes': list(NODES)}
+        values = {
+            'torque_constant': TORQUE_CONSTANT,
+            'back_emf_constant': 1e-6,
+            'context_nodes': list(NODES),
+        }
         own = {f'motor.{name}': value for name, value in {**values, **motor}.items()}
         observer = Observer(Configuration.from_flat({'predictor': False, **own}))
-        for sample, (voltage_v, current_a) in enumerate(zip(self.voltage_v, self.current_a, strict=True)):
+        for sample, (voltage_v, current_a) in enumerate(
+            zip(self.voltage_v, self.current_a, strict=True)
+        ):
             stamp_ns = round(sample * INTERVAL_S * 1e9)
             observer.voltage('motor', stamp_ns, float(voltage_v))
             observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))

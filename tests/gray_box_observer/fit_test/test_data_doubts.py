@@ -10,9 +10,9 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.configuration import Configuration
 from gray_box_observer.fit_test.data_doubts import doubts
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.white_box.interface import Array
 
 INTERVAL, VOLTAGE, TORQUE, SPEED = range(4)
 
@@ -31,7 +31,9 @@ STEPS = 10
 
 @cache
 def _gear_motors(seed: int = 0) -> tuple[tuple[PlantParameters, Array], ...]:
-    """Draw gear motors with dry and viscous friction, and drive each to and fro; samples of shape (signal, n)."""
+    """Draw gear motors with dry and viscous friction, and drive each to and fro; samples of shape
+    (signal, n).
+    """
     rng = np.random.default_rng(seed)
     resistance = np.exp(rng.uniform(np.log(0.5), np.log(8.0), DRAWN))
     constant = np.exp(rng.uniform(np.log(0.05), np.log(0.8), DRAWN))
@@ -55,7 +57,9 @@ def _gear_motors(seed: int = 0) -> tuple[tuple[PlantParameters, Array], ...]:
 
 
 def _moved(drawn: dict[str, Array], voltage_v: Array, rng: np.random.Generator) -> Array:
-    """Let motors with a rotor run, and measure with 1 % of noise on torque; shape (motor, signal, n)."""
+    """Let motors with a rotor run, and measure with 1 % of noise on torque; shape (motor, signal,
+    n).
+    """
     step_s = 1.0 / RATE_HZ / STEPS
     kept = np.exp(-step_s * drawn['resistance'] / drawn['inductance'])
     constant = drawn['torque_constant']
@@ -69,7 +73,9 @@ def _moved(drawn: dict[str, Array], voltage_v: Array, rng: np.random.Generator) 
         for _ in range(STEPS):
             final = (voltage_v[:, k] - constant * speed) / drawn['resistance']
             current = final + (current - final) * kept
-            friction = drawn['viscous_friction'] * speed + drawn['coulomb_friction'] * np.tanh(speed / soft)
+            friction = drawn['viscous_friction'] * speed + drawn['coulomb_friction'] * np.tanh(
+                speed / soft
+            )
             speed = speed + step_s * (constant * current - friction) / drawn['inertia']
     samples[:, INTERVAL, 1:] = 1.0 / RATE_HZ
     samples[:, VOLTAGE, 1:] = voltage_v[:, :-1]
@@ -81,7 +87,9 @@ def _moved(drawn: dict[str, Array], voltage_v: Array, rng: np.random.Generator) 
 def _thesis_motor(resistance: float, noise: float) -> tuple[PlantParameters, Array]:
     """Record the motor of the thesis, at 100 Hz, its speed ``w = Kt i`` measured."""
     plant = PlantParameters(resistance=resistance, inductance=0.5 * resistance)
-    recording = Simulation({'motor': plant}, 'R[-15,15]D[1,5]', torque_noise_relative=noise).record(30.0)
+    recording = Simulation({'motor': plant}, 'R[-15,15]D[1,5]', torque_noise_relative=noise).record(
+        30.0
+    )
     samples = np.zeros((4, recording.stamp_ns.size))
     samples[INTERVAL, 1:] = np.diff(recording.stamp_ns) / 1e9
     samples[VOLTAGE, 1:] = recording.voltage_v[0, :-1]
@@ -91,8 +99,14 @@ def _thesis_motor(resistance: float, noise: float) -> tuple[PlantParameters, Arr
 
 
 def _effects(plant: PlantParameters, samples: Array, speed: bool = True, **given: Any) -> list[str]:
-    """Return the effects that are doubted of a motor of which Kt and Kb are said unless something else is."""
-    stated = {'torque_constant': plant.torque_constant, 'back_emf_constant': plant.back_emf_constant, **given}
+    """Return the effects that are doubted of a motor of which Kt and Kb are said unless something
+    else is.
+    """
+    stated = {
+        'torque_constant': plant.torque_constant,
+        'back_emf_constant': plant.back_emf_constant,
+        **given,
+    }
     values = {f'motor.{name}': value for name, value in stated.items() if value is not None}
     motor = Configuration.from_flat(values).motors['motor']
     white_box = motor.white_box(speed_measured=speed)
@@ -158,7 +172,9 @@ def test_a_flipped_speed_is_told(k: int, among_nodes: bool) -> None:
 @drawn_motor
 def test_a_forgotten_kb_is_told_with_its_value(k: int) -> None:
     plant, samples = _gear_motors()[k]
-    motor = Configuration.from_flat({'motor.torque_constant': plant.torque_constant}).motors['motor']
+    motor = Configuration.from_flat({'motor.torque_constant': plant.torque_constant}).motors[
+        'motor'
+    ]
     found = doubts(motor.white_box(speed_measured=True), samples, np.ones(3), motor)
     assert [suspect.effect for suspect in found] == ['back_emf_constant']
     told = float(found[0].remedy.split()[1])
@@ -170,7 +186,9 @@ def test_a_speed_that_is_noisy_and_late_is_no_doubt_about_kb_or_sign(k: int) -> 
     plant, samples = _gear_motors()[k]
     late = samples.copy()
     late[SPEED, 3:] = samples[SPEED, :-3]
-    late[SPEED] += np.random.default_rng(k).normal(0.0, 0.05 * np.std(samples[SPEED]), late.shape[1])
+    late[SPEED] += np.random.default_rng(k).normal(
+        0.0, 0.05 * np.std(samples[SPEED]), late.shape[1]
+    )
     assert _effects(plant, late) == []
 
 

@@ -1,4 +1,6 @@
-"""What the fit lets be believed, through the observer: misfits are never identified, good motors are."""
+"""What the fit lets be believed, through the observer: misfits are never identified, good motors
+are.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,11 @@ from linear_motor_records import (
     steps,
 )
 
-from gray_box_observer import checkpoint
+from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.policy import Judgement
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
 
 SAMPLES = 3000
 STD_A = 0.05
@@ -109,20 +111,31 @@ def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
     record = _free_rotor()
     observer = record.observed()
     level = np.full(2000, record.voltage_v[-1])
-    held = Record(np.concatenate([record.voltage_v, level]), np.concatenate([record.current_a, np.zeros(2000)]))
+    held = Record(
+        np.concatenate([record.voltage_v, level]),
+        np.concatenate([record.current_a, np.zeros(2000)]),
+    )
     _feed(observer, held, SAMPLES)
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
 
 
 def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
-    """At a constant voltage the current tells resistance and back-EMF together; nobody can part them."""
+    """At a constant voltage the current tells resistance and back-EMF together; nobody can part
+    them.
+    """
     current_a = np.full(4000, 0.3)  # of 3 A at stall
-    settled = Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
-    assert settled.estimate.std[0, 1] < 0.01 * settled.estimate.value[0, 1]  # sharp, and ten times too large
+    settled = (
+        Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
+    )
+    assert (
+        settled.estimate.std[0, 1] < 0.01 * settled.estimate.value[0, 1]
+    )  # sharp, and ten times too large
     assert Verdict.IDENTIFIED not in settled.estimate.verdicts[0]
 
 
-def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estimate(monkeypatch) -> None:
+def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estimate(
+    monkeypatch,
+) -> None:
     record = _healthy(samples=6000)
     first = Record(record.voltage_v[:3000], record.current_a[:3000]).observed()
     motor = first.motors['motor']
@@ -145,8 +158,12 @@ def test_readings_that_end_at_one_value_are_a_sensor_at_the_end_of_its_range() -
     assert fit.verdict is FitVerdict.MISFIT
     assert fit.suspects[0].effect == 'saturation'
     assert '4 A' in fit.suspects[0].remedy
-    coarse = Record(healthy.voltage_v, 0.2 * np.round(healthy.current_a / 0.2))  # levels repeat, and that is all right
-    assert 'saturation' not in {suspect.effect for suspect in coarse.observed().motors['motor'].fit.suspects}
+    coarse = Record(
+        healthy.voltage_v, 0.2 * np.round(healthy.current_a / 0.2)
+    )  # levels repeat, and that is all right
+    assert 'saturation' not in {
+        suspect.effect for suspect in coarse.observed().motors['motor'].fit.suspects
+    }
 
 
 def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
@@ -154,7 +171,9 @@ def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
     random = np.random.default_rng(1)
     late = random.uniform(0.0, 0.3, healthy.current_a.size)
     change = np.diff(current_of(healthy.voltage_v), append=0.0)
-    scattered = Record(healthy.voltage_v, healthy.current_a + late * change)  # read that much after its stamp
+    scattered = Record(
+        healthy.voltage_v, healthy.current_a + late * change
+    )  # read that much after its stamp
     motors = [record.observed(stamps_exact=True).motors['motor'] for record in (healthy, scattered)]
     exact, loose = (motor.estimate for motor in motors)
     assert loose.std[0, 0] > 5.0 * exact.std[0, 0]
@@ -162,19 +181,26 @@ def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
 
 
 def test_l_below_a_sample_interval_is_believed_only_where_stamps_are_exact() -> None:
-    """With 10 ms between samples of a motor whose L/R is 2 ms, L is what the instant of a step says."""
+    """With 10 ms between samples of a motor whose L/R is 2 ms, L is what the instant of a step
+    says.
+    """
     coarse = _healthy(samples=20000)
     every = Record(coarse.voltage_v[::10].repeat(10), coarse.current_a)
     voltage_v = every.voltage_v
     record = Record(voltage_v[::10], (current_of(voltage_v) + noise(20000, STD_A, 9))[::10])
-    believed = [_observed_every(record, 10, stamps_exact=exact).motors['motor'].estimate for exact in (False, True)]
+    believed = [
+        _observed_every(record, 10, stamps_exact=exact).motors['motor'].estimate
+        for exact in (False, True)
+    ]
     assert believed[0].std[0, 0] > 3.0 * believed[1].std[0, 0]
     assert believed[0].std[0, 1] < 0.02 * believed[0].value[0, 1]
 
 
 def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
     stretched = Record(np.empty(0), np.empty(0)).observed(**motor)
-    for sample, (voltage_v, current_a) in enumerate(zip(record.voltage_v, record.current_a, strict=True)):
+    for sample, (voltage_v, current_a) in enumerate(
+        zip(record.voltage_v, record.current_a, strict=True)
+    ):
         stamp_ns = round(factor * sample * INTERVAL_S * 1e9)
         stretched.voltage('motor', stamp_ns, float(voltage_v))
         stretched.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))

@@ -6,7 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from linear_motor_records import TRUTH, WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
+from linear_motor_records import (
+    TRUTH,
+    WHITE_BOX,
+    Record,
+    current_of,
+    current_of_free_rotor,
+    noise,
+    steps,
+)
 
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.policy import judge
@@ -34,22 +42,30 @@ def test_errors_in_time_show_where_the_current_is_steep() -> None:
     record = _record(1)
     assert analyse(WHITE_BOX, TRUTH, record.stretch).jitter == 0.0
     late = np.random.default_rng(2).normal(0.0, 0.1, SAMPLES)
-    scattered = Record(record.voltage_v, record.current_a - late * np.gradient(current_of(record.voltage_v)))
+    scattered = Record(
+        record.voltage_v, record.current_a - late * np.gradient(current_of(record.voltage_v))
+    )
     assert analyse(WHITE_BOX, TRUTH, scattered.stretch).jitter == pytest.approx(0.1, rel=0.4)
 
 
 @pytest.mark.parametrize('samples', [64, 79, 80, 81, 82, 100, 128])
 def test_few_samples_are_analysed_in_numbers(samples: int) -> None:
     whole = _record(3)
-    analysis = analyse(WHITE_BOX, TRUTH, Record(whole.voltage_v[:samples], whole.current_a[:samples]).stretch)
-    assert np.isfinite([analysis.ratio, analysis.whiteness, analysis.jitter, analysis.moving_noise_a]).all()
+    analysis = analyse(
+        WHITE_BOX, TRUTH, Record(whole.voltage_v[:samples], whole.current_a[:samples]).stretch
+    )
+    assert np.isfinite(
+        [analysis.ratio, analysis.whiteness, analysis.jitter, analysis.moving_noise_a]
+    ).all()
 
 
 def test_what_is_no_number_is_no_fit() -> None:
     analysis = analyse(WHITE_BOX, TRUTH, _record(1).stretch)
     for part in ('ratio', 'whiteness', 'jitter'):
         unknown = replace(analysis, **{part: np.nan})
-        verdict = judge(unknown, np.full(2, 0.01), SAMPLES, speed_measured=False, stamps_exact=True).verdict
+        verdict = judge(
+            unknown, np.full(2, 0.01), SAMPLES, speed_measured=False, stamps_exact=True
+        ).verdict
         assert verdict is FitVerdict.MISFIT, part
 
 
@@ -103,7 +119,9 @@ def test_quantised_readings_do_not_look_free_of_noise() -> None:
     step_a = 0.4
     voltage_v = steps(SAMPLES, 6)
     exact = current_of(voltage_v) + noise(SAMPLES, 0.01, 7)
-    analysis = analyse(WHITE_BOX, TRUTH, Record(voltage_v, np.round(exact / step_a) * step_a).stretch)
+    analysis = analyse(
+        WHITE_BOX, TRUTH, Record(voltage_v, np.round(exact / step_a) * step_a).stretch
+    )
     assert analysis.floor_a >= step_a / np.sqrt(12.0) * 0.999
     assert analysis.ratio < 1.25
 
@@ -116,5 +134,8 @@ def test_the_ljung_box_statistic_is_about_one_for_white_noise() -> None:
 @pytest.mark.parametrize(('memory', 'inflation'), [(0.0, 1.0), (0.5, 3.0), (0.8, 9.0)])
 def test_the_long_run_covariance_is_that_of_sums(memory: float, inflation: float) -> None:
     count = 4096
-    values = [long_run_covariance(noise(count, 1.0, seed, memory)[:, None])[0, 0] / count for seed in range(20)]
+    values = [
+        long_run_covariance(noise(count, 1.0, seed, memory)[:, None])[0, 0] / count
+        for seed in range(20)
+    ]
     assert np.mean(values) == pytest.approx(inflation, rel=0.25)

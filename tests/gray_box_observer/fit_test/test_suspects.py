@@ -28,7 +28,9 @@ def test_what_comes_late_is_named() -> None:
 
 
 @pytest.mark.parametrize('frequency_hz', [2.0, 5.0])
-def test_of_one_frequency_a_voltage_that_acts_before_it_is_stamped_is_no_explanation(frequency_hz: float) -> None:
+def test_of_one_frequency_a_voltage_that_acts_before_it_is_stamped_is_no_explanation(
+    frequency_hz: float,
+) -> None:
     """Current that leads, as a free rotor's does, would be a negative delay: the rotor is named."""
     voltage_v = 9.0 * np.sin(2.0 * np.pi * frequency_hz * 1e-3 * np.arange(SAMPLES))
     assert _first(voltage_v, current_of_free_rotor(voltage_v)) == 'rotor'

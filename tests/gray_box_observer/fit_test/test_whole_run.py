@@ -11,7 +11,7 @@ from dc_motor_sim.simulation import Recording
 from gray_box_observer.fit_test import whole_run
 from gray_box_observer.fit_test.whole_run import autocorrelation, fit_percent, white_box_torque
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 TRUTH = np.array([0.5, 1.0, 10.0])
 
@@ -25,9 +25,13 @@ def signals_of(recording: Recording) -> tuple[Array, Array, Array]:
     return interval_s, voltage_v, recording.torque_nm[0]
 
 
-def test_with_the_true_values_the_run_is_what_was_measured(record: Callable[..., Recording]) -> None:
+def test_with_the_true_values_the_run_is_what_was_measured(
+    record: Callable[..., Recording],
+) -> None:
     interval_s, voltage_v, torque_nm = signals_of(record('R[-15,15]D[0.2,2]', 20.0))
-    run_nm = white_box_torque(BOX, TRUTH, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm))
+    run_nm = white_box_torque(
+        BOX, TRUTH, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm)
+    )
     assert np.max(np.abs(run_nm - torque_nm)) < 1e-4 * np.max(np.abs(torque_nm))
     assert fit_percent(torque_nm, run_nm) == pytest.approx(100.0, abs=0.02)
 
@@ -39,7 +43,9 @@ def test_pieces_make_the_same_run_as_the_whole(
     theta = 1.3 * TRUTH
     whole = white_box_torque(BOX, theta, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm))
     monkeypatch.setattr(whole_run, 'CHUNK', 300)
-    pieces = white_box_torque(BOX, theta, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm))
+    pieces = white_box_torque(
+        BOX, theta, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm)
+    )
     np.testing.assert_allclose(pieces, whole, rtol=0.0, atol=1e-7 * np.max(np.abs(torque_nm)))
 
 
@@ -48,9 +54,13 @@ def test_a_new_history_sets_the_run_to_the_measurement_and_values_that_are_none_
 ) -> None:
     interval_s, voltage_v, torque_nm = signals_of(record('R[-15,15]D[0.2,2]', 20.0))
     interval_s[700] = 0.0
-    run_nm = white_box_torque(BOX, 2.0 * TRUTH, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm))
+    run_nm = white_box_torque(
+        BOX, 2.0 * TRUTH, interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm)
+    )
     assert run_nm[700] == pytest.approx(torque_nm[700], rel=1e-9)
-    none = white_box_torque(BOX, np.full(3, np.nan), interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm))
+    none = white_box_torque(
+        BOX, np.full(3, np.nan), interval_s, voltage_v, torque_nm, np.zeros_like(torque_nm)
+    )
     assert np.isnan(none).all()
 
 

@@ -6,10 +6,16 @@ from typing import Any
 
 import pytest
 
-from gray_box_observer.predictor.torch_network import TorchNetwork
+from gray_box_observer.predictor.training.torch_network import TorchNetwork
 from gray_box_observer.white_box import MotorWhiteBox
 
-THETA = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0, 'back_emf_constant': 0.02, 'brush_drop': 0.4}
+THETA = {
+    'inductance': 0.5,
+    'resistance': 1.0,
+    'hysteresis': 10.0,
+    'back_emf_constant': 0.02,
+    'brush_drop': 0.4,
+}
 
 
 class Idle:
@@ -45,14 +51,20 @@ def idle() -> Idle:
 
 
 BOXES = {
-    'thesis': MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}),
+    'thesis': MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}
+    ),
     'linear': MotorWhiteBox(('inductance', 'resistance'), 0.01, {'back_emf_constant': 0.01}),
     'no resistance': MotorWhiteBox(('inductance', 'hysteresis'), 0.01),
     'nothing but inductance': MotorWhiteBox(('inductance',), 0.01),
     'brushes': MotorWhiteBox(('inductance', 'resistance', 'hysteresis', 'brush_drop'), 0.01),
-    'known brushes': MotorWhiteBox(('inductance', 'hysteresis', 'resistance'), 0.01, {'brush_drop': 0.3}),
+    'known brushes': MotorWhiteBox(
+        ('inductance', 'hysteresis', 'resistance'), 0.01, {'brush_drop': 0.3}
+    ),
     'speed': MotorWhiteBox(
-        ('inductance', 'resistance', 'hysteresis', 'back_emf_constant', 'brush_drop'), 0.05, speed_measured=True
+        ('inductance', 'resistance', 'hysteresis', 'back_emf_constant', 'brush_drop'),
+        0.05,
+        speed_measured=True,
     ),
 }
 

@@ -1,4 +1,6 @@
-"""The alarm on the residual: as many false ones as stated, quick on true ones, deaf to what is no fault."""
+"""The alarm on the residual: as many false ones as stated, quick on true ones, deaf to what is no
+fault.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ def test_residuals_that_hang_together_raise_no_more_false_alarms_than_stated() -
 
 def test_the_default_keeps_still_for_hours_of_white_noise() -> None:
     alarm = ResidualAlarm(100)
-    watch(alarm, noise(6000, 100, 2))  # 100 motors for a minute are 1.7 hours; 0.1 a day is accepted of each
+    watch(
+        alarm, noise(6000, 100, 2)
+    )  # 100 motors for a minute are 1.7 hours; 0.1 a day is accepted of each
     assert alarm.count.sum() == 0
 
 
@@ -109,7 +113,9 @@ def test_what_is_restored_goes_on_alike() -> None:
 
 
 def test_the_threshold_grows_with_the_logarithm_of_the_time_between_false_alarms() -> None:
-    assert threshold_for(1e6) - threshold_for(1e5) == pytest.approx(np.log(10.0), abs=0.05)  # exp(2 k h), k = 1/2
+    assert threshold_for(1e6) - threshold_for(1e5) == pytest.approx(
+        np.log(10.0), abs=0.05
+    )  # exp(2 k h), k = 1/2
     assert run_length(threshold_for(12345.0)) == pytest.approx(12345.0, rel=1e-6)
 
 
@@ -122,10 +128,15 @@ def test_a_motor_alone_is_watched_as_it_is_among_others() -> None:
     residuals = noise(6000, 3, seed=5)
     residuals[4000:4300, 1] += 3.0 * SPREAD_NM
     residuals[::700, 2] = np.nan
-    together, alone = ResidualAlarm(3, rules(500.0)), [ResidualAlarm(1, rules(500.0)) for _ in range(3)]
+    together, alone = (
+        ResidualAlarm(3, rules(500.0)),
+        [ResidualAlarm(1, rules(500.0)) for _ in range(3)],
+    )
     stands = watch(together, residuals)
     for motor, one in enumerate(alone):
-        np.testing.assert_array_equal(watch(one, residuals[:, motor : motor + 1])[:, 0], stands[:, motor])
+        np.testing.assert_array_equal(
+            watch(one, residuals[:, motor : motor + 1])[:, 0], stands[:, motor]
+        )
         state = together.state(motor)
         assert all(state[name].tobytes() == array.tobytes() for name, array in one.state().items())
     assert together.count[1] > 0

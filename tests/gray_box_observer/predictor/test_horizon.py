@@ -1,4 +1,6 @@
-"""Forecasts over a horizon with what was learnt beside the physics, against streaming with the voltage really held."""
+"""Forecasts over a horizon with what was learnt beside the physics, against streaming with the
+voltage really held.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,11 @@ import numpy as np
 import pytest
 
 from gray_box_observer.predictor import Prediction, Predictor, TrainingRules
+from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual import ASKED, BINS, INPUTS, Correction
-from gray_box_observer.predictor.residual_schedule import newest
-from gray_box_observer.predictor.traces import LONGEST
+from gray_box_observer.predictor.residual_model import ASKED, BINS, INPUTS, Correction
+from gray_box_observer.predictor.training.residual_schedule import newest
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -27,13 +29,19 @@ def correction(share: float = 1.0) -> Correction:
     weights = Weights.initial(INPUTS, 8, 3)
     weights = replace(weights, output=4.0 * weights.output, output_bias=np.zeros(1))
     support = np.full((BINS, BINS), 1e4)
-    linear = LinearPart(0.01 * np.random.default_rng(4).standard_normal(FEATURES), np.full(FEATURES, 20.0))
+    linear = LinearPart(
+        0.01 * np.random.default_rng(4).standard_normal(FEATURES), np.full(FEATURES, 20.0)
+    )
     return Correction(weights, linear, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
 
 
 def box_of(motors: int) -> MotorWhiteBox:
     constants = (0.01, 0.01) if motors == 1 else (np.full(motors, 0.01), np.full(motors, 0.01))
-    return MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), constants[0], {'back_emf_constant': constants[1]})
+    return MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'),
+        constants[0],
+        {'back_emf_constant': constants[1]},
+    )
 
 
 def warmed(idle: Any, motors: int, learnt: Correction | None) -> Predictor:
@@ -51,7 +59,9 @@ def warmed(idle: Any, motors: int, learnt: Correction | None) -> Predictor:
 def go_on(one: Predictor, voltage_v: np.ndarray, motors: int, first: bool = False) -> Prediction:
     """Predict and learn one sample; a free run does not care what was measured."""
     blank = np.full(motors, np.nan)
-    sample = Sample(0, np.full(motors, 0.0 if first else INTERVAL_S), voltage_v, np.zeros(motors), blank)
+    sample = Sample(
+        0, np.full(motors, 0.0 if first else INTERVAL_S), voltage_v, np.zeros(motors), blank
+    )
     prediction = one.predict(sample.interval_s, voltage_v, TRUTH[:motors])
     one.learn(sample, prediction, TRUTH[:motors])
     return prediction
@@ -59,7 +69,9 @@ def go_on(one: Predictor, voltage_v: np.ndarray, motors: int, first: bool = Fals
 
 @pytest.mark.parametrize('motors', [1, 2])
 @pytest.mark.parametrize('steps', [1, 2, 17, ASKED, 2 * ASKED, 9 * ASKED])
-def test_a_forecast_says_what_streaming_will_say_if_the_voltage_is_held(idle: Any, steps: int, motors: int) -> None:
+def test_a_forecast_says_what_streaming_will_say_if_the_voltage_is_held(
+    idle: Any, steps: int, motors: int
+) -> None:
     one, held_v = warmed(idle, motors, correction()), HELD_V[:motors]
     said = one.forecast(steps * INTERVAL_S, held_v, TRUTH[:motors])
     alone = warmed(idle, motors, None).forecast(steps * INTERVAL_S, held_v, TRUTH[:motors])
@@ -85,7 +97,10 @@ def test_it_goes_on_from_what_is_predicted_of_the_next_sample(idle: Any) -> None
 
 
 def test_a_correction_that_nothing_bears_out_has_no_part_in_it(idle: Any) -> None:
-    alone, mute = (warmed(idle, 1, learnt).forecast(0.1, HELD_V[:1], TRUTH[:1]) for learnt in (None, correction(0.0)))
+    alone, mute = (
+        warmed(idle, 1, learnt).forecast(0.1, HELD_V[:1], TRUTH[:1])
+        for learnt in (None, correction(0.0))
+    )
     np.testing.assert_array_equal(alone, mute)
 
 
@@ -103,7 +118,9 @@ def test_forecasting_changes_nothing(idle: Any) -> None:
     asked, silent = (warmed(idle, 2, correction()) for _ in range(2))
     for horizon_s in (0.003, 0.2, 3.0):
         asked.forecast(horizon_s, HELD_V, TRUTH)
-    np.testing.assert_array_equal(go_on(asked, HELD_V, 2).torque_nm, go_on(silent, HELD_V, 2).torque_nm)
+    np.testing.assert_array_equal(
+        go_on(asked, HELD_V, 2).torque_nm, go_on(silent, HELD_V, 2).torque_nm
+    )
 
 
 def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
@@ -112,7 +129,9 @@ def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
     assert np.isnan(one.forecast(0.1, HELD_V[:1], TRUTH[:1])[0])
 
 
-def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remembered_then(idle: Any) -> None:
+def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remembered_then(
+    idle: Any,
+) -> None:
     silenced, never = warmed(idle, 1, correction()), warmed(idle, 1, None)
     silenced.residual.adopt(correction(0.0).arrays(), newest(silenced.training.replay, LONGEST))
     said = []
@@ -126,7 +145,9 @@ def test_a_correction_that_was_silent_for_long_does_not_go_on_from_what_it_remem
 
 def test_a_correction_adopted_on_the_way_knows_what_the_motor_was_given_before(idle: Any) -> None:
     learnt = correction()
-    mute = replace(learnt, weights=replace(learnt.weights, output=np.zeros(8)))  # the linear part alone
+    mute = replace(
+        learnt, weights=replace(learnt.weights, output=np.zeros(8))
+    )  # the linear part alone
     always, late, forgetful = warmed(idle, 1, mute), warmed(idle, 1, None), warmed(idle, 1, None)
     late.residual.adopt(mute.arrays(), newest(late.training.replay, LONGEST))
     forgetful.residual.adopt(mute.arrays())

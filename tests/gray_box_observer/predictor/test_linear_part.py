@@ -1,16 +1,28 @@
-"""The linear part of a correction: what it finds, what it does not presume to know, and where it is silent."""
+"""The linear part of a correction: what it finds, what it does not presume to know, and where it is
+silent.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from gray_box_observer.predictor.linear_part import FEATURES, FURTHER, NOW, STRANGE, TRUSTED, LinearPart, features
-from gray_box_observer.predictor.traces import LADDER, SIGNALS, along, blank
+from gray_box_observer.predictor.lag_features import LADDER, SIGNALS, along, blank
+from gray_box_observer.predictor.linear_part import (
+    FEATURES,
+    FURTHER,
+    NOW,
+    STRANGE,
+    TRUSTED,
+    LinearPart,
+    features,
+)
 
 
 def run(seed: int, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
-    """Features of a motor whose voltage steps now and then, and a rotor's lag of that voltage: 20 samples."""
+    """Features of a motor whose voltage steps now and then, and a rotor's lag of that voltage: 20
+    samples.
+    """
     random = np.random.default_rng(seed)
     voltage = np.repeat(random.uniform(0.0, 10.0, count // 30), 30)[None]
     current, speed = 0.2 * voltage, np.zeros_like(voltage)
@@ -24,7 +36,9 @@ def run(seed: int, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
 def still(voltage_v: np.ndarray) -> np.ndarray:
     """Features of a motor of which nothing but the voltage is seen."""
     nothing = np.zeros_like(voltage_v)
-    return features(voltage_v, nothing, nothing, nothing, np.zeros((*voltage_v.shape, SIGNALS, LADDER.size)))
+    return features(
+        voltage_v, nothing, nothing, nothing, np.zeros((*voltage_v.shape, SIGNALS, LADDER.size))
+    )
 
 
 def wander(seed: int, samples: float) -> np.ndarray:
@@ -81,7 +95,9 @@ def test_noise_that_hangs_together_bends_nothing_and_reaches_no_further(seed: in
 
 def test_dry_friction_bends_the_line() -> None:
     voltage = np.repeat(np.random.default_rng(5).uniform(-10.0, 10.0, 100), 30)[None]
-    friction = 0.2 * np.minimum(np.maximum(voltage, -1.5), 1.5) + 0.01 * voltage  # it sticks up to 1.5 V, then it turns
+    friction = (
+        0.2 * np.minimum(np.maximum(voltage, -1.5), 1.5) + 0.01 * voltage
+    )  # it sticks up to 1.5 V, then it turns
     part = LinearPart.learnt(still(voltage), friction + 0.02 * wander(1, 3.0))
     asked = np.linspace(-10.0, 10.0, 81)
     true = 0.2 * np.minimum(np.maximum(asked, -1.5), 1.5) + 0.01 * asked

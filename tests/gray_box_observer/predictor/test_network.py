@@ -8,8 +8,8 @@ import torch
 
 from gray_box_observer.predictor.network import Memory, Weights, advance, step
 from gray_box_observer.predictor.normalisation import Normalisation, Range, moved
-from gray_box_observer.predictor.torch_network import TorchNetwork
-from gray_box_observer.torch_ops import TorchOps
+from gray_box_observer.predictor.training.torch_network import TorchNetwork
+from gray_box_observer.white_box.torch_ops import TorchOps
 
 
 def stream(weights: Weights, inputs: np.ndarray) -> np.ndarray:
@@ -79,10 +79,14 @@ def test_a_step_leaves_what_it_was_given_and_may_be_taken_again(order: Literal['
 @pytest.mark.parametrize('order', ['C', 'F'])
 def test_torch_takes_the_same_step(order: Literal['C', 'F']) -> None:
     ops, random, weights = TorchOps('cpu'), np.random.default_rng(0), Weights.initial(5, 12, 0)
-    hidden, cell, inputs = (np.asarray(random.normal(size=(9, n)), order=order) for n in (12, 12, 5))
+    hidden, cell, inputs = (
+        np.asarray(random.normal(size=(9, n)), order=order) for n in (12, 12, 5)
+    )
     output, memory = step(weights, Memory(hidden, cell), inputs)
     given = [ops.taken(matrix) for matrix in weights.matrices]
-    theirs, after = advance(ops, given, Memory(ops.taken(hidden), ops.taken(cell)), ops.taken(inputs))
+    theirs, after = advance(
+        ops, given, Memory(ops.taken(hidden), ops.taken(cell)), ops.taken(inputs)
+    )
     for ours, other in ((output, theirs), (memory.hidden, after.hidden), (memory.cell, after.cell)):
         np.testing.assert_allclose(other.numpy(), ours, rtol=1e-12, atol=1e-15)
 
@@ -117,7 +121,9 @@ def test_moving_the_ranges_leaves_what_the_network_computes(seed: int) -> None:
         result: np.ndarray = ranges.torque.denormalise(stream(network, inputs))
         return result
 
-    np.testing.assert_allclose(predict(moved(weights, old, new), new), predict(weights, old), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        predict(moved(weights, old, new), new), predict(weights, old), rtol=1e-9, atol=1e-12
+    )
 
 
 def test_a_range_grows_only_where_data_leave_it() -> None:

@@ -16,17 +16,19 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor import Predictor, TrainingRules, Variant
 from gray_box_observer.predictor import predictor as predictor_module
 from gray_box_observer.predictor.elementwise import Floats
+from gray_box_observer.predictor.initial_network import fresh
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.relaxation import course, flow
-from gray_box_observer.predictor.start import fresh
+from gray_box_observer.predictor.steady_state import course, flow
 from gray_box_observer.samples import ReplayBuffer, Sample
-from gray_box_observer.torch_ops import TorchOps
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.torch_ops import TorchOps
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 
-def predictor(box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingRules | None = None) -> Predictor:
+def predictor(
+    box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingRules | None = None
+) -> Predictor:
     rules = rules or TrainingRules()
     return Predictor(box, motors, TRUTH[0], rules, idle, speed_measured=box.speed_measured)
 
@@ -56,7 +58,9 @@ def test_a_free_run_from_voltages_alone_is_right_within_a_hundredth_on_every_set
 ) -> None:
     recording = record(excitation, 20.0, 3, solver_step_s=0.002)
     for start in ('shipped', 'fresh'):
-        said = run(predictor(thesis_box, idle, rules=TrainingRules(start=start)), samples_of(recording))
+        said = run(
+            predictor(thesis_box, idle, rules=TrainingRules(start=start)), samples_of(recording)
+        )
         assert error(said[0], recording.true_torque_nm[0]) < 1e-3
 
 
@@ -65,27 +69,47 @@ def test_a_motor_never_seen_is_predicted_from_its_parameters(idle: Any, seed: in
     unseen = np.random.default_rng(seed).uniform(0.6, 1.4, 3) * TRUTH
     inductance, resistance, hysteresis = unseen[0].tolist()
     plant = PlantParameters(inductance=inductance, resistance=resistance, hysteresis=hysteresis)
-    recording = Simulation({'m': plant}, 'R[5,15]D[0.001,2]', seed=seed, solver_step_s=0.002).record(15.0)
-    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01})
+    recording = Simulation(
+        {'m': plant}, 'R[5,15]D[0.001,2]', seed=seed, solver_step_s=0.002
+    ).record(15.0)
+    box = MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}
+    )
     one = predictor(box, idle)
     said = run(one, samples(recording), unseen)
     assert error(said[0], recording.true_torque_nm[0]) < 1e-3
 
 
 def samples(recording: Recording, every: int = 1, jitter: bool = False) -> list[Sample]:
-    """Samples at every n-th stamp or, with jitter, one to n stamps apart, with the mean voltage between."""
+    """Samples at every n-th stamp or, with jitter, one to n stamps apart, with the mean voltage
+    between.
+    """
     random, k, made, last = np.random.default_rng(0), 0, [], 0
     while k < recording.stamp_ns.size:
         held = recording.voltage_v[:, last:k].mean(axis=1) if k else recording.voltage_v[:, 0]
-        interval = np.full(len(recording.motors), (recording.stamp_ns[k] - recording.stamp_ns[last]) / 1e9)
-        made.append(Sample(int(recording.stamp_ns[k]), interval, held, recording.torque_nm[:, k], 0.0 * held + np.nan))
+        interval = np.full(
+            len(recording.motors), (recording.stamp_ns[k] - recording.stamp_ns[last]) / 1e9
+        )
+        made.append(
+            Sample(
+                int(recording.stamp_ns[k]),
+                interval,
+                held,
+                recording.torque_nm[:, k],
+                0.0 * held + np.nan,
+            )
+        )
         last, k = k, k + (int(random.integers(1, every + 1)) if jitter else every)
     return made
 
 
-def test_sampled_slowly_and_unevenly_it_is_still_right(thesis_box: MotorWhiteBox, idle: Any) -> None:
+def test_sampled_slowly_and_unevenly_it_is_still_right(
+    thesis_box: MotorWhiteBox, idle: Any
+) -> None:
     plant = PlantParameters()
-    recording = Simulation({'m': plant}, 'R[0,33]D[0.8,0.8]', seed=2, solver_step_s=0.002).record(40.0)
+    recording = Simulation({'m': plant}, 'R[0,33]D[0.8,0.8]', seed=2, solver_step_s=0.002).record(
+        40.0
+    )
     slow = samples(recording, 20)  # 0.2 s: a good part of a time constant
     said = run(predictor(thesis_box, idle), slow)
     true = np.array([s.torque_nm[0] for s in slow])
@@ -94,7 +118,8 @@ def test_sampled_slowly_and_unevenly_it_is_still_right(thesis_box: MotorWhiteBox
     assert error(said[0], true, 5) < error(untaught[0], true, 5)
     uneven = samples(recording, 4, jitter=True)
     mixed = run(predictor(thesis_box, idle), uneven)
-    # where the voltage changed inside an interval its mean stands for it; nearly all the error is from there
+    # where the voltage changed inside an interval its mean stands for it; nearly all the error is
+    # from there
     assert error(mixed[0], np.array([s.torque_nm[0] for s in uneven]), 5) < 0.01
 
 
@@ -102,7 +127,11 @@ def test_after_a_step_of_the_resistance_the_error_is_back_with_the_identified_va
     thesis_box: MotorWhiteBox, idle: Any
 ) -> None:
     recording = Simulation(
-        {'m': PlantParameters()}, 'R[5,15]D[1,3]', seed=1, solver_step_s=0.002, schedule=['m.resistance=1.3@10']
+        {'m': PlantParameters()},
+        'R[5,15]D[1,3]',
+        seed=1,
+        solver_step_s=0.002,
+        schedule=['m.resistance=1.3@10'],
     ).record(20.0)
     one, said = predictor(thesis_box, idle), []
     for k, s in enumerate(samples(recording)):
@@ -113,7 +142,9 @@ def test_after_a_step_of_the_resistance_the_error_is_back_with_the_identified_va
     assert error(np.array(said), recording.true_torque_nm[0]) < 1e-3
 
 
-def test_predicting_changes_nothing(thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]) -> None:
+def test_predicting_changes_nothing(
+    thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
+) -> None:
     asked, silent = predictor(thesis_box, idle), predictor(thesis_box, idle)
     some = samples(record('R[5,15]D[0.2,2]', 4.0))
     expected, said = run(silent, some), []
@@ -149,7 +180,9 @@ def test_a_forecast_holds_the_planned_voltage_over_any_horizon_in_one_step(
         way = course(Floats, thesis_box, TRUTH[0].tolist(), voltage, 0.0, 0.0)
         exact = 0.01 * flow(Floats, thesis_box, way, now, horizon_s, 0.01)
         reach = abs(0.01 * (way.steady_a - now))
-        assert one.forecast(horizon_s, np.array([voltage]), TRUTH)[0] == pytest.approx(exact, abs=0.01 * reach)
+        assert one.forecast(horizon_s, np.array([voltage]), TRUTH)[0] == pytest.approx(
+            exact, abs=0.01 * reach
+        )
 
 
 def test_the_thesis_goes_from_sample_to_sample_only(thesis_box: MotorWhiteBox, idle: Any) -> None:
@@ -169,7 +202,9 @@ def test_motors_together_are_predicted_as_each_alone(idle: Any) -> None:
     said = run(predictor(both, idle, 2), together, theta)
     for m in range(2):
         own = [
-            Sample.of_one_motor(s.stamp_ns, float(s.interval_s[m]), float(s.voltage_v[m]), float(s.torque_nm[m]))
+            Sample.of_one_motor(
+                s.stamp_ns, float(s.interval_s[m]), float(s.voltage_v[m]), float(s.torque_nm[m])
+            )
             for s in together
         ]
         np.testing.assert_allclose(
@@ -179,14 +214,20 @@ def test_motors_together_are_predicted_as_each_alone(idle: Any) -> None:
     assert np.isfinite(said[:, 201:]).all()
 
 
-def test_every_white_box_is_served_with_measured_speed_too(box: MotorWhiteBox, theta: list[float], idle: Any) -> None:
+def test_every_white_box_is_served_with_measured_speed_too(
+    box: MotorWhiteBox, theta: list[float], idle: Any
+) -> None:
     one, truth, interval_s = predictor(box, idle), np.array([theta]), 0.01
     random, current, voltage, speed = np.random.default_rng(0), 0.0, 0.0, 0.0
     said, true = [], []
     for k in range(400):
         torque = float(box.output(current))  # type: ignore[arg-type]
         sample = Sample.of_one_motor(
-            k * 10**7, interval_s * (k > 0), voltage, torque, speed if box.speed_measured else np.nan
+            k * 10**7,
+            interval_s * (k > 0),
+            voltage,
+            torque,
+            speed if box.speed_measured else np.nan,
         )
         prediction = one.predict(sample.interval_s, sample.voltage_v, truth)
         one.learn(sample, prediction, truth)
@@ -206,7 +247,9 @@ def test_whatever_comes_what_is_said_is_finite(thesis_box: MotorWhiteBox, idle: 
     for k in range(500):
         theta = TRUTH * 10.0 ** random.uniform(-6, 6, (1, 3))
         voltage, torque = (float(random.normal() * 10.0 ** random.uniform(-9, 9)) for _ in range(2))
-        sample = Sample.of_one_motor(k, float(10.0 ** random.uniform(-6, 3)) * (k > 0), voltage, torque)
+        sample = Sample.of_one_motor(
+            k, float(10.0 ** random.uniform(-6, 3)) * (k > 0), voltage, torque
+        )
         prediction = one.predict(sample.interval_s, sample.voltage_v, theta)
         one.learn(sample, prediction, theta)
         if k:
@@ -218,7 +261,9 @@ def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
     one, some = predictor(thesis_box, idle), samples(record('R[5,15]D[0.2,2]', 4.0))
-    wild = Weights(**{name: 1e3 * np.sign(array) for name, array in Weights.initial(5, 12, 0).arrays().items()})
+    wild = Weights(
+        **{name: 1e3 * np.sign(array) for name, array in Weights.initial(5, 12, 0).arrays().items()}
+    )
     one.restore(wild.arrays())
     said = run(one, some)[0]
     assert np.all(said[1:] >= 0.0)
@@ -252,9 +297,13 @@ def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
     some, listening = samples(record('R[5,15]D[0.2,2]', 15.0)), (idle, type(idle)())
-    for one_of, brought in zip(listening, (np.nan, 3.0), strict=True):  # where speed_source is torque_constant
+    for one_of, brought in zip(
+        listening, (np.nan, 3.0), strict=True
+    ):  # where speed_source is torque_constant
         one = predictor(thesis_box, one_of, rules=TrainingRules(period=500))
-        with_speed = [s._replace(speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)]
+        with_speed = [
+            s._replace(speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)
+        ]
         run(one, with_speed)
         one.training.refill(ReplayBuffer.of(with_speed[-1300:]).content())
         run(one, with_speed[1:])
@@ -300,7 +349,10 @@ def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
     assert told.jobs == settled
     run(one, some[1:201], np.array([[0.5, 1.1, 10.0]]))
     assert told.jobs == settled + 1
-    farther = [Sample(s.stamp_ns, s.interval_s, 3.0 * s.voltage_v, s.torque_nm, s.speed_rad_s) for s in some[1:301]]
+    farther = [
+        Sample(s.stamp_ns, s.interval_s, 3.0 * s.voltage_v, s.torque_nm, s.speed_rad_s)
+        for s in some[1:301]
+    ]
     run(one, farther, np.array([[0.5, 1.1, 10.0]]))
     farthest = told.jobs
     assert farthest >= settled + 2
@@ -361,18 +413,30 @@ def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_mov
 
 
 def test_many_motors_are_predicted_alike_on_a_device(
-    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, theta: list[float], idle: Any, torch_name: str
+    monkeypatch: pytest.MonkeyPatch,
+    box: MotorWhiteBox,
+    theta: list[float],
+    idle: Any,
+    torch_name: str,
 ) -> None:
     """Torch against numpy, with pauses, missing values, and voltages that move or are held."""
     monkeypatch.setattr(predictor_module, 'DEVICE_FROM', 2)
     motors, random = 7, np.random.default_rng(1)
     constant = random.uniform(0.5, 2.0, motors)
     known = {name: value * constant for name, value in box.known.items()}
-    many = MotorWhiteBox(box.context_nodes, box.torque_constant * constant, known, box.speed_measured)
+    many = MotorWhiteBox(
+        box.context_nodes, box.torque_constant * constant, known, box.speed_measured
+    )
     values = np.array(theta) * random.uniform(0.7, 1.4, (motors, len(theta)))
     both = [
         Predictor(
-            many, motors, np.array(theta), TrainingRules(), idle, speed_measured=box.speed_measured, device=device
+            many,
+            motors,
+            np.array(theta),
+            TrainingRules(),
+            idle,
+            speed_measured=box.speed_measured,
+            device=device,
         )
         for device in (None, torch_name)
     ]
@@ -380,7 +444,9 @@ def test_many_motors_are_predicted_alike_on_a_device(
     assert isinstance(both[1]._axis.arrays, TorchOps)
     voltage = random.uniform(-15.0, 15.0, motors)
     for k in range(60):
-        voltage = np.where(random.random(motors) < 0.2, random.uniform(-15.0, 15.0, motors), voltage)
+        voltage = np.where(
+            random.random(motors) < 0.2, random.uniform(-15.0, 15.0, motors), voltage
+        )
         interval = np.where(random.random(motors) < 0.03, 0.0, 0.01) if k else np.zeros(motors)
         present = None if random.random() < 0.7 else random.random(motors) < 0.9
         torque, speed = random.normal(0.0, 0.05, motors), random.normal(0.0, 5.0, motors)
@@ -393,7 +459,9 @@ def test_many_motors_are_predicted_alike_on_a_device(
             by_numpy, on_device = (getattr(prediction, name) for prediction in said)
             assert isinstance(on_device, np.ndarray)
             np.testing.assert_allclose(on_device, by_numpy, rtol=1e-9, atol=1e-15, err_msg=name)
-        ahead = [one.forecast(0.3, voltage, values, since) for one, since in zip(both, said, strict=True)]
+        ahead = [
+            one.forecast(0.3, voltage, values, since) for one, since in zip(both, said, strict=True)
+        ]
         np.testing.assert_allclose(ahead[1], ahead[0], rtol=1e-9, atol=1e-15)
         for one, prediction in zip(both, said, strict=True):
             one.learn(sample, prediction, values)

@@ -6,13 +6,19 @@ import pytest
 from gray_box_observer.predictor.scores import Scores
 
 TORQUE = [1.0, 3.0, 2.0, 6.0]
-SAID = {'predictor': [1.5, 2.0, 2.0, 7.0], 'persistence': [0.0, 1.0, 3.0, 2.0], 'white_box': [1.1, 3.0, 2.3, 5.6]}
+SAID = {
+    'predictor': [1.5, 2.0, 2.0, 7.0],
+    'persistence': [0.0, 1.0, 3.0, 2.0],
+    'white_box': [1.1, 3.0, 2.3, 5.6],
+}
 
 
 def scored(torque: list[float], said: dict[str, list[float]], window: int = 100) -> Scores:
     scores = Scores(1, window)
     for k, value in enumerate(torque):
-        scores.add(np.array([value]), {rival: np.array([series[k]]) for rival, series in said.items()})
+        scores.add(
+            np.array([value]), {rival: np.array([series[k]]) for rival, series in said.items()}
+        )
     return scores
 
 
@@ -41,23 +47,34 @@ def test_only_samples_that_every_rival_predicted_are_compared(silent: str) -> No
 
 def test_too_few_predictions_have_no_score() -> None:
     skill = scored(TORQUE[:1], SAID).skill(0)
-    assert (skill.samples, skill.nmae, skill.skill_vs_persistence, skill.skill_vs_white_box) == (1, None, None, None)
+    assert (skill.samples, skill.nmae, skill.skill_vs_persistence, skill.skill_vs_white_box) == (
+        1,
+        None,
+        None,
+        None,
+    )
 
 
 def test_a_rival_without_error_cannot_be_beaten_and_gives_no_number() -> None:
-    skill = scored([2.0, 2.0], {'predictor': [2.0, 2.1], 'persistence': [2.0, 2.0], 'white_box': [2.0, 2.0]}).skill(0)
+    skill = scored(
+        [2.0, 2.0], {'predictor': [2.0, 2.1], 'persistence': [2.0, 2.0], 'white_box': [2.0, 2.0]}
+    ).skill(0)
     assert (skill.nmae, skill.skill_vs_persistence, skill.skill_vs_white_box) == (None, None, None)
 
 
 def test_old_predictions_are_forgotten() -> None:
     torque = [100.0, 200.0, *TORQUE]
     said = {rival: [0.0, 0.0, *series] for rival, series in SAID.items()}
-    assert scored(torque, said, window=4).skill(0).skill_vs_persistence == pytest.approx(1.0 - 2.5 / 8.0)
+    assert scored(torque, said, window=4).skill(0).skill_vs_persistence == pytest.approx(
+        1.0 - 2.5 / 8.0
+    )
 
 
 def test_motors_are_scored_apart() -> None:
     scores = Scores(2)
     for k, value in enumerate(TORQUE):
-        scores.add(np.array([value, value]), {r: np.array([s[k], value + 1.0]) for r, s in SAID.items()})
+        scores.add(
+            np.array([value, value]), {r: np.array([s[k], value + 1.0]) for r, s in SAID.items()}
+        )
     assert scores.skill(0).skill_vs_persistence == pytest.approx(1.0 - 2.5 / 8.0)
     assert scores.skill(1).skill_vs_persistence == pytest.approx(0.0)

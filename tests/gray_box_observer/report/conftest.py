@@ -1,4 +1,6 @@
-"""Synthetic runs for the tests of the report: seeded, and shaped like what an observer leaves behind."""
+"""Synthetic runs for the tests of the report: seeded, and shaped like what an observer leaves
+behind.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from gray_box_observer.report.history import FloatArray, MotorHistory, ParameterHistory, RunHistory, Truth
+from gray_box_observer.report.run.history import (
+    FloatArray,
+    MotorHistory,
+    ParameterHistory,
+    RunHistory,
+    Truth,
+)
 
 UNITS = {'inductance': 'H', 'resistance': 'ohm', 'hysteresis': 'V s / (rad A)'}
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
@@ -44,12 +52,18 @@ def parameter(
     std = goal * (0.9 * np.exp(-since / 0.5) + 0.02 / np.sqrt(1.0 + 40.0 * since))
     walk = np.cumsum(rng.normal(size=len(time_s))) * 0.02
     wander = walk - np.linspace(0.0, walk[-1], len(time_s))
-    value = goal * (1.0 + (start - 1.0) * np.exp(-since / 0.4)) + std * np.clip(wander, -1.2, 1.2) + 0.3 * std
+    value = (
+        goal * (1.0 + (start - 1.0) * np.exp(-since / 0.4))
+        + std * np.clip(wander, -1.2, 1.2)
+        + 0.3 * std
+    )
     verdict = ['unexcited' if t < 0.4 else 'converging' if t < 6.0 else 'identified' for t in since]
     return ParameterHistory(name, UNITS.get(name, ''), time_s, value, std, verdict, truth)
 
 
-def synthetic_motor(name: str = 'motor', samples: int = 1_500, duration_s: float = 60.0, seed: int = 4) -> MotorHistory:
+def synthetic_motor(
+    name: str = 'motor', samples: int = 1_500, duration_s: float = 60.0, seed: int = 4
+) -> MotorHistory:
     """One motor with all that a report can show; the resistance steps in mid-run."""
     rng = np.random.default_rng(seed)
     time_s = np.linspace(0.0, duration_s, samples)
@@ -78,7 +92,10 @@ def synthetic_motor(name: str = 'motor', samples: int = 1_500, duration_s: float
             'outlier': np.sort(rng.uniform(0.3, 0.5, 41)) * duration_s,
         },
         scores={'nmae': 0.0046, 'skill_vs_persistence': 0.83, 'skill_vs_white_box': -0.021},
-        notes=('Torque constant and back-EMF constant are taken as known; an error goes into resistance.',),
+        notes=(
+            'Torque constant and back-EMF constant are taken as known; an error goes into '
+            'resistance.',
+        ),
         sensitivity={
             'torque_constant': {'inductance': 1.0, 'resistance': 1.0, 'hysteresis': 2.0},
             'back_emf_constant': {'inductance': 0.0, 'resistance': -0.01, 'hysteresis': 0.0},

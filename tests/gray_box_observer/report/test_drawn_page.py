@@ -10,14 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gray_box_observer.report import ArchiveHistory, MotorTrend, ParameterTrend, render, render_trends
-from gray_box_observer.report.parameter_figure import parameter_figure
-from gray_box_observer.report.rejection_figure import rejection_figure
-from gray_box_observer.report.signal_figure import signal_figure
+from gray_box_observer.report import (
+    ArchiveHistory,
+    MotorTrend,
+    ParameterTrend,
+    render,
+    render_trends,
+)
+from gray_box_observer.report.run.parameter_figure import parameter_figure
+from gray_box_observer.report.run.rejection_figure import rejection_figure
+from gray_box_observer.report.run.signal_figure import signal_figure
 
 pytest.importorskip('plotly', reason='the report needs plotly')
 
-BROWSER = shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
+BROWSER = (
+    shutil.which('chromium') or shutil.which('chromium-browser') or shutil.which('google-chrome')
+)
 OFFLINE = (
     '--headless',
     '--no-sandbox',
@@ -29,7 +37,8 @@ OFFLINE = (
     '--disable-sync',
 )
 
-# Runs after the page's own script: presses every button once the figures stand, then counts what is drawn.
+# Runs after the page's own script: presses every button once the figures stand, then counts what is
+# drawn.
 PROBE = """
 <script>
 addEventListener('error', (event) => { document.documentElement.dataset.failed = event.message; });
@@ -64,10 +73,15 @@ def drawn_by_browser(page: Path, profile: Path) -> str:
 
 
 @pytest.mark.skipif(BROWSER is None, reason='neither chromium nor google-chrome is on PATH')
-def test_a_browser_draws_every_figure_with_all_its_traces_and_answers_the_buttons(tmp_path, whole_run):
+def test_a_browser_draws_every_figure_with_all_its_traces_and_answers_the_buttons(
+    tmp_path, whole_run
+):
     motor = whole_run.motors[0]
     span_s = motor.span_s()
-    expected = {f'motor-0-parameter-{k}': parameter_figure(p, span_s) for k, p in enumerate(motor.parameters)}
+    expected = {
+        f'motor-0-parameter-{k}': parameter_figure(p, span_s)
+        for k, p in enumerate(motor.parameters)
+    }
     expected['motor-0-signals'] = signal_figure(motor)
     expected['motor-0-rejected'] = rejection_figure(motor)
     path = tmp_path / 'report.html'
@@ -117,7 +131,9 @@ def test_a_browser_draws_every_bag_of_a_trend_with_its_error_bar_over_dates(tmp_
     start_ns = 1_777_593_600 * 10**9 + 86_400 * 10**9 * np.arange(6, dtype=np.int64)
     value = np.array([1.0, 1.1, 1.2, 1.3, 7.0, 1.4])
     verdict = ['identified'] * 4 + ['converging', 'identified']
-    trend = ParameterTrend('resistance', 'ohm', start_ns, value, 0.01 * value, verdict, [f'/bag/{k}' for k in range(6)])
+    trend = ParameterTrend(
+        'resistance', 'ohm', start_ns, value, 0.01 * value, verdict, [f'/bag/{k}' for k in range(6)]
+    )
     motors = (MotorTrend('left', (trend,)), MotorTrend('right', (trend,)))
     page = render_trends(ArchiveHistory('Trends', ('/bags',), '2026-11-21T09:00:00+00:00', motors))
     path = tmp_path / 'trend.html'

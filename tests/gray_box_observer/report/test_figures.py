@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from gray_box_observer.report import MotorHistory, ParameterHistory
-from gray_box_observer.report.history import FitHistory
-from gray_box_observer.report.parameter_figure import parameter_figure, rate_of_change
-from gray_box_observer.report.rejection_figure import rejection_figure
-from gray_box_observer.report.residual_figure import residual_figure
-from gray_box_observer.report.signal_figure import signal_figure
+from gray_box_observer.report.run.history import FitHistory
+from gray_box_observer.report.run.parameter_figure import parameter_figure, rate_of_change
+from gray_box_observer.report.run.rejection_figure import rejection_figure
+from gray_box_observer.report.run.residual_figure import residual_figure
+from gray_box_observer.report.run.signal_figure import signal_figure
 
 
 def trace_of(figure, name):
@@ -52,7 +52,9 @@ def test_a_truth_that_steps_is_drawn_to_the_end_of_the_run(make_motor):
 
 def test_the_band_lies_one_deviation_about_the_estimate_and_is_absent_where_none_is_known():
     values = np.array([2.0, 2.0, 2.0])
-    history = ParameterHistory('r', 'ohm', np.arange(3.0), values, np.array([0.5, np.nan, 0.1]), ['converging'] * 3)
+    history = ParameterHistory(
+        'r', 'ohm', np.arange(3.0), values, np.array([0.5, np.nan, 0.1]), ['converging'] * 3
+    )
     figure = parameter_figure(history, (0.0, 2.0))
     assert trace_of(figure, 'lower edge')['y'] == [1.5, 2.0, 1.9]
     assert figure.data[1]['y'] == [2.5, 2.0, 2.1]
@@ -69,13 +71,18 @@ def test_a_parameter_that_goes_below_zero_has_no_log_view(make_motor):
     views = parameter_figure(parameter, (0.0, 60.0)).views[0]
     assert [view['label'] for view in views] == ['Settled', 'Full', 'Log']
     below = dataclasses.replace(parameter, value=parameter.value - 1.0)
-    assert [view['label'] for view in parameter_figure(below, (0.0, 60.0)).views[0]] == ['Settled', 'Full']
+    assert [view['label'] for view in parameter_figure(below, (0.0, 60.0)).views[0]] == [
+        'Settled',
+        'Full',
+    ]
 
 
 def test_signals_of_a_run_without_predictions_leave_out_the_error_row_and_say_so(make_motor):
     motor = make_motor()
     none = np.full(len(motor.time_s), np.nan)
-    figure = signal_figure(dataclasses.replace(motor, predicted_torque_nm=none, white_box_torque_nm=none))
+    figure = signal_figure(
+        dataclasses.replace(motor, predicted_torque_nm=none, white_box_torque_nm=none)
+    )
     assert [trace['name'] for trace in figure.data] == ['voltage', 'measured']
     assert 'No predicted torque' in figure.caption
     assert 'yaxis3' not in figure.layout
@@ -108,11 +115,18 @@ def test_rejected_samples_have_a_bar_by_reason_and_a_mark_for_each_time(make_mot
         'outlier': 41,
     }
     assert len(marks['x']) == 58
-    assert rejection_figure(dataclasses.replace(make_motor(), rejected={'late': 0}, rejected_time_s={})) is None
+    assert (
+        rejection_figure(
+            dataclasses.replace(make_motor(), rejected={'late': 0}, rejected_time_s={})
+        )
+        is None
+    )
 
 
 def test_rejected_samples_without_a_time_are_told(make_motor):
-    figure = rejection_figure(dataclasses.replace(make_motor(), rejected={'late': 7}, rejected_time_s={}))
+    figure = rejection_figure(
+        dataclasses.replace(make_motor(), rejected={'late': 7}, rejected_time_s={})
+    )
     assert figure.data[0]['x'] == [7]
     assert '7 rejected samples have no time' in figure.caption
 
@@ -126,10 +140,15 @@ def test_the_residual_figure_draws_every_lag_and_the_band_and_says_how_many_lie_
     assert drawn.caption.startswith('1 of 3 lags lie outside the band.')
 
 
-def test_free_run_current_and_changes_are_drawn_with_the_signals(make_motor: Callable[..., MotorHistory]) -> None:
+def test_free_run_current_and_changes_are_drawn_with_the_signals(
+    make_motor: Callable[..., MotorHistory],
+) -> None:
     motor = make_motor()
     motor = dataclasses.replace(
-        motor, free_run_torque_nm=motor.torque_nm, current_a=100.0 * motor.torque_nm, changes_s=(30.0,)
+        motor,
+        free_run_torque_nm=motor.torque_nm,
+        current_a=100.0 * motor.torque_nm,
+        changes_s=(30.0,),
     )
     drawn = signal_figure(motor)
     names = [trace['name'] for trace in drawn.data]

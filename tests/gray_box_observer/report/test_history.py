@@ -40,5 +40,7 @@ def test_truth_at_the_end_is_the_one_that_held_at_the_last_estimate(truth, at_en
 
 
 def test_the_span_covers_samples_estimates_and_rejected_samples():
-    motor = MotorHistory('m', TIMES, TIMES, TIMES, TIMES, TIMES, (), rejected_time_s={'late': np.array([-1.0, 5.0])})
+    motor = MotorHistory(
+        'm', TIMES, TIMES, TIMES, TIMES, TIMES, (), rejected_time_s={'late': np.array([-1.0, 5.0])}
+    )
     assert motor.span_s() == (-1.0, 5.0)

@@ -11,10 +11,16 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from gray_box_observer.report import MotorHistory, ParameterHistory, ReportError, render, write_report
-from gray_box_observer.report.history import FitHistory
-from gray_box_observer.report.page import embedded
-from gray_box_observer.report.sections import sensitivity_table
+from gray_box_observer.report import (
+    MotorHistory,
+    ParameterHistory,
+    ReportError,
+    render,
+    write_report,
+)
+from gray_box_observer.report.run.history import FitHistory
+from gray_box_observer.report.run.page import embedded
+from gray_box_observer.report.run.sections import sensitivity_table
 
 pytest.importorskip('plotly', reason='the report needs plotly')
 
@@ -54,7 +60,9 @@ def page(whole_run):
 
 
 def figures_of(page):
-    text = re.search(r'<script type="application/json" id="figures">(.*?)</script>', page, re.S).group(1)
+    text = re.search(
+        r'<script type="application/json" id="figures">(.*?)</script>', page, re.S
+    ).group(1)
     return json.loads(text)
 
 
@@ -62,7 +70,10 @@ def test_the_page_refers_to_nothing_outside_itself(page):
     elements = Elements(page)
     for tag, attributes in elements.tags:
         assert tag not in {'link', 'img', 'iframe', 'object', 'embed', 'base'}
-        assert not {'src', 'srcset', 'action', 'data', 'background'} & set(attributes), (tag, attributes)
+        assert not {'src', 'srcset', 'action', 'data', 'background'} & set(attributes), (
+            tag,
+            attributes,
+        )
         assert attributes.get('href', '#').startswith('#')
     style = re.search(r'<style>(.*?)</style>', page, re.S).group(1)
     assert 'url(' not in style
@@ -70,7 +81,11 @@ def test_the_page_refers_to_nothing_outside_itself(page):
 
 
 def test_the_page_forbids_the_browser_to_load_anything(page):
-    policies = [a['content'] for t, a in Elements(page).tags if a.get('http-equiv') == 'Content-Security-Policy']
+    policies = [
+        a['content']
+        for t, a in Elements(page).tags
+        if a.get('http-equiv') == 'Content-Security-Policy'
+    ]
     assert len(policies) == 1
     assert policies[0].startswith("default-src 'none'")
     assert 'http' not in policies[0]
@@ -112,7 +127,10 @@ def test_names_from_outside_stay_text(make_motor, make_run):
     evil = dataclasses.replace(
         motor,
         name=EVIL,
-        parameters=tuple(dataclasses.replace(p, name=EVIL, unit=EVIL, verdict=[EVIL] * 200) for p in motor.parameters),
+        parameters=tuple(
+            dataclasses.replace(p, name=EVIL, unit=EVIL, verdict=[EVIL] * 200)
+            for p in motor.parameters
+        ),
         rejected={EVIL: 3},
         rejected_time_s={EVIL: np.array([1.0])},
         scores={EVIL: 0.5},
@@ -129,7 +147,9 @@ def test_names_from_outside_stay_text(make_motor, make_run):
         summary={EVIL: EVIL},
     )
     elements = Elements(render(run))
-    assert not [attributes for tag, attributes in elements.tags if tag == 'b' or 'onclick' in attributes]
+    assert not [
+        attributes for tag, attributes in elements.tags if tag == 'b' or 'onclick' in attributes
+    ]
     assert [tag for tag, _ in elements.tags].count('script') == 3
     assert EVIL in ' '.join(elements.words)
     figures = json.loads(elements.scripts[0])
@@ -162,11 +182,15 @@ def test_values_that_are_not_finite_are_drawn_as_gaps(make_motor, make_run):
     motor = make_motor(samples=100)
     bad = np.full(100, np.inf)
     parameters = tuple(dataclasses.replace(p, value=bad, std=bad) for p in motor.parameters)
-    figures = figures_of(render(make_run(dataclasses.replace(motor, torque_nm=bad, parameters=parameters))))
+    figures = figures_of(
+        render(make_run(dataclasses.replace(motor, torque_nm=bad, parameters=parameters)))
+    )
     assert set(figures['motor-0-parameter-0']['data'][2]['y']) == {None}
 
 
-def test_writing_makes_folders_replaces_an_older_report_and_leaves_nothing_else(tmp_path, whole_run, page):
+def test_writing_makes_folders_replaces_an_older_report_and_leaves_nothing_else(
+    tmp_path, whole_run, page
+):
     path = tmp_path / 'new' / 'report.html'
     path.parent.mkdir()
     path.write_text('old')
@@ -199,8 +223,15 @@ def test_a_change_that_is_rounding_is_shown_as_none():
     assert cells == ['0\N{NO-BREAK SPACE}%', '\N{MINUS SIGN}0.010\N{NO-BREAK SPACE}%']
 
 
-def test_the_page_says_at_the_top_whether_the_white_box_explains_the_data(make_run, make_motor) -> None:
-    for verdict, style in (('ok', 'identified'), ('warning', 'doubtful'), ('misfit', 'misfit'), ('untested', 'other')):
+def test_the_page_says_at_the_top_whether_the_white_box_explains_the_data(
+    make_run, make_motor
+) -> None:
+    for verdict, style in (
+        ('ok', 'identified'),
+        ('warning', 'doubtful'),
+        ('misfit', 'misfit'),
+        ('untested', 'other'),
+    ):
         fit = FitHistory(verdict, f'It is <{verdict}>.', 98.765)
         page = render(make_run(dataclasses.replace(make_motor(samples=50), fit=fit)))
         banner = page.split(f'class="fit {style}"')[1].split('</p>')[0]
@@ -217,8 +248,13 @@ def test_the_page_prints_parameters_and_validation_and_marks_constants_that_esti
     test = {'verdict': 'ok', 'ratio': None, 'whiteness': None, 'suspects': []}
     validation = {'bag': 'b<1>', 'samples': 7, 'predictor': True, **score, 'fit': test}
     validation |= {'white_box': score, 'persistence': {**score, 'rmse': None}}
-    sensitivity = {'back_emf_constant': {'resistance': -4.0}, 'torque_constant': {'resistance': 1.0}}
-    motor = dataclasses.replace(make_motor(samples=50), validation=validation, sensitivity=sensitivity)
+    sensitivity = {
+        'back_emf_constant': {'resistance': -4.0},
+        'torque_constant': {'resistance': 1.0},
+    }
+    motor = dataclasses.replace(
+        make_motor(samples=50), validation=validation, sensitivity=sensitivity
+    )
     page = render(dataclasses.replace(make_run(motor), parameters={'motor.torque_constant': 0.01}))
     assert '<code>motor.torque_constant: 0.01</code>' in page
     assert 'b&lt;1&gt;: 7 samples, nothing learnt from them' in page

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from gray_box_observer.report import ArchiveHistory, MotorTrend, ParameterTrend, ReportError, render_trends
-from gray_box_observer.report.trend import MONTH_S
-from gray_box_observer.report.trend_figure import date_of, trend_figure
-from gray_box_observer.report.trend_page import drift_words
+from gray_box_observer.report import (
+    ArchiveHistory,
+    MotorTrend,
+    ParameterTrend,
+    ReportError,
+    render_trends,
+)
+from gray_box_observer.report.trend.trend import MONTH_S
+from gray_box_observer.report.trend.trend_figure import date_of, trend_figure
+from gray_box_observer.report.trend.trend_page import drift_words
 
 MONTH_NS = round(MONTH_S) * 10**9
 MAY_NS = 1_777_593_600 * 10**9
@@ -39,7 +45,9 @@ def figures_of(page: str) -> dict[str, dict[str, list[dict[str, object]]]]:
 
 
 def archive(*motors: MotorTrend, **given: object) -> ArchiveHistory:
-    return replace(ArchiveHistory('Trends', ('/archive',), '2026-11-21T09:00:00+00:00', motors), **given)
+    return replace(
+        ArchiveHistory('Trends', ('/archive',), '2026-11-21T09:00:00+00:00', motors), **given
+    )
 
 
 def test_the_drift_is_the_weighted_straight_line_that_scipy_fits() -> None:
@@ -49,7 +57,9 @@ def test_the_drift_is_the_weighted_straight_line_that_scipy_fits() -> None:
     value = 4.2 + 0.03 * months + std * random.normal(size=40)
     found = trend(months.tolist(), value.tolist(), std.tolist()).drift()
     assert found is not None
-    fit, covariance = curve_fit(lambda t, a, b: a + b * t, months, value, sigma=std, absolute_sigma=True)
+    fit, covariance = curve_fit(
+        lambda t, a, b: a + b * t, months, value, sigma=std, absolute_sigma=True
+    )
     chi2 = float(np.sum(((value - fit[0] - fit[1] * months) / std) ** 2))
     assert found.per_s * MONTH_S == pytest.approx(fit[1], rel=1e-6)
     growth = max(1.0, chi2 / 38.0) ** 0.5
@@ -85,7 +95,9 @@ def test_an_exact_line_is_found_exactly_and_drawn_through_its_points() -> None:
         ([0.0, 1.0, 2.0, 3.0], ['identified', 'converging', 'unexcited', 'identified']),
     ],
 )
-def test_too_few_identified_estimates_or_one_time_tell_no_drift(months: list[float], verdicts: list[str]) -> None:
+def test_too_few_identified_estimates_or_one_time_tell_no_drift(
+    months: list[float], verdicts: list[str]
+) -> None:
     count = len(months)
     found = trend(months, [1.0 + 0.1 * k for k in range(count)], [0.01] * count, verdicts).drift()
     assert found is None
@@ -93,7 +105,12 @@ def test_too_few_identified_estimates_or_one_time_tell_no_drift(months: list[flo
 
 
 def test_the_figure_has_every_estimate_with_its_error_bar_and_bag() -> None:
-    found = trend([0.0, 1.0, 2.0], [1.0, 1.2, 7.0], [0.01, 0.02, 3.0], ['identified', 'identified', 'converging'])
+    found = trend(
+        [0.0, 1.0, 2.0],
+        [1.0, 1.2, 7.0],
+        [0.01, 0.02, 3.0],
+        ['identified', 'identified', 'converging'],
+    )
     figure = trend_figure(found)
     by_name = {trace['name']: trace for trace in figure.data}
     assert set(by_name) == {'identified', 'converging'}
@@ -108,9 +125,25 @@ def test_the_figure_has_every_estimate_with_its_error_bar_and_bag() -> None:
 
 
 def test_the_page_tells_the_latest_identified_estimate_and_how_many_there_are() -> None:
-    found = trend([0.0, 1.0, 2.0], [1.0, 1.25, 7.0], [0.01, 0.02, 3.0], ['identified', 'identified', 'converging'])
-    page = render_trends(archive(MotorTrend('left', (found,)), failed={'/archive/<x>': 'no message'}, digest='9f' * 32))
-    for text in ('1.250', '± 0.020', '2 of 3 bags', date_of(MAY_NS + MONTH_NS), '/archive/&lt;x&gt;', '9f' * 32):
+    found = trend(
+        [0.0, 1.0, 2.0],
+        [1.0, 1.25, 7.0],
+        [0.01, 0.02, 3.0],
+        ['identified', 'identified', 'converging'],
+    )
+    page = render_trends(
+        archive(
+            MotorTrend('left', (found,)), failed={'/archive/<x>': 'no message'}, digest='9f' * 32
+        )
+    )
+    for text in (
+        '1.250',
+        '± 0.020',
+        '2 of 3 bags',
+        date_of(MAY_NS + MONTH_NS),
+        '/archive/&lt;x&gt;',
+        '9f' * 32,
+    ):
         assert text in page
     assert '/archive/<x>' not in page
     assert list(figures_of(page)) == ['motor-0-parameter-0']

@@ -6,7 +6,13 @@ import math
 
 import pytest
 
-from gray_box_observer.report.units import percent, printed_unit, scale_for, significant, value_and_std
+from gray_box_observer.report.units import (
+    percent,
+    printed_unit,
+    scale_for,
+    significant,
+    value_and_std,
+)
 
 
 @pytest.mark.parametrize(

@@ -16,17 +16,17 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
+from gray_box_observer.settings.configuration import Configuration
 
-MODULE = 'gray_box_observer.ros.observer_node'
+MODULE = 'gray_box_observer.ros.observer.observer_node'
 NODE = '/gray_box_observer'
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 START_NS = 1_000_000_000
 CHUNK = 20
-"""Messages that are sent before their arrival is acknowledged; also the publishers' depth: with a full history DDS asks
-its readers at once, else every three seconds."""
+"""Messages that are sent before their arrival is acknowledged; also the publishers' depth: with a
+full history DDS asks its readers at once, else every three seconds."""
 SENDER_QOS = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
 ACKNOWLEDGE_TIMEOUT_S = 60.0
 ORPHAN_END_S = 120.0
@@ -51,7 +51,9 @@ class Rig:
         self.process: subprocess.Popen | None = None
 
     @staticmethod
-    def state(name: str, stamp_ns: int, *efforts: float, speeds: Sequence[float] = ()) -> JointState:
+    def state(
+        name: str, stamp_ns: int, *efforts: float, speeds: Sequence[float] = ()
+    ) -> JointState:
         """One message about one motor, or about several whose names are joined by spaces."""
         message = JointState(name=name.split(), effort=list(efforts), velocity=list(speeds))
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
@@ -69,10 +71,13 @@ class Rig:
             if name not in self._senders:
                 self._senders[name] = self.peer.publisher(JointState, topic, SENDER_QOS)
             listens &= self._senders[name].get_subscription_count() > 0
-            self.peer.wait(self._senders[name].get_subscription_count, f'the observer to listen to {topic}')
+            self.peer.wait(
+                self._senders[name].get_subscription_count, f'the observer to listen to {topic}'
+            )
         if not listens:
-            # What comes before its executor knows of a new subscription is served topic by topic, not as it came. The
-            # executor hears of one right after the call in which it was made: behind the first answer from then on.
+            # What comes before its executor knows of a new subscription is served topic by topic,
+            # not as it came. The executor hears of one right after the call in which it was made:
+            # behind the first answer from then on.
             for _ in range(2):
                 self.lifecycle_state()
         return self._senders['voltage'], self._senders['torque']
@@ -82,16 +87,24 @@ class Rig:
         motors = ' '.join(recording.motors)
         for first in range(0, len(indices), CHUNK):
             chunk = indices[first : first + CHUNK]
-            for publisher, values in zip(self.signals(), (recording.voltage_v, recording.torque_nm), strict=True):
+            for publisher, values in zip(
+                self.signals(), (recording.voltage_v, recording.torque_nm), strict=True
+            ):
                 for k in chunk:
-                    publisher.publish(self.state(motors, START_NS + int(recording.stamp_ns[k]), *values[:, k].tolist()))
+                    publisher.publish(
+                        self.state(
+                            motors, START_NS + int(recording.stamp_ns[k]), *values[:, k].tolist()
+                        )
+                    )
                 if len(chunk) == CHUNK:
                     assert publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
 
     def status(self, motor: str = 'motor') -> Any:
         """The newest diagnostic status of a motor; None before the first."""
         hardware = f'{self.namespace}/{motor}'.lstrip('/')
-        found = [s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == hardware]
+        found = [
+            s for array in self.diagnostics[-1:] for s in array.status if s.hardware_id == hardware
+        ]
         return found[0] if found else None
 
     def values(self, motor: str = 'motor') -> dict[str, str]:
@@ -103,7 +116,9 @@ class Rig:
         """Wait for diagnostics with these counts, such as ``samples_used=100``."""
         wanted = {key.replace('_', ' '): str(value) for key, value in expected.items()}
         try:
-            self.peer.wait(lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}')
+            self.peer.wait(
+                lambda: wanted.items() <= self.values(motor).items(), f'diagnostics with {wanted}'
+            )
         except AssertionError as error:
             raise AssertionError(f'{error}; the last ones were {self.values(motor)}') from error
 
@@ -112,7 +127,11 @@ class Rig:
         self.diagnostics.clear()
 
         def said() -> bool:
-            return any(s.level == level and words in s.message for array in self.diagnostics for s in array.status)
+            return any(
+                s.level == level and words in s.message
+                for array in self.diagnostics
+                for s in array.status
+            )
 
         self.peer.wait(said, f'diagnostics that say {words!r}')
 
@@ -137,7 +156,10 @@ class Rig:
     def wait_until_deaf(self) -> None:
         """Wait until the observer listens no more."""
         senders = self._senders.values()
-        self.peer.wait(lambda: not any(s.get_subscription_count() for s in senders), 'the observer to stop listening')
+        self.peer.wait(
+            lambda: not any(s.get_subscription_count() for s in senders),
+            'the observer to stop listening',
+        )
 
     def lifecycle_state(self) -> int:
         """The state of the life cycle."""
@@ -148,7 +170,9 @@ class Rig:
 
         def gone() -> bool:
             try:
-                return bool(child.status() == psutil.STATUS_ZOMBIE)  # nobody may be there to fetch its exit code
+                return bool(
+                    child.status() == psutil.STATUS_ZOMBIE
+                )  # nobody may be there to fetch its exit code
             except psutil.NoSuchProcess:
                 return True
 

@@ -1,7 +1,7 @@
 """The observer's executable with a defect.
 
-A torque beyond 900 N m breaks the observer of its motor; with ``FAULT=fit`` every test of the fit of the motor called
-right does.
+A torque beyond 900 N m breaks the observer of its motor; with ``FAULT=fit`` every test of the fit
+of the motor called right does.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.motor_observer import MotorObserver
-from gray_box_observer.ros import observer_node
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.ros.observer import observer_node
 
 DEADLY_NM = 900.0
 

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
-from gray_box_observer.ros.commentary import PERIOD_S, Commentary
-from gray_box_observer.ros.traffic import MotorTraffic, Traffic
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.ros.observer.commentary import PERIOD_S, Commentary
+from gray_box_observer.ros.observer.traffic import MotorTraffic, Traffic
+from gray_box_observer.settings.configuration import Configuration
 
 WHY = 'nobody publishes'
 
@@ -31,7 +31,9 @@ class Run:
     said: list[tuple[float, bool, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.observer = Observer(Configuration.from_flat({'predictor': False, 'motors': self.motors}))
+        self.observer = Observer(
+            Configuration.from_flat({'predictor': False, 'motors': self.motors})
+        )
         self.commentary = Commentary(
             self.motors,
             lambda line: self.said.append((self.now_s, False, line)),
@@ -42,7 +44,9 @@ class Run:
         )
         self.commentary.listen()
 
-    def second(self, used: Iterable[str] = (), heard: Iterable[str] = (), messages: int = 0, more: str = '') -> None:
+    def second(
+        self, used: Iterable[str] = (), heard: Iterable[str] = (), messages: int = 0, more: str = ''
+    ) -> None:
         """Let a second go by in which samples and other messages came of these motors."""
         self.now_s += 1.0
         used, heard = set(used), set(heard)
@@ -50,7 +54,10 @@ class Run:
             motor: MotorTraffic(
                 int(motor in used),
                 Counter(),
-                {signal: int(motor in used or (motor in heard and signal == more)) for signal in ('voltage', 'torque')},
+                {
+                    signal: int(motor in used or (motor in heard and signal == more))
+                    for signal in ('voltage', 'torque')
+                },
                 0,
             )
             for motor in self.motors
@@ -82,7 +89,9 @@ def test_a_motor_that_is_found_and_what_is_learnt_of_it_are_told(record):
         assert f' {unit} identified' in told[told.index(name) :]
     assert len(run.lines) < 5, 'a verdict that stands is not repeated'
     summary = run.commentary.summary(run.observer)
-    assert summary.startswith('3000 samples of motor in 30.0 s, none rejected; motor: inductance 0.')
+    assert summary.startswith(
+        '3000 samples of motor in 30.0 s, none rejected; motor: inductance 0.'
+    )
     assert summary.count('identified') == 3
     assert '\n' not in summary
 
@@ -99,7 +108,11 @@ def test_a_signal_that_is_missing_for_five_seconds_is_told_once_and_so_is_its_re
     ]
     for _ in range(20):
         run.second()
-    assert run.said[-1] == (45.0, True, f'no voltage and no torque of motor for 5 s: {WHY} voltage, torque')
+    assert run.said[-1] == (
+        45.0,
+        True,
+        f'no voltage and no torque of motor for 5 s: {WHY} voltage, torque',
+    )
     run.second(['motor'])
     assert run.lines[-1] == 'voltage and torque of motor come again'
 
@@ -143,7 +156,9 @@ def test_an_observer_that_begins_anew_finds_its_motors_anew():
 def test_a_logger_of_rclpy_takes_lines_and_warnings_of_the_same_commentary():
     logger = RcutilsLogger('commentary')
     tell: Callable[[str], object] = logger.info
-    commentary = Commentary(['motor'], tell, logger.warning, lambda _: '', clock=iter(range(0, 1000, 10)).__next__)
+    commentary = Commentary(
+        ['motor'], tell, logger.warning, lambda _: '', clock=iter(range(0, 1000, 10)).__next__
+    )
     observer = Observer(Configuration.from_flat({'predictor': False}))
     commentary.listen()
     for used in (1, 0, 0, 1, 0, 0):

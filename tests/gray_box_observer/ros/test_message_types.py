@@ -22,19 +22,28 @@ BAD = {
         'name': 'name holds text, no numbers',
         'header': 'header holds no numbers; it has: stamp, frame_id',
     },
-    'geometry_msgs/msg/Polygon': {'points.x': "is an array, so there is no field 'x': add an index"},
-    'sensor_msgs/msg/Imu': {'orientation_covariance[9]': 'has at most 9 values, so there is no [9]'},
+    'geometry_msgs/msg/Polygon': {
+        'points.x': "is an array, so there is no field 'x': add an index"
+    },
+    'sensor_msgs/msg/Imu': {
+        'orientation_covariance[9]': 'has at most 9 values, so there is no [9]'
+    },
     'std_msgs/msg/Float64': {'data.x': "data is a single value, so there is no field 'x'"},
 }
 
 
-@pytest.mark.parametrize(('kind', 'path'), [(kind, path) for kind, paths in GOOD.items() for path in paths])
+@pytest.mark.parametrize(
+    ('kind', 'path'), [(kind, path) for kind, paths in GOOD.items() for path in paths]
+)
 def test_a_field_of_numbers_is_there(kind: str, path: str):
     assert missing_field(message_class(kind), FieldPath(path).steps) == ''
 
 
 @pytest.mark.parametrize(
-    ('kind', 'path', 'complaint'), [(kind, *item) for kind, paths in BAD.items() for item in paths.items()]
+    ('kind', 'path', 'complaint'),
+    [(kind, *item) for kind, paths in BAD.items() for item in paths.items()],
 )
-def test_a_field_that_is_not_there_or_holds_no_numbers_is_told(kind: str, path: str, complaint: str):
+def test_a_field_that_is_not_there_or_holds_no_numbers_is_told(
+    kind: str, path: str, complaint: str
+):
     assert complaint in missing_field(message_class(kind), FieldPath(path).steps)

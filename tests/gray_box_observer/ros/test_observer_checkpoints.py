@@ -1,4 +1,6 @@
-"""Checkpoints of the observer as a process: kept by itself, resumed after any end, confined to their folder."""
+"""Checkpoints of the observer as a process: kept by itself, resumed after any end, confined to
+their folder.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from gray_box_observer.checkpoint import capture, encode, load, save
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.checkpoints.checkpoint import capture, encode, load, save
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
 
 pytestmark = pytest.mark.system
 
@@ -24,11 +26,15 @@ EXCITATION = 'R[5,15]D[0.1,1]'
 
 
 def text(name: str, value: str) -> Parameter:
-    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value))
+    return Parameter(
+        name=name, value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+    )
 
 
 def number(name: str, value: float) -> Parameter:
-    return Parameter(name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value))
+    return Parameter(
+        name=name, value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+    )
 
 
 def held_by(path: Path) -> dict[str, float]:
@@ -76,7 +82,9 @@ def test_a_killed_node_continues_from_its_last_automatic_checkpoint(rig, record,
 
 
 @pytest.mark.parametrize('damage', ['cut', 'other motor'])
-def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_node_lives(rig, record, tmp_path, damage):
+def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_node_lives(
+    rig, record, tmp_path, damage
+):
     path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
     core = Observer(Configuration.from_flat({'predictor': False, 'motor.torque_constant': 0.02}))
     for k in range(100):
@@ -138,7 +146,9 @@ def test_a_path_set_while_it_runs_stays_in_the_folder(rig, record, tmp_path):
     rig.wait_for(samples_used=200)
 
     def ask(value: str) -> tuple[bool, str]:
-        result = rig.call(SetParameters, 'set_parameters', parameters=[text('checkpoint.path', value)]).results[0]
+        result = rig.call(
+            SetParameters, 'set_parameters', parameters=[text('checkpoint.path', value)]
+        ).results[0]
         return result.successful, result.reason
 
     for value, words in (
@@ -185,10 +195,16 @@ def test_a_start_with_a_path_outside_of_its_folder_is_one_line(rig, tmp_path):
     assert said.count('\n') == 1
 
 
-def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(rig, record, tmp_path, learnt_offline):
+def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(
+    rig, record, tmp_path, learnt_offline
+):
     (tmp_path / 'file').write_text('no folder')
     recording = record(EXCITATION, 12.0)
-    rig.start(checkpoint__path=tmp_path / 'file' / 'c.safetensors', checkpoint__resume='true', checkpoint__period_s=0.1)
+    rig.start(
+        checkpoint__path=tmp_path / 'file' / 'c.safetensors',
+        checkpoint__resume='true',
+        checkpoint__period_s=0.1,
+    )
     said = []
     for first in range(0, 1200, 100):
         rig.send(recording, range(first, first + 100))
@@ -203,7 +219,9 @@ def test_a_disk_that_refuses_is_a_warning_in_diagnostics_and_costs_no_sample(rig
 
 
 @pytest.mark.parametrize('kind', ['pipe', 'sparse file'])
-def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(rig, record, tmp_path, kind):
+def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(
+    rig, record, tmp_path, kind
+):
     path = tmp_path / 'c.safetensors'
     if kind == 'pipe':
         os.mkfifo(path)
@@ -218,7 +236,10 @@ def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(rig, 
         rig.wait_for(samples_used=first + 100)
         said += [status.message for array in rig.diagnostics for status in array.status]
         rig.diagnostics.clear()
-    assert any('what stands there is no checkpoint of this package; move it away' in message for message in said)
+    assert any(
+        'what stands there is no checkpoint of this package; move it away' in message
+        for message in said
+    )
     answer = rig.call(Trigger, 'load')
     assert not answer.success
     assert f'cannot read {path}' in answer.message
@@ -229,7 +250,9 @@ def test_what_is_no_checkpoint_keeps_no_node_from_starting_nor_from_ending(rig, 
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
-def test_absurd_content_under_a_right_checksum_is_set_aside_and_learning_begins_anew(rig, record, tmp_path):
+def test_absurd_content_under_a_right_checksum_is_set_aside_and_learning_begins_anew(
+    rig, record, tmp_path
+):
     path, recording = tmp_path / 'c.safetensors', record(EXCITATION, 8.0)
     core = Observer(Configuration.from_flat({'predictor': False}))
     for k in range(100):

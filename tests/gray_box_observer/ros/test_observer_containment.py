@@ -1,4 +1,6 @@
-"""A defect in the observer of one motor, in a node that runs: that motor stops, the node and the others do not."""
+"""A defect in the observer of one motor, in a node that runs: that motor stops, the node and the
+others do not.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,9 @@ def publishers(rig, motor: str) -> int:
 
 
 def end(rig) -> str:
-    """End the observer, which ends as one in health does; return its log, in which a traceback is in order."""
+    """End the observer, which ends as one in health does; return its log, in which a traceback is
+    in order.
+    """
     rig.peer._running.remove(rig.process)
     rig.process.send_signal(signal.SIGTERM)
     _, said = rig.process.communicate(timeout=END_S)
@@ -66,7 +70,10 @@ def test_the_motor_stops_and_says_so_the_other_goes_on_and_a_reset_starts_it_ane
     rig.peer.wait(lambda: publishers(rig, 'right') == len(NUMBERS), 'the numbers of the motor')
 
     send(rig, range(50, 51), right_nm=2.0 * DEADLY_NM)
-    rig.wait_for_level(DiagnosticStatus.ERROR, 'stopped by a defect: ZeroDivisionError: a defect of the test (faulty_')
+    rig.wait_for_level(
+        DiagnosticStatus.ERROR,
+        'stopped by a defect: ZeroDivisionError: a defect of the test (faulty_',
+    )
     assert '/gray_box_observer/reset' in rig.status('right').message
     rig.peer.wait(lambda: publishers(rig, 'right') == 0, 'the end of numbers that nobody knows')
     assert rig.latched(Bool, 'right/identified').data is False
@@ -85,7 +92,9 @@ def test_the_motor_stops_and_says_so_the_other_goes_on_and_a_reset_starts_it_ane
     rig.peer.wait(file.exists, 'the report')
 
     assert rig.call(Trigger, 'reset').success
-    rig.peer.wait(lambda: publishers(rig, 'right') == len(NUMBERS), 'the numbers of a motor that begins anew')
+    rig.peer.wait(
+        lambda: publishers(rig, 'right') == len(NUMBERS), 'the numbers of a motor that begins anew'
+    )
     send(rig, range(81, 111))
     rig.wait_for('right', samples_used=30)
     with safe_open(file, 'numpy') as report:

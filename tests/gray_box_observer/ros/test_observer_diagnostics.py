@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from gray_box_observer.bounded_yaml import read_yaml
-from gray_box_observer.ros.diagnostics import REJECTIONS
+from gray_box_observer.ros.observer.diagnostics import REJECTIONS
+from gray_box_observer.safe_io.bounded_yaml import read_yaml
 from gray_box_observer.samples import Rejection
 
 pytestmark = pytest.mark.system
@@ -31,13 +31,17 @@ def test_the_numbers_of_a_healthy_motor(rig, record):
     rig.send(recording, range(600))
     rig.wait_for(samples_used=600)
     said = []
-    for k in range(600, 1100, 10):  # the level is that of the last second: it has to be heard while samples come
+    for k in range(
+        600, 1100, 10
+    ):  # the level is that of the last second: it has to be heard while samples come
         rig.send(recording, range(k, k + 10))
         rig.peer.executor.spin_once(timeout_sec=0.05)
         said += [(s.level, s.message) for array in rig.diagnostics for s in array.status]
     rig.wait_for(samples_used=1100)
     identified = [message for level, message in said if level == DiagnosticStatus.OK]
-    assert any(message.startswith('every parameter identified; assumed: ') for message in identified)
+    assert any(
+        message.startswith('every parameter identified; assumed: ') for message in identified
+    )
     status = rig.status()
     assert (status.name, status.hardware_id) == ('gray_box_observer: motor', 'motor')
     values = rig.values()
@@ -61,7 +65,11 @@ def test_observers_in_namespaces_are_told_apart_and_the_aggregator_finds_them(ma
     }
 
     def heard() -> set[tuple[str, str]]:
-        return {(status.name, status.hardware_id) for array in rig.diagnostics for status in array.status}
+        return {
+            (status.name, status.hardware_id)
+            for array in rig.diagnostics
+            for status in array.status
+        }
 
     rig.peer.wait(lambda: heard() == wanted, 'the diagnostics of three observers')
     parameters = read_yaml(CONFIG / 'diagnostic_aggregator.yaml')['/**']['ros__parameters']
@@ -88,7 +96,9 @@ def test_a_signal_that_falls_silent_is_named_and_so_is_a_driver_that_is_gone(rig
 
     rig.peer.wait(told, 'the word that torque has fallen silent')
     rig.peer.node.destroy_publisher(torque)
-    rig.wait_for_level(DiagnosticStatus.STALE, 'no new sample: nobody publishes /motor/torque: start its driver')
+    rig.wait_for_level(
+        DiagnosticStatus.STALE, 'no new sample: nobody publishes /motor/torque: start its driver'
+    )
     rig.peer.node.destroy_publisher(voltage)
     rig.wait_for_level(DiagnosticStatus.STALE, 'nobody publishes /motor/voltage: start its driver')
 
@@ -98,11 +108,19 @@ def test_refusals_name_what_to_look_at(rig, record):
     rig.start()
     voltage, torque = rig.signals()
     rig.diagnostics.clear()
-    rig.peer.wait(lambda: rig.diagnostics, 'diagnostics to count from')  # what came before them is in no second
+    rig.peer.wait(
+        lambda: rig.diagnostics, 'diagnostics to count from'
+    )  # what came before them is in no second
     for k in range(CHUNK):
-        torque.publish(rig.state('motor', START_NS + int(recording.stamp_ns[k])))  # a name without a value
-    rig.wait_for_level(DiagnosticStatus.WARN, 'messages refused in 1 s: see rejected (names and values differ')
-    rig.wait_for_level(DiagnosticStatus.STALE, 'could be read: see rejected (1 names but 0 values of effort)')
+        torque.publish(
+            rig.state('motor', START_NS + int(recording.stamp_ns[k]))
+        )  # a name without a value
+    rig.wait_for_level(
+        DiagnosticStatus.WARN, 'messages refused in 1 s: see rejected (names and values differ'
+    )
+    rig.wait_for_level(
+        DiagnosticStatus.STALE, 'could be read: see rejected (1 names but 0 values of effort)'
+    )
     rig.send(recording, range(100))
     rig.wait_for(samples_used=100)
     for _ in range(CHUNK):
@@ -119,13 +137,17 @@ def test_an_estimate_far_from_the_data_sheet_is_told(rig, record):
         if (k := next(rest, None)) is not None:
             rig.send(recording, range(k, k + CHUNK))
         statuses = [status for array in rig.diagnostics for status in array.status]
-        return any(status.level == DiagnosticStatus.WARN and told in status.message for status in statuses)
+        return any(
+            status.level == DiagnosticStatus.WARN and told in status.message for status in statuses
+        )
 
     rig.peer.wait(is_told, 'the word that R is not what was given')
 
 
 def test_a_change_that_is_followed_is_told_as_one(rig, record):
-    recording = record(EXCITATION, 16.0, torque_noise_relative=0.01, schedule=('motor.resistance=2.0@8.0',))
+    recording = record(
+        EXCITATION, 16.0, torque_noise_relative=0.01, schedule=('motor.resistance=2.0@8.0',)
+    )
     rig.start(**{'predictor': 'true', 'training__period': 100000}, alarm__learn=300)
     rig.send(recording, range(800))
     rig.wait_for(samples_used=800, residual_alarm='armed')
@@ -137,7 +159,9 @@ def test_a_change_that_is_followed_is_told_as_one(rig, record):
         statuses = [status for array in rig.diagnostics for status in array.status]
         values = [{pair.key: pair.value for pair in status.values} for status in statuses]
         changed = [v['changes since last identified'] != '0' for v in values]
-        told.extend(status.message for status, since in zip(statuses, changed, strict=True) if since)
+        told.extend(
+            status.message for status, since in zip(statuses, changed, strict=True) if since
+        )
         return bool(told)
 
     rest = iter(range(800, 1600, 2))

@@ -1,4 +1,6 @@
-"""What robots publish: message types, field paths, quality of service, several motors that come and go."""
+"""What robots publish: message types, field paths, quality of service, several motors that come and
+go.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def publish(peer: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> N
 
 @pytest.mark.parametrize('rate', [1.0, 0.05])
 def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record, rate):
-    """Voltage in an array, current by index in somebody's joint states, speed in a wrench: all by their paths."""
+    """Voltage in an array, current by index in somebody's joint states, speed in a wrench: all by
+    their paths.
+    """
     recording = record(EXCITATION, 8.0)
     rig.start(
         voltage__topic='drive/state',
@@ -112,14 +116,21 @@ def test_a_publisher_of_lesser_quality_is_named_with_the_override_that_mends_it(
     voltage.publish(rig.state('motor', START_NS, 5.0))
     remedy = 'start with qos_overrides./motor/torque.subscription.reliability'
     rig.wait_for_level(DiagnosticStatus.ERROR, remedy)
-    assert 'a publisher of /motor/torque offers less reliability than is asked for' in rig.status().message
+    assert (
+        'a publisher of /motor/torque offers less reliability than is asked for'
+        in rig.status().message
+    )
     assert remedy in rig.peer.end(rig.process)[2]
 
     override = 'qos_overrides./motor/torque.subscription.reliability:=best_effort'
     rig.start('--ros-args', '-p', override, '-p', 'predictor:=false')
     rig.peer.wait(torque.get_subscription_count, 'a match')
     rig.peer.wait(voltage.get_subscription_count, 'a match')
-    asked = rig.call(GetParameters, 'get_parameters', names=['qos_overrides./motor/torque.subscription.reliability'])
+    asked = rig.call(
+        GetParameters,
+        'get_parameters',
+        names=['qos_overrides./motor/torque.subscription.reliability'],
+    )
     assert asked.values[0].string_value == 'best_effort'
     for k in range(3):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
@@ -140,13 +151,18 @@ def test_what_the_observer_publishes_can_be_overridden_too(rig):
     rig.peer.wait(durability, 'the topic')
     assert durability() == [DurabilityPolicy.VOLATILE]
     other = rig.peer.node.get_publishers_info_by_topic('/gray_box_observer/motor/resistance')
-    assert [endpoint.qos_profile.durability for endpoint in other] == [DurabilityPolicy.TRANSIENT_LOCAL]
+    assert [endpoint.qos_profile.durability for endpoint in other] == [
+        DurabilityPolicy.TRANSIENT_LOCAL
+    ]
 
 
 @pytest.mark.parametrize(
     ('override', 'words'),
     [
-        ('/motor/voltage.subscription.reliability:=mostly', 'quality of service of motor/voltage: '),
+        (
+            '/motor/voltage.subscription.reliability:=mostly',
+            'quality of service of motor/voltage: ',
+        ),
         ('/motor/voltage.subscription.depth:=deep', 'quality of service of motor/voltage: '),
         ('/diagnostics.publisher.history:=some', 'quality of service of /diagnostics: '),
     ],
@@ -171,24 +187,33 @@ def test_silence_is_explained_nobody_there_another_type_and_other_names(rig):
     rig.start(torque__topic='motor/twist')
     rig.wait_for_level(
         DiagnosticStatus.STALE,
-        'nothing received for this motor: nobody publishes /motor/voltage: start its driver, or set voltage.topic; '
+        'nothing received for this motor: nobody publishes /motor/voltage: start its driver, or '
+        'set voltage.topic; '
         'nobody publishes /motor/twist: start its driver, or set torque.topic',
     )
     voltage = rig.peer.publisher(JointState, 'motor/voltage', RELIABLE, readers=1)
     wrong = rig.peer.publisher(Float64, 'motor/twist', RELIABLE)
     rig.wait_for_level(
         DiagnosticStatus.ERROR,
-        '/motor/twist is published as std_msgs/msg/Float64, but torque.type is sensor_msgs/msg/JointState',
+        '/motor/twist is published as std_msgs/msg/Float64, but torque.type is '
+        'sensor_msgs/msg/JointState',
     )
     rig.peer.node.destroy_publisher(wrong)
     torque = rig.peer.publisher(JointState, 'motor/twist', RELIABLE, readers=1)
-    rig.wait_for_level(DiagnosticStatus.STALE, 'is motor/voltage and motor/twist published with its name?')
+    rig.wait_for_level(
+        DiagnosticStatus.STALE, 'is motor/voltage and motor/twist published with its name?'
+    )
     for publisher in (voltage, torque):
         publisher.publish(rig.state('left right', START_NS, 1.0, 2.0))
-    rig.wait_for_level(DiagnosticStatus.STALE, 'published with its name?; names there: left, right; see the parameter')
+    rig.wait_for_level(
+        DiagnosticStatus.STALE,
+        'published with its name?; names there: left, right; see the parameter',
+    )
 
 
-def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(rig, record, learnt_offline):
+def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(
+    rig, record, learnt_offline
+):
     both = record(EXCITATION, 12.0, motors=('left', 'right'))
     alone = record(EXCITATION, 12.0)  # the same motor and voltage as left
     rig.start(motors='[left, right, spare]')
@@ -201,8 +226,16 @@ def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(rig, re
             {'voltage': voltage, 'torque': torque},
             [
                 {
-                    'voltage': rig.state(names, START_NS + int(both.stamp_ns[k]), *both.voltage_v[columns, k].tolist()),
-                    'torque': rig.state(names, START_NS + int(both.stamp_ns[k]), *both.torque_nm[columns, k].tolist()),
+                    'voltage': rig.state(
+                        names,
+                        START_NS + int(both.stamp_ns[k]),
+                        *both.voltage_v[columns, k].tolist(),
+                    ),
+                    'torque': rig.state(
+                        names,
+                        START_NS + int(both.stamp_ns[k]),
+                        *both.torque_nm[columns, k].tolist(),
+                    ),
                 }
                 for k in indices
             ],
@@ -220,7 +253,12 @@ def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(rig, re
     def told() -> bool:
         send('left', range(k := next(left_alone), k + 1))  # the topics go on, without right
         gone = 'no new sample: motor/voltage speaks of it no more and motor/torque speaks of it no more'
-        return any(gone in s.message for array in rig.diagnostics for s in array.status if s.hardware_id == 'right')
+        return any(
+            gone in s.message
+            for array in rig.diagnostics
+            for s in array.status
+            if s.hardware_id == 'right'
+        )
 
     rig.peer.wait(told, 'the word that it has left')
     done = next(left_alone)

@@ -1,4 +1,6 @@
-"""What is latched is true of now, in every state of the life cycle: whoever comes late believes no number of before."""
+"""What is latched is true of now, in every state of the life cycle: whoever comes late believes no
+number of before.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ pytestmark = pytest.mark.system
 
 EXCITATION = 'R[5,15]D[0.1,1]'
 INITIAL = {'inductance': 1.5, 'resistance': 3.0, 'hysteresis': 1.0}
-NUMBERS = ('motor/inductance', 'motor/resistance', 'motor/hysteresis', 'motor/covariance', 'estimates')
+NUMBERS = (
+    'motor/inductance',
+    'motor/resistance',
+    'motor/hysteresis',
+    'motor/covariance',
+    'estimates',
+)
 SAMPLES = 1000
 CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
 ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
@@ -65,7 +73,10 @@ def test_a_reset_leaves_no_number_that_was_learnt_whatever_the_state(identified)
     assert rig.call(Trigger, 'reset').success
     assert rig.estimates() == INITIAL
     assert rig.latched(Bool, 'motor/identified').data is False
-    rig.peer.wait(lambda: not rig.peer.node.count_publishers('/gray_box_observer/estimates'), 'the end of ~/estimates')
+    rig.peer.wait(
+        lambda: not rig.peer.node.count_publishers('/gray_box_observer/estimates'),
+        'the end of ~/estimates',
+    )
     assert rig.change(DEACTIVATE)
     assert rig.call(Trigger, 'reset').success
     assert says_nothing(rig)

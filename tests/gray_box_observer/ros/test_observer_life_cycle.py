@@ -1,4 +1,6 @@
-"""Every transition of the observer's life cycle, with what it must leave behind, and its end under load."""
+"""Every transition of the observer's life cycle, with what it must leave behind, and its end under
+load.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +26,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from gray_box_observer.bag.joint_state import encode_joint_state
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.ros.chore import Chore
-from gray_box_observer.ros.observer_node import ObserverNode
+from gray_box_observer.ros.observer.observer_node import ObserverNode
+from gray_box_observer.ros.periodic_task import Chore
 from gray_box_observer.ros.running import Stop
 
 pytestmark = pytest.mark.system
@@ -51,8 +53,16 @@ SHUTDOWN = {
         ([], State.PRIMARY_STATE_UNCONFIGURED, 'unconfigured: configure the node'),
         ([CONFIGURE], State.PRIMARY_STATE_INACTIVE, 'inactive: activate the node'),
         ([CONFIGURE, ACTIVATE], State.PRIMARY_STATE_ACTIVE, 'nothing received'),
-        ([CONFIGURE, ACTIVATE, DEACTIVATE], State.PRIMARY_STATE_INACTIVE, 'inactive: activate the node'),
-        ([CONFIGURE, CLEANUP], State.PRIMARY_STATE_UNCONFIGURED, 'unconfigured: configure the node'),
+        (
+            [CONFIGURE, ACTIVATE, DEACTIVATE],
+            State.PRIMARY_STATE_INACTIVE,
+            'inactive: activate the node',
+        ),
+        (
+            [CONFIGURE, CLEANUP],
+            State.PRIMARY_STATE_UNCONFIGURED,
+            'unconfigured: configure the node',
+        ),
     ],
 )
 def test_from_every_state_it_is_told_what_to_do_and_can_be_shut_down(rig, steps, state, words):
@@ -102,7 +112,10 @@ def test_a_transition_that_fails_for_a_reason_tells_it_and_can_be_tried_again(ri
 def node(peer) -> Iterator[Callable[..., ObserverNode]]:
     """Make an observer in the test's own process, to break it from inside."""
     made: list[ObserverNode] = []
-    rclpy.init(domain_id=peer.domain, args=['--ros-args', '-p', 'predictor:=false', '-p', 'autostart:=false'])
+    rclpy.init(
+        domain_id=peer.domain,
+        args=['--ros-args', '-p', 'predictor:=false', '-p', 'autostart:=false'],
+    )
 
     def make() -> ObserverNode:
         made.append(ObserverNode(Stop()))
@@ -129,8 +142,12 @@ TRANSITIONS = {
 
 
 @pytest.mark.parametrize('transition', list(TRANSITIONS))
-def test_a_defect_in_any_transition_leads_back_to_unconfigured_and_from_there_on(node, transition, monkeypatch, capfd):
-    """Every action of a transition fails with what is no expected error; afterwards the node must work."""
+def test_a_defect_in_any_transition_leads_back_to_unconfigured_and_from_there_on(
+    node, transition, monkeypatch, capfd
+):
+    """Every action of a transition fails with what is no expected error; afterwards the node must
+    work.
+    """
     before, action = TRANSITIONS[transition]
     one = node()
     for step in before:
@@ -153,9 +170,15 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
     one.trigger_configure()
     one.trigger_activate()
     told: list[bool] = []
-    monkeypatch.setitem(one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data))
+    monkeypatch.setitem(
+        one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data)
+    )
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
-    one._unsettled = [SimpleNamespace(group=SimpleNamespace(names=('motor',), observer=None), alarm=np.array([True]))]
+    one._unsettled = [
+        SimpleNamespace(
+            group=SimpleNamespace(names=('motor',), observer=None), alarm=np.array([True])
+        )
+    ]
     assert one._load(Trigger.Request(), Trigger.Response()).success
     one._tell()
     assert told == [True, False], 'latched: what stands after loading'
@@ -178,7 +201,9 @@ def test_a_device_that_fails_while_it_predicts_asks_for_the_end(node, monkeypatc
 
 
 @pytest.mark.parametrize('state', ['active', 'inactive'])
-def test_no_number_of_a_motor_that_has_stopped_stays_on_estimates_where_nobody_tells_it_again(node, state):
+def test_no_number_of_a_motor_that_has_stopped_stays_on_estimates_where_nobody_tells_it_again(
+    node, state
+):
     one = node()
     one.trigger_configure()
     one.trigger_activate()
@@ -211,7 +236,11 @@ def failed(*_: Any) -> None:
     raise FAILED
 
 
-MESSAGES = {'none': b'', 'of other bytes': b'no message', 'good': encode_joint_state(1, ['motor'], effort=[1.0])}
+MESSAGES = {
+    'none': b'',
+    'of other bytes': b'no message',
+    'good': encode_joint_state(1, ['motor'], effort=[1.0]),
+}
 
 
 @pytest.mark.parametrize('data', MESSAGES.values(), ids=MESSAGES)
@@ -220,7 +249,10 @@ def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_t
     one.trigger_configure()
     one.trigger_activate()
     done: list[str] = []
-    chores = {name: Chore(1e-9, partial(done.append, name)) for name in ('diagnostics', 'estimates', 'checkpoint')}
+    chores = {
+        name: Chore(1e-9, partial(done.append, name))
+        for name in ('diagnostics', 'estimates', 'checkpoint')
+    }
     one._chores = dict(chores)
     for _ in range(6):
         one._inputs._subscriptions['torque'].callback(data)
@@ -240,11 +272,15 @@ def test_reset_publishes_at_once_what_is_known_then(rig, record):
     assert rig.estimates() == INITIAL
     covariance = rig.latched(Float64MultiArray, 'motor/covariance').data
     spread = math.sqrt(covariance[0]) / INITIAL['inductance']
-    assert spread == pytest.approx(math.expm1(2.0), rel=0.02), 'as far as a log-normal of prior_relative_std reaches'
+    assert spread == pytest.approx(math.expm1(2.0), rel=0.02), (
+        'as far as a log-normal of prior_relative_std reaches'
+    )
 
 
 def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):
-    """Freezing, thawing, saving, pausing and loading publish no value that was not learnt at that time."""
+    """Freezing, thawing, saving, pausing and loading publish no value that was not learnt at that
+    time.
+    """
     recording = record(EXCITATION, 12.0, torque_noise_relative=0.01)
     rig.start(checkpoint__path=tmp_path / 'c.safetensors')
     rig.send(recording, range(600))
@@ -270,9 +306,13 @@ def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_node_soon_while_it_trains_and_a_thousand_samples_a_second_come(rig, record, number):
+def test_a_signal_ends_the_node_soon_while_it_trains_and_a_thousand_samples_a_second_come(
+    rig, record, number
+):
     recording = record(EXCITATION, 60.0)
-    rig.start(predictor='true', training__core_share=1.0, training__period=32, training__start='fresh')
+    rig.start(
+        predictor='true', training__core_share=1.0, training__period=32, training__start='fresh'
+    )
     voltage, torque = rig.signals()
     stop, sent = threading.Event(), []
 

@@ -13,7 +13,9 @@ from std_srvs.srv import SetBool, Trigger
 pytestmark = pytest.mark.system
 
 EXCITATION = 'R[5,15]D[0.1,1]'
-LINE = re.compile(r'\[(?P<level>INFO|WARN|ERROR)\] \[(?P<time_s>[0-9.]+)\] \[gray_box_observer\]: (?P<text>.*)')
+LINE = re.compile(
+    r'\[(?P<level>INFO|WARN|ERROR)\] \[(?P<time_s>[0-9.]+)\] \[gray_box_observer\]: (?P<text>.*)'
+)
 
 
 def said_until(rig, words: str) -> list[re.Match]:
@@ -30,7 +32,10 @@ def test_a_missing_signal_a_motor_that_is_found_its_verdicts_and_the_end_are_tol
     recording = record(EXCITATION, 20.0, torque_noise_relative=0.01)
     rig.start()
     lines = said_until(rig, 'no voltage and no torque of motor for ')
-    assert 'nobody publishes /motor/voltage: start its driver, or set voltage.topic' in lines[-1]['text']
+    assert (
+        'nobody publishes /motor/voltage: start its driver, or set voltage.topic'
+        in lines[-1]['text']
+    )
     assert lines[-1]['level'] == 'WARN'
     rig.send(recording, range(1500))
     rig.wait_for(samples_used=1500)
@@ -38,12 +43,18 @@ def test_a_missing_signal_a_motor_that_is_found_its_verdicts_and_the_end_are_tol
     code, _, rest = rig.peer.end(rig.process)
     lines += [found for line in rest.splitlines() if (found := LINE.match(line))]
     assert code == 0
-    told = [line for line in lines if re.match(r'no voltage|found|motor: |voltage|torque', line['text'])]
+    told = [
+        line for line in lines if re.match(r'no voltage|found|motor: |voltage|torque', line['text'])
+    ]
     times = [float(line['time_s']) for line in told]
     assert all(later - earlier > 4.9 for earlier, later in pairwise(times))
     assert 'resistance' in ' '.join(line['text'] for line in told)
-    (summary,) = [line['text'] for line in lines if line['text'].startswith('1500 samples of motor in ')]
-    assert re.search(r'none rejected; motor: inductance 0\.\d+ \+- \S+ H identified, resistance ', summary)
+    (summary,) = [
+        line['text'] for line in lines if line['text'].startswith('1500 samples of motor in ')
+    ]
+    assert re.search(
+        r'none rejected; motor: inductance 0\.\d+ \+- \S+ H identified, resistance ', summary
+    )
     assert lines[-1]['text'] == summary
 
 

@@ -23,14 +23,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.observer import Observer
+from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
+from gray_box_observer.settings.configuration import Configuration
 
 pytestmark = pytest.mark.system
 
-MODULE = 'gray_box_observer.ros.observer_node'
+MODULE = 'gray_box_observer.ros.observer.observer_node'
 NODE = '/gray_box_observer'
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 EXCITATION = 'R[5,15]D[0.1,1]'
@@ -42,7 +42,11 @@ END_S = 20.0
 
 def rejected(rig) -> dict[str, int]:
     text = rig.values()['rejected']
-    return {} if text == 'none' else {k: int(n) for k, n in (pair.split(': ') for pair in text.split(', '))}
+    return (
+        {}
+        if text == 'none'
+        else {k: int(n) for k, n in (pair.split(': ') for pair in text.split(', '))}
+    )
 
 
 SMALL_NETWORK = {
@@ -83,7 +87,9 @@ def test_every_topic_has_its_name_type_and_quality_of_service(rig):
         '/diagnostics': ('diagnostic_msgs/msg/DiagnosticArray', reliable, volatile),
     }
     for topic, expected in published.items():
-        rig.peer.wait(lambda topic=topic: described(node.get_publishers_info_by_topic(topic)), topic)
+        rig.peer.wait(
+            lambda topic=topic: described(node.get_publishers_info_by_topic(topic)), topic
+        )
         assert described(node.get_publishers_info_by_topic(topic)) == [expected], topic
     for topic in ('/motor/voltage', '/motor/torque'):
         expected = 'sensor_msgs/msg/JointState', reliable, volatile
@@ -110,13 +116,17 @@ def test_a_noise_free_motor_is_identified_and_whoever_comes_late_is_told(rig, re
     assert rig.values()['inductance verdict'] == 'identified'
 
 
-def test_whoever_comes_late_is_told_how_well_the_white_box_fits_and_which_parameters_are_identified(rig, record):
+def test_whoever_comes_late_is_told_how_well_the_white_box_fits_and_which_parameters_are_identified(
+    rig, record
+):
     rig.start()
     rig.send(record(EXCITATION, 8.0, torque_noise_relative=0.01), range(800))
     rig.wait_for(samples_used=800)
     values = rig.values()
     assert values['fit verdict'] == 'ok'
-    assert rig.latched(Float64, 'motor/fit').data == pytest.approx(float(values['fit ratio']), rel=1e-3)
+    assert rig.latched(Float64, 'motor/fit').data == pytest.approx(
+        float(values['fit ratio']), rel=1e-3
+    )
     assert values['suspects'] == 'none'
     assert 'Kb is left at its default' in values['assumptions']
     for name in ('inductance', 'resistance', 'hysteresis'):
@@ -129,7 +139,9 @@ def test_whoever_comes_late_is_told_how_well_the_white_box_fits_and_which_parame
     assert rig.latched(Float64, 'motor/fit').data == 0.0
 
 
-def test_a_motor_that_is_told_in_mv_is_a_warning_with_its_remedy_and_nothing_of_it_is_identified(rig, record):
+def test_a_motor_that_is_told_in_mv_is_a_warning_with_its_remedy_and_nothing_of_it_is_identified(
+    rig, record
+):
     recording = record(EXCITATION, 8.0, torque_noise_relative=0.01)
     rig.start()
     rig.send(replace(recording, voltage_v=1e3 * recording.voltage_v), range(800))
@@ -156,7 +168,11 @@ def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_betwe
     torque.publish(rig.state('motor', newest_ns + 3))  # a name without a value
     torque.publish(rig.state('stranger', newest_ns + 4, 0.07))
     message = bytes(serialize_message(rig.state('motor', newest_ns + 5, 0.07)))
-    for data in (message[:40], b'\0', b'\x00\x07' + message[2:]):  # cut, of one byte, in another encoding
+    for data in (
+        message[:40],
+        b'\0',
+        b'\x00\x07' + message[2:],
+    ):  # cut, of one byte, in another encoding
         torque.publish(data)
     rig.send(recording, range(300, 600))
     rig.wait_for(samples_used=600)
@@ -164,8 +180,13 @@ def test_the_live_node_learns_bit_for_bit_what_the_core_learns_and_junk_in_betwe
     assert rejected(rig) == counts
     values = rig.values()
     received = int(values['torque messages']), int(values['voltage messages'])
-    assert received == (600 + 3 + 1 + 1 + 1, 600 + 3 + 1), 'every message is used or counted under its reason'
-    of_topic = {name: int(values[f'torque topic: {name}']) for name in ('messages', 'unreadable', 'of no motor here')}
+    assert received == (600 + 3 + 1 + 1 + 1, 600 + 3 + 1), (
+        'every message is used or counted under its reason'
+    )
+    of_topic = {
+        name: int(values[f'torque topic: {name}'])
+        for name in ('messages', 'unreadable', 'of no motor here')
+    }
     assert of_topic == {'messages': received[0] + 5, 'unreadable': 4, 'of no motor here': 1}
     assert rig.estimates() == learnt_offline(recording, range(600))
 
@@ -185,7 +206,9 @@ def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
     recording = record('C[10]', 40.0)
     rig.start()
     voltage, torque = rig.signals()
-    rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/voltage and motor/torque')
+    rig.wait_for_level(
+        DiagnosticStatus.STALE, 'nothing received for this motor: is motor/voltage and motor/torque'
+    )
     voltage.publish(rig.state('motor', START_NS - 1, 10.0))
     rig.wait_for_level(DiagnosticStatus.STALE, 'nothing received for this motor: is motor/torque')
     rig.send(recording, range(3000, 3900))  # long settled
@@ -196,16 +219,24 @@ def test_diagnostics_come_once_a_second_and_say_what_to_do(rig, record):
         torque.publish(message)
     rig.wait_for_level(DiagnosticStatus.WARN, f'{CHUNK} messages refused in 1 s: see rejected')
     assert rejected(rig) == {'non_finite': CHUNK}
-    stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics]
+    stamps = [
+        array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics
+    ]
     rig.peer.wait(lambda: len(rig.diagnostics) >= len(stamps) + 2, 'two more')
-    stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics]
+    stamps = [
+        array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in rig.diagnostics
+    ]
     assert np.median(np.diff(stamps)) == pytest.approx(1.0, abs=0.1)
-    assert {s.name for array in rig.diagnostics for s in array.status} == {'gray_box_observer: motor'}
+    assert {s.name for array in rig.diagnostics for s in array.status} == {
+        'gray_box_observer: motor'
+    }
 
 
 def test_a_delay_that_was_not_declared_is_a_warning_and_an_asked_for_one_is_applied(rig, record):
     recording = record('R[5,15]D[0.2,2]', 10.0, torque_noise_relative=0.01)
-    early = replace(recording, voltage_v=np.roll(recording.voltage_v, -5, axis=1))  # voltage leads by 50 ms
+    early = replace(
+        recording, voltage_v=np.roll(recording.voltage_v, -5, axis=1)
+    )  # voltage leads by 50 ms
     rig.start()
     rig.send(early, range(900))
     rig.wait_for_level(DiagnosticStatus.WARN, 'voltage seems to lead torque by ')
@@ -221,7 +252,9 @@ def test_a_delay_that_was_not_declared_is_a_warning_and_an_asked_for_one_is_appl
     rig.send(early, range(900))
     rig.wait_for(delay_verdict='estimated')
     assert float(rig.values()['delay applied [s]']) == pytest.approx(0.05, abs=1e-3)
-    assert rig.values()['delay in words'].endswith(f'applied: {rig.values()["delay applied [s]"]} s, as estimated')
+    assert rig.values()['delay in words'].endswith(
+        f'applied: {rig.values()["delay applied [s]"]} s, as estimated'
+    )
     said = rig.call(GetParameters, 'get_parameters', names=['motor.delay']).values[0]
     assert said.string_value == 'estimate'
 
@@ -230,7 +263,9 @@ def test_torque_of_the_wrong_sign_is_called_implausible(rig, record):
     rig.start(torque__scale=-1.0)
     rig.send(record(EXCITATION, 8.0), range(800))
     rig.wait_for_level(DiagnosticStatus.WARN, ': check torque_constant, units and sign')
-    assert any(' bound of ' in status.message for array in rig.diagnostics for status in array.status)
+    assert any(
+        ' bound of ' in status.message for array in rig.diagnostics for status in array.status
+    )
     assert rig.latched(Bool, 'motor/identified').data is False
 
 
@@ -246,7 +281,9 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
         voltage.publish(rig.state('motor', stamp_ns, float(recording.voltage_v[0, k])))
         expected = rig.state('motor', stamp_ns).header.stamp
-        rig.peer.wait(lambda stamp=expected: rig.predicted[-1].header.stamp == stamp, 'the prediction')
+        rig.peer.wait(
+            lambda stamp=expected: rig.predicted[-1].header.stamp == stamp, 'the prediction'
+        )
         torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, k])))
     stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in rig.predicted]
     assert stamps == sorted(set(stamps)), 'each stamp is predicted once'
@@ -256,7 +293,9 @@ def test_torque_is_predicted_before_it_is_measured(rig, record):
 
 
 def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(rig, record):
-    recording = record(EXCITATION, 10.0, torque_noise_relative=0.01, schedule=('motor.resistance=1000@8.0',))
+    recording = record(
+        EXCITATION, 10.0, torque_noise_relative=0.01, schedule=('motor.resistance=1000@8.0',)
+    )
     rig.start(**{**SMALL_NETWORK, 'variant': 'physics', 'training__hidden': 12}, alarm__learn=300)
     assert rig.latched(Bool, 'motor/alarm').data is False, 'it is told at activation'
     said = rig.peer.listen(Bool, f'{NODE}/motor/alarm', LATCHED_QOS)
@@ -265,10 +304,14 @@ def test_an_open_brush_raises_the_alarm_for_whoever_listens_and_in_diagnostics(r
     assert float(rig.values()['residual std [N m]']) > 0.0
     rig.send(recording, range(800, 840))
     rig.wait_for(samples_used=840, residual_alarm='raised', alarms_raised=1)
-    rig.peer.wait(lambda: len(said) > 1, 'the alarm')  # another topic than that of diagnostics: either may be first
+    rig.peer.wait(
+        lambda: len(said) > 1, 'the alarm'
+    )  # another topic than that of diagnostics: either may be first
     assert [message.data for message in said] == [False, True]
     rig.send(recording, range(840, 860))
-    rig.wait_for_level(DiagnosticStatus.WARN, 'blocked rotor, open brush, weak magnet or a wrong sensor?')
+    rig.wait_for_level(
+        DiagnosticStatus.WARN, 'blocked rotor, open brush, weak magnet or a wrong sensor?'
+    )
     assert rig.call(Trigger, 'reset').success
     assert rig.latched(Bool, 'motor/alarm').data is False
 
@@ -278,7 +321,10 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
     forecasts = rig.peer.listen(JointState, f'{NODE}/forecast_torque', SIGNAL_QOS)
     rig.start(**{'predictor': 'true', 'training__period': 100000}, horizon_s=0.25)
     voltage, torque = rig.signals()
-    core, expected = Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining), {}
+    core, expected = (
+        Observer(Configuration.from_flat({'training.period': 100000}), InlineTraining),
+        {},
+    )
     heard: dict[int, float] = {}
     for k in range(80):
         stamp_ns = START_NS + int(recording.stamp_ns[k])
@@ -289,7 +335,10 @@ def test_where_a_held_voltage_leads_is_published_with_the_stamp_of_the_horizon(r
         if held is not None:
             expected[held.stamp_ns] = held.torque_nm
             wanted = rig.state('motor', held.stamp_ns).header.stamp
-            rig.peer.wait(lambda stamp=wanted: forecasts and forecasts[-1].header.stamp == stamp, 'the forecast')
+            rig.peer.wait(
+                lambda stamp=wanted: forecasts and forecasts[-1].header.stamp == stamp,
+                'the forecast',
+            )
             assert list(forecasts[-1].name) == ['motor']
             heard[held.stamp_ns] = forecasts[-1].effort[0]
         torque.publish(rig.state('motor', stamp_ns, torque_nm))
@@ -311,7 +360,8 @@ def test_the_default_predictor_speaks_from_the_second_sample_on(rig, record):
         if k:
             expected = rig.state('motor', stamp_ns).header.stamp
             rig.peer.wait(
-                lambda stamp=expected: rig.predicted and rig.predicted[-1].header.stamp == stamp, 'the prediction'
+                lambda stamp=expected: rig.predicted and rig.predicted[-1].header.stamp == stamp,
+                'the prediction',
             )
         torque.publish(rig.state('motor', stamp_ns, float(recording.torque_nm[0, k])))
         rig.wait_for(samples_used=k + 1) if k == 0 else None
@@ -324,9 +374,15 @@ def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path, le
     recording = record(EXCITATION, 12.0)
     rig.start(checkpoint__path=path)
     answer = rig.call(Trigger, 'save')
-    assert (answer.success, answer.message) == (False, 'nothing to save yet: no motor has been seen')
+    assert (answer.success, answer.message) == (
+        False,
+        'nothing to save yet: no motor has been seen',
+    )
     answer = rig.call(Trigger, 'load')
-    assert (answer.success, answer.message) == (False, f'cannot read {path}: No such file or directory')
+    assert (answer.success, answer.message) == (
+        False,
+        f'cannot read {path}: No such file or directory',
+    )
     rig.send(recording, range(600))
     rig.wait_for(samples_used=600)
     learnt = rig.estimates()
@@ -344,7 +400,10 @@ def test_what_was_learnt_is_saved_forgotten_and_loaded(rig, record, tmp_path, le
     assert rig.estimates() == learnt
     assert rig.latched(Bool, 'motor/identified').data is True
     path.write_bytes(b'no checkpoint')
-    assert rig.call(Trigger, 'load').message == f'{path} is not a checkpoint of this package, or was cut short'
+    assert (
+        rig.call(Trigger, 'load').message
+        == f'{path} is not a checkpoint of this package, or was cut short'
+    )
     assert rig.estimates() == learnt
 
 
@@ -364,7 +423,9 @@ def test_a_frozen_observer_learns_nothing_and_stays_frozen_when_it_is_reset(rig,
     rig.send(recording, range(600, 700))
     rig.wait_for(samples_used=100)
     assert rig.values()['resistance verdict'] == 'frozen'
-    thaw = Parameter(name='freeze', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False))
+    thaw = Parameter(
+        name='freeze', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+    )
     assert rig.call(SetParameters, 'set_parameters', parameters=[thaw]).results[0].successful
     rig.send(recording, range(700, 800))
     rig.wait_for(samples_used=200)
@@ -418,7 +479,9 @@ def test_several_motors_share_their_messages_in_a_namespace(make_rig, record):
 
 
 def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middleware(rig):
-    """The truth is the closed form of a motor without hysteresis, driven at the times of the wall clock."""
+    """The truth is the closed form of a motor without hysteresis, driven at the times of the wall
+    clock.
+    """
     rig.start(
         voltage__topic='drive/volts',
         voltage__type='std_msgs/msg/Float64',
@@ -449,10 +512,14 @@ def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middlewar
         time.sleep(0.01)
     # the last torque waits for the voltage at its stamp, which came after it
     rig.wait_for(torque_messages=199)
-    found = {name: rig.latched(Float64, f'motor/{name}').data for name in ('inductance', 'resistance')}
+    found = {
+        name: rig.latched(Float64, f'motor/{name}').data for name in ('inductance', 'resistance')
+    }
     assert found == pytest.approx({'inductance': 0.5, 'resistance': 2.0}, rel=0.05)
     _, _, said = rig.peer.end(rig.process)
-    assert said.count('std_msgs/msg/Float64 has no header: voltage is stamped by the middleware') == 1
+    assert (
+        said.count('std_msgs/msg/Float64 has no header: voltage is stamped by the middleware') == 1
+    )
 
 
 def test_a_field_that_the_type_has_not_is_refused_before_any_message(rig):
@@ -481,7 +548,10 @@ def test_a_first_message_that_is_too_short_for_the_field_is_malformed_and_the_no
         ({'motor__torque_constant': -0.01}, 'motor.torque_constant'),
         ({'motor__context_nodes': '[inductance, mass]'}, 'mass'),
         ({'context_update': 'magic'}, 'context_update must be one of recursive, gradient'),
-        ({'voltage__type': 'std_msgs/msg/Voltage'}, "voltage.type 'std_msgs/msg/Voltage' is not a message"),
+        (
+            {'voltage__type': 'std_msgs/msg/Voltage'},
+            "voltage.type 'std_msgs/msg/Voltage' is not a message",
+        ),
         ({'voltage__type': 5}, 'voltage.type'),
         ({'recursive__block': 'many'}, 'recursive.block'),
         ({'motors': '[left-hand]'}, 'motors must be distinct names'),
@@ -508,7 +578,10 @@ def test_messages_of_other_motors_only_are_told_once_with_what_to_do(rig):
         rig.peer.wait(lambda: rig.diagnostics, 'diagnostics')
     _, _, said = rig.peer.end(rig.process)
     (warning,) = [line for line in said.splitlines() if 'speaks of' in line]
-    assert 'motor/voltage speaks of motor_0, motor_1 and not of right: give the parameter motors the names' in warning
+    assert (
+        'motor/voltage speaks of motor_0, motor_1 and not of right: give the parameter motors the '
+        'names' in warning
+    )
 
 
 def test_a_robot_whose_other_joints_have_names_too_is_no_reason_to_warn(rig):
@@ -558,7 +631,9 @@ def test_a_killed_observer_leaves_no_training_process_behind(rig, training):
     rig.wait_until_gone(child)
 
 
-def test_a_training_process_that_dies_is_reported_and_costs_no_sample(rig, training, record, learnt_offline):
+def test_a_training_process_that_dies_is_reported_and_costs_no_sample(
+    rig, training, record, learnt_offline
+):
     training().kill()
     rig.send(record(EXCITATION, 8.0), range(100, 800))
     rig.wait_for(samples_used=800)

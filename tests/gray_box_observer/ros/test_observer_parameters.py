@@ -8,19 +8,29 @@ from typing import Any
 import pytest
 import yaml
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
-from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters, SetParametersAtomically
+from rcl_interfaces.srv import (
+    DescribeParameters,
+    GetParameters,
+    ListParameters,
+    SetParameters,
+    SetParametersAtomically,
+)
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 
-from gray_box_observer.configuration import flatten
-from gray_box_observer.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 from gray_box_observer.ros.topics import SIGNAL_QOS
+from gray_box_observer.settings.configuration import flatten
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
 
 pytestmark = pytest.mark.system
 
 EXCITATION = 'R[5,15]D[0.1,1]'
-YAML = Path(__file__).resolve().parents[3] / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
-SPECS = {spec.name: spec for spec in OBSERVER_PARAMETERS} | {f'motor.{spec.name}': spec for spec in MOTOR_PARAMETERS}
+YAML = (
+    Path(__file__).resolve().parents[3] / 'src' / 'gray_box_observer' / 'config' / 'observer.yaml'
+)
+SPECS = {spec.name: spec for spec in OBSERVER_PARAMETERS} | {
+    f'motor.{spec.name}': spec for spec in MOTOR_PARAMETERS
+}
 
 
 def message(name: str, value: Any) -> Parameter:
@@ -35,7 +45,16 @@ def message(name: str, value: Any) -> Parameter:
 
 
 def plain(value: ParameterValue) -> Any:
-    fields = ('bool', 'integer', 'double', 'string', 'byte_array', 'bool_array', 'integer_array', 'double_array')
+    fields = (
+        'bool',
+        'integer',
+        'double',
+        'string',
+        'byte_array',
+        'bool_array',
+        'integer_array',
+        'double_array',
+    )
     found = getattr(value, f'{(*fields, "string_array")[value.type - 1]}_value')
     return list(found) if value.type > ParameterType.PARAMETER_STRING else found
 
@@ -47,7 +66,9 @@ def set_one(rig, name: str, value: Any) -> tuple[bool, str]:
 
 def set_all(rig, **values: Any) -> tuple[bool, str]:
     parameters = [message(name.replace('__', '.'), value) for name, value in values.items()]
-    result = rig.call(SetParametersAtomically, 'set_parameters_atomically', parameters=parameters).result
+    result = rig.call(
+        SetParametersAtomically, 'set_parameters_atomically', parameters=parameters
+    ).result
     return result.successful, result.reason
 
 
@@ -60,16 +81,23 @@ def test_descriptors_values_file_and_declarations_agree(rig):
     descriptors = rig.call(DescribeParameters, 'describe_parameters', names=own).descriptors
     for described in descriptors:
         spec = SPECS[described.name]
-        assert (described.description, described.read_only) == (spec.description, not spec.live), described.name
+        assert (described.description, described.read_only) == (spec.description, not spec.live), (
+            described.name
+        )
         ranges = [*described.floating_point_range, *described.integer_range]
         if ranges:
             assert ranges[0].from_value == spec.minimum
             assert spec.maximum is None or ranges[0].to_value == spec.maximum
         else:
-            assert spec.minimum is None or spec.words or isinstance(spec.default, list), described.name
+            assert spec.minimum is None or spec.words or isinstance(spec.default, list), (
+                described.name
+            )
     given = flatten(yaml.safe_load(YAML.read_text(encoding='utf-8'))['/**']['ros__parameters'])
     values = rig.call(GetParameters, 'get_parameters', names=own).values
-    assert dict(zip(own, map(plain, values), strict=True)) == {**given, 'predictor': False}  # as the rig starts it
+    assert dict(zip(own, map(plain, values), strict=True)) == {
+        **given,
+        'predictor': False,
+    }  # as the rig starts it
 
 
 def test_what_may_change_while_it_runs_takes_effect_and_nothing_learnt_is_lost(rig, record):
@@ -96,7 +124,9 @@ def test_what_may_change_while_it_runs_takes_effect_and_nothing_learnt_is_lost(r
     rig.peer.wait(lambda: forecasts, 'forecasts, though none were asked for at the start')
     for name, value in (('training.core_share', 0.5), ('gap_s', 0.2), ('checkpoint.period_s', 1.0)):
         assert set_one(rig, name, value) == (True, '')
-    rig.send(recording, [*range(700, 800), *range(830, 1000)])  # the hole is longer than the new gap_s
+    rig.send(
+        recording, [*range(700, 800), *range(830, 1000)]
+    )  # the hole is longer than the new gap_s
     rig.wait_for(samples_used=970, pauses=1)
 
 
@@ -105,7 +135,11 @@ def test_what_may_change_while_it_runs_takes_effect_and_nothing_learnt_is_lost(r
     [
         ('seed', 3, 'read-only'),
         ('motor.torque_constant', 0.02, 'read-only'),
-        ('verdict.identified_relative_std', 0.5, 'must not be above verdict.excited_relative_std, got 0.5 and 0.3'),
+        (
+            'verdict.identified_relative_std',
+            0.5,
+            'must not be above verdict.excited_relative_std, got 0.5 and 0.3',
+        ),
         ('verdict.identified_relative_std', 2.0, 'range'),
         ('alarm.learn', 0, 'range'),
         ('horizon_s', float('nan'), 'horizon_s'),
@@ -127,7 +161,9 @@ def test_what_is_set_together_is_judged_together_and_taken_whole_or_not_at_all(r
     names = ['verdict.identified_relative_std', 'verdict.excited_relative_std', 'gap_s']
 
     def values() -> list[float]:
-        return [v.double_value for v in rig.call(GetParameters, 'get_parameters', names=names).values]
+        return [
+            v.double_value for v in rig.call(GetParameters, 'get_parameters', names=names).values
+        ]
 
     successful, reason = set_all(
         rig, gap_s=2.0, verdict__identified_relative_std=0.5, verdict__excited_relative_std=0.4
@@ -135,7 +171,11 @@ def test_what_is_set_together_is_judged_together_and_taken_whole_or_not_at_all(r
     assert not successful
     assert 'must not be above' in reason
     assert values() == [0.02, 0.3, 0.5]
-    together = {'gap_s': 2.0, 'verdict__identified_relative_std': 0.5, 'verdict__excited_relative_std': 0.8}
+    together = {
+        'gap_s': 2.0,
+        'verdict__identified_relative_std': 0.5,
+        'verdict__excited_relative_std': 0.8,
+    }
     assert set_all(rig, **together) == (True, '')
     assert values() == [0.5, 0.8, 2.0]
 
@@ -151,13 +191,28 @@ HOSTILE = [
     Parameter(name='gap_s'),  # of no type: asks for it to be deleted
     Parameter(name='checkpoint.path'),
     Parameter(name='freeze'),
-    Parameter(name='motor', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
-    Parameter(name='größe.🤖', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)),
-    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0])),
-    Parameter(name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=-1e300)),
-    Parameter(name='alarm.learn', value=ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=-(2**63))),
+    Parameter(
+        name='motor', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    ),
+    Parameter(
+        name='größe.🤖', value=ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    ),
+    Parameter(
+        name='gap_s',
+        value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[1.0]),
+    ),
+    Parameter(
+        name='gap_s', value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=-1e300)
+    ),
+    Parameter(
+        name='alarm.learn',
+        value=ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=-(2**63)),
+    ),
     *(
-        Parameter(name='checkpoint.path', value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text))
+        Parameter(
+            name='checkpoint.path',
+            value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=text),
+        )
         for text in ('a' * 5000, 'a/' * 5000 + 'b', '~root/x/..', '/', '.', ' /../x')
     ),
 ]
@@ -185,12 +240,17 @@ def test_nothing_that_is_set_from_outside_ends_the_node(rig, record):
     [
         ('gap', 'gap (did you mean gap_s?)'),
         ('motor.torqe_constant', 'motor.torqe_constant (did you mean motor.torque_constant?)'),
-        ('motor.initial.resistence', 'motor.initial.resistence (did you mean motor.initial.resistance?)'),
+        (
+            'motor.initial.resistence',
+            'motor.initial.resistence (did you mean motor.initial.resistance?)',
+        ),
         ('motr.delay', 'motr.delay (did you mean motor.delay?)'),
         ('frobnicate', 'not a parameter of this node: frobnicate; --help lists them'),
     ],
 )
-def test_a_parameter_on_the_command_line_that_nobody_declared_is_refused_with_the_nearest(rig, given, meant):
+def test_a_parameter_on_the_command_line_that_nobody_declared_is_refused_with_the_nearest(
+    rig, given, meant
+):
     rig.start('--ros-args', '-p', f'{given}:=1.0')
     code, _, said = rig.peer.end(rig.process, None)
     (line,) = [line for line in said.splitlines() if 'error' in line]
@@ -216,6 +276,8 @@ def test_a_file_may_hold_parameters_of_other_nodes_and_motors_but_no_slip(rig, t
 
 
 def test_help_lists_every_parameter(peer):
-    code, out, _ = peer.end(peer.start('gray_box_observer.ros.observer_node', '--help'), None)
+    code, out, _ = peer.end(
+        peer.start('gray_box_observer.ros.observer.observer_node', '--help'), None
+    )
     assert code == 0
     assert all(f'\n  {spec.name} ' in out for spec in (*OBSERVER_PARAMETERS, *MOTOR_PARAMETERS))

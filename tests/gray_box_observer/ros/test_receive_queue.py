@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
-from gray_box_observer import checkpoint
-from gray_box_observer.checkpoint_folder import CheckpointFolder
-from gray_box_observer.checkpoint_keeper import CheckpointKeeper
-from gray_box_observer.ros import receive_queue
-from gray_box_observer.ros.receive_memory import ReceiveMemory
-from gray_box_observer.ros.receive_queue import BUDGET_MESSAGES, CALM_S, ReceiveQueue
+from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.checkpoints.checkpoint_folder import CheckpointFolder
+from gray_box_observer.checkpoints.checkpoint_manager import CheckpointKeeper
+from gray_box_observer.ros.observer import receive_queue
+from gray_box_observer.ros.observer.receive_memory import ReceiveMemory
+from gray_box_observer.ros.observer.receive_queue import BUDGET_MESSAGES, CALM_S, ReceiveQueue
 
 LIMIT = 4_000_000
 BUDGET = BUDGET_MESSAGES * LIMIT
@@ -36,7 +36,9 @@ class Node:
 
     def subscribe(self, profile: QoSProfile | None) -> SimpleNamespace:
         """Make a subscription."""
-        made = SimpleNamespace(qos_profile=profile or QoSProfile(depth=DEPTH), topic_name='/motor/voltage')
+        made = SimpleNamespace(
+            qos_profile=profile or QoSProfile(depth=DEPTH), topic_name='/motor/voltage'
+        )
         self.alive.append(made)
         return made
 
@@ -54,7 +56,9 @@ class Node:
 
     def get_logger(self):
         """Keep what is said."""
-        return SimpleNamespace(warning=lambda text, **_: self.said.append(text), info=self.said.append)
+        return SimpleNamespace(
+            warning=lambda text, **_: self.said.append(text), info=self.said.append
+        )
 
 
 @pytest.fixture
@@ -76,7 +80,9 @@ def test_usual_messages_are_not_looked_at_and_change_nothing(queue, node):
     assert not node.said
 
 
-@pytest.mark.parametrize(('size', 'is_read'), [(100_000, True), (LIMIT, True), (LIMIT + 1, False), (BUDGET, False)])
+@pytest.mark.parametrize(
+    ('size', 'is_read'), [(100_000, True), (LIMIT, True), (LIMIT + 1, False), (BUDGET, False)]
+)
 def test_a_large_message_now_and_then_costs_no_other(queue, node, size, is_read):
     assert queue.admit(size) == is_read
     node.turn()
@@ -84,8 +90,12 @@ def test_a_large_message_now_and_then_costs_no_other(queue, node, size, is_read)
     assert node.watched, 'but the memory is looked at'
 
 
-@pytest.mark.parametrize(('size', 'depth'), [(100_000, 16), (LIMIT, 16), (LIMIT + 1, 8), (10 * BUDGET, 1)])
-def test_where_the_memory_has_grown_the_queue_is_short_and_shorter_for_larger_messages(queue, node, size, depth):
+@pytest.mark.parametrize(
+    ('size', 'depth'), [(100_000, 16), (LIMIT, 16), (LIMIT + 1, 8), (10 * BUDGET, 1)]
+)
+def test_where_the_memory_has_grown_the_queue_is_short_and_shorter_for_larger_messages(
+    queue, node, size, depth
+):
     queue.empty()
     assert len(node.alive) == 1, 'nothing is made anew within the callback'
     node.turn()

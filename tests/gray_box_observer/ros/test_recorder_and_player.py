@@ -25,31 +25,42 @@ from gray_box_observer.bag.metadata import parse_qos_text
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.bag.schemas import built_in_lookup, schema_text
 from gray_box_observer.bag.writer import BagWriter
-from gray_box_observer.ros import recorder_node
-from gray_box_observer.ros.player_arguments import PLAYER_PARAMETERS
-from gray_box_observer.ros.recorder_arguments import RECORDER_PARAMETERS
+from gray_box_observer.ros.bags import recorder_node
+from gray_box_observer.ros.bags.player_arguments import PLAYER_PARAMETERS
+from gray_box_observer.ros.bags.recorder_arguments import RECORDER_PARAMETERS
 from gray_box_observer.ros.running import Stop
 from gray_box_observer.ros.topics import LATCHED_QOS, SIGNAL_QOS
 
 pytestmark = pytest.mark.system
 
 TIMEOUT_S = 60.0
-RECORDER, PLAYER = 'gray_box_observer.ros.recorder_node', 'gray_box_observer.ros.player_node'
+RECORDER, PLAYER = (
+    'gray_box_observer.ros.bags.recorder_node',
+    'gray_box_observer.ros.bags.player_node',
+)
 
 
 def series(count: int, step_s: float = 0.01) -> list[JointState]:
     """A known series of messages."""
     messages = []
     for index in range(count):
-        message = JointState(name=['motor', 'zweiter'], effort=[0.1 * index, -index], velocity=[1.0, 2.0])
-        message.header.stamp = rclpy.time.Time(nanoseconds=10**9 + round(index * step_s * 1e9)).to_msg()
+        message = JointState(
+            name=['motor', 'zweiter'], effort=[0.1 * index, -index], velocity=[1.0, 2.0]
+        )
+        message.header.stamp = rclpy.time.Time(
+            nanoseconds=10**9 + round(index * step_s * 1e9)
+        ).to_msg()
         message.header.frame_id = 'x' * (index % 5)
         messages.append(message)
     return messages
 
 
-def make_bag(folder: Path, times_s: list[float], topic: str = '/motor/torque', log_s: int = 0) -> Path:
-    """A bag whose message k has effort k and was logged at the k-th time, `log_s` later than its stamp."""
+def make_bag(
+    folder: Path, times_s: list[float], topic: str = '/motor/torque', log_s: int = 0
+) -> Path:
+    """A bag whose message k has effort k and was logged at the k-th time, `log_s` later than its
+    stamp.
+    """
     with BagWriter(folder) as writer:
         writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
         for index, time_s in enumerate(times_s):
@@ -120,7 +131,9 @@ def test_a_killed_recorder_leaves_a_readable_bag_with_little_lost(peer, tmp_path
         (['-b', '9000', '--ros-args', '-p', 'compression:=zstd'], 'zstd'),
     ],
 )
-def test_a_recording_is_split_and_compressed_as_asked_and_replayed_whole(peer, tmp_path, arguments, compression):
+def test_a_recording_is_split_and_compressed_as_asked_and_replayed_whole(
+    peer, tmp_path, arguments, compression
+):
     recorder = peer.start(RECORDER, '/motor/torque', '-o', str(tmp_path / 'bag'), *arguments)
     publisher = peer.publisher(JointState, 'motor/torque', SIGNAL_QOS, readers=1)
     expected = [serialize_message(message) for message in series(300)]
@@ -132,7 +145,9 @@ def test_a_recording_is_split_and_compressed_as_asked_and_replayed_whole(peer, t
     files = sorted((tmp_path / 'bag').glob('*.mcap'))
     assert len(files) > 1
     with files[0].open('rb') as stream:
-        assert {index.compression for index in make_reader(stream).get_summary().chunk_indexes} == {compression}
+        assert {index.compression for index in make_reader(stream).get_summary().chunk_indexes} == {
+            compression
+        }
     with BagReader(tmp_path / 'bag') as bag:
         assert [message.data for message in bag.messages()] == expected
         assert bag.lost is None
@@ -157,7 +172,10 @@ def test_a_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(peer, tm
     code, _, said = peer.end(recorder, None)
     assert code == 2
     (line,) = [line for line in said.splitlines() if 'error:' in line]
-    assert line.startswith('recorder: error: ') and 'bag_0.mcap: cannot be written: File too large' in line
+    assert (
+        line.startswith('recorder: error: ')
+        and 'bag_0.mcap: cannot be written: File too large' in line
+    )
     with BagReader(tmp_path / 'bag') as bag:
         efforts = [decode_joint_state(message.data).effort[1] for message in bag.messages()]
         assert 'it was never finished' in str(bag.lost)
@@ -168,7 +186,15 @@ def test_a_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(peer, tm
 def test_topics_that_appear_later_are_recorded_with_their_own_quality_of_service(peer, tmp_path):
     folder = tmp_path / 'bag'
     recorder = peer.start(
-        RECORDER, 'fast', '-s', 'mcap', '--topics', '/latched', '--ros-args', '-p', f'output:={folder}'
+        RECORDER,
+        'fast',
+        '-s',
+        'mcap',
+        '--topics',
+        '/latched',
+        '--ros-args',
+        '-p',
+        f'output:={folder}',
     )
     peer.wait(lambda: any(n == 'bag_recorder' for n in peer.node.get_node_names()), 'the recorder')
     best_effort = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -194,7 +220,9 @@ def test_topics_that_appear_later_are_recorded_with_their_own_quality_of_service
 def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_path):
     recorder = peer.start(RECORDER, '/mixed', output=tmp_path / 'bag')
     peer.publisher(Float64, '/mixed', QoSProfile(depth=10), readers=1)
-    loose = peer.publisher(Float64, '/mixed', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT), 1)
+    loose = peer.publisher(
+        Float64, '/mixed', QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT), 1
+    )
     for _ in range(10):
         loose.publish(Float64(data=7.0))
         time.sleep(0.01)
@@ -206,18 +234,26 @@ def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_
 
 def test_topics_that_appear_while_simulated_time_stands_still_are_recorded(peer, tmp_path):
     recorder = peer.start(RECORDER, '--all', output=tmp_path / 'bag', use_sim_time='true')
-    for name in ('/early', '/late'):  # whoever hears the first has looked round before the second was there
+    for name in (
+        '/early',
+        '/late',
+    ):  # whoever hears the first has looked round before the second was there
         publisher = peer.publisher(Float64, name, SIGNAL_QOS, readers=1)
         publisher.publish(Float64(data=7.0))
         assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
     assert peer.end(recorder)[0] == 0
     with BagReader(tmp_path / 'bag') as bag:
-        assert {(raw.topic, raw.log_time_ns) for raw in bag.messages()} == {('/early', 0), ('/late', 0)}
+        assert {(raw.topic, raw.log_time_ns) for raw in bag.messages()} == {
+            ('/early', 0),
+            ('/late', 0),
+        }
 
 
 def test_a_recording_ends_by_itself_after_its_duration(peer, tmp_path):
     started_s = time.monotonic()
-    code, _, _ = peer.end(peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None)
+    code, _, _ = peer.end(
+        peer.start(RECORDER, '--all', output=tmp_path / 'bag', duration_s=1), None
+    )
     assert code == 0
     assert time.monotonic() - started_s > 1.0
 
@@ -240,7 +276,9 @@ def test_a_type_that_is_not_installed_is_named_and_skipped(peer, tmp_path, monke
 
 def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_path):
     heard: list[float] = []
-    peer.node.create_subscription(JointState, '/elsewhere', lambda m: heard.append(m.effort[0]), SIGNAL_QOS)
+    peer.node.create_subscription(
+        JointState, '/elsewhere', lambda m: heard.append(m.effort[0]), SIGNAL_QOS
+    )
     bag = make_bag(tmp_path / 'bag', [0.0, 3600.0, 3600.1, 3600.2])
     player = peer.start(
         PLAYER,
@@ -264,7 +302,9 @@ def test_a_paused_player_sends_single_messages_and_goes_on_when_told(peer, tmp_p
     assert (code, heard) == (0, [0.0, 1.0, 2.0, 3.0])
 
 
-def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins_again(peer, tmp_path):
+def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins_again(
+    peer, tmp_path
+):
     clocks: list[int] = []
     peer.node.create_subscription(
         Clock, '/clock', lambda m: clocks.append(rclpy.time.Time.from_msg(m.clock).nanoseconds), 100
@@ -287,8 +327,12 @@ WANTED = {
 @pytest.mark.parametrize('words', WANTED.values(), ids=WANTED)
 def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_path, words):
     heard: list[float] = []
-    peer.node.create_subscription(JointState, 'motor/torque', lambda m: heard.append(m.effort[0]), SIGNAL_QOS)
-    bag = make_bag(tmp_path / 'bag', [200.0 * k for k in range(11)])  # at any other rate it would not end in time
+    peer.node.create_subscription(
+        JointState, 'motor/torque', lambda m: heard.append(m.effort[0]), SIGNAL_QOS
+    )
+    bag = make_bag(
+        tmp_path / 'bag', [200.0 * k for k in range(11)]
+    )  # at any other rate it would not end in time
     player = peer.start(PLAYER, str(bag), *words.split())
     assert peer.end(player, None)[0] == 0
     peer.wait(lambda: len(heard) == 6, 'the last six messages')
@@ -298,7 +342,9 @@ def test_only_wanted_topics_and_times_are_replayed_at_the_wanted_rate(peer, tmp_
 def test_a_player_waits_for_its_readers_without_being_asked_and_says_so(peer, tmp_path):
     bag = make_bag(tmp_path / 'bag', [0.001 * k for k in range(200)])
     player = peer.start(PLAYER, str(bag))
-    while 'waiting up to 10 s for 1 readers, found 0 of /motor/torque' not in (line := player.stderr.readline()):
+    while 'waiting up to 10 s for 1 readers, found 0 of /motor/torque' not in (
+        line := player.stderr.readline()
+    ):
         assert line, 'the end of what it says'
     heard = peer.listen(JointState, 'motor/torque', SIGNAL_QOS)
     assert peer.end(player, None)[0] == 0
@@ -315,7 +361,12 @@ def test_a_player_that_was_not_told_to_wait_begins_without_readers_in_the_end(pe
 
 
 def test_what_an_observer_published_is_replayed_only_if_asked_for(peer, tmp_path):
-    topics = ['/motor/torque', '/r1/gray_box_observer/motor/resistance', '/gray_box_observer/estimates', '/diagnostics']
+    topics = [
+        '/motor/torque',
+        '/r1/gray_box_observer/motor/resistance',
+        '/gray_box_observer/estimates',
+        '/diagnostics',
+    ]
     with BagWriter(tmp_path / 'bag') as writer:
         for k, topic in enumerate(topics):
             writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
@@ -325,15 +376,22 @@ def test_what_an_observer_published_is_replayed_only_if_asked_for(peer, tmp_path
         '4 messages': {'observer_outputs': 'true'},
         '2 messages': {'topics': '[/diagnostics, /gray_box_observer/estimates]'},
     }
-    players = {count: peer.start(PLAYER, tmp_path / 'bag', wait_for_subscribers=0, **p) for count, p in asked.items()}
+    players = {
+        count: peer.start(PLAYER, tmp_path / 'bag', wait_for_subscribers=0, **p)
+        for count, p in asked.items()
+    }
     for count, player in players.items():
         code, _, said = peer.end(player, None)
         assert (code, f'{count} replayed' in said) == (0, True), said
-        assert ('3 topics that an observer published are left out' in said) == (count == '1 messages')
+        assert ('3 topics that an observer published are left out' in said) == (
+            count == '1 messages'
+        )
 
 
 def test_as_fast_as_possible_does_not_outrun_a_reader_of_the_stated_speed(peer, tmp_path):
-    bag = make_bag(tmp_path / 'bag', [0.02 * k for k in range(400)])  # 50 a second: the limit alone counts
+    bag = make_bag(
+        tmp_path / 'bag', [0.02 * k for k in range(400)]
+    )  # 50 a second: the limit alone counts
     heard: list[float] = []
 
     def slow(message: JointState) -> None:
@@ -353,10 +411,15 @@ def test_latched_messages_are_replayed_latched(peer, tmp_path):
         profile = {'reliability': 'reliable', 'durability': 'transient_local', 'depth': 1}
         writer.add_topic('/latched', 'std_msgs/msg/Float64', 'float64 data\n', [profile])
         for index, time_ns in enumerate((0, 3600 * 10**9)):
-            writer.write('/latched', serialize_message(Float64(data=float(index))), time_ns, time_ns)
+            writer.write(
+                '/latched', serialize_message(Float64(data=float(index))), time_ns, time_ns
+            )
     player = peer.start(PLAYER, str(tmp_path / 'bag'))
     publishers: list = []
-    peer.wait(lambda: publishers.extend(peer.node.get_publishers_info_by_topic('/latched')) or publishers, 'it')
+    peer.wait(
+        lambda: publishers.extend(peer.node.get_publishers_info_by_topic('/latched')) or publishers,
+        'it',
+    )
     assert publishers[0].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
     heard: list[float] = []
     peer.node.create_subscription(Float64, '/latched', lambda m: heard.append(m.data), LATCHED_QOS)
@@ -364,10 +427,16 @@ def test_latched_messages_are_replayed_latched(peer, tmp_path):
     assert peer.end(player)[0] == 0
 
 
-def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_name_is_left_out(peer, tmp_path):
+def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_name_is_left_out(
+    peer, tmp_path
+):
     text = schema_text(TYPE_NAME, built_in_lookup)
     writer = BagWriter(tmp_path / 'bag')
-    for topic, type_name in (('/good', TYPE_NAME), ('/b\x01d', TYPE_NAME), ('/odd', 'sensor_msgs/msg/Joint\x01tate')):
+    for topic, type_name in (
+        ('/good', TYPE_NAME),
+        ('/b\x01d', TYPE_NAME),
+        ('/odd', 'sensor_msgs/msg/Joint\x01tate'),
+    ):
         writer.add_topic(topic, type_name, text)
         writer.write(topic, encode_joint_state(1, ['motor'], effort=[4.0]), 10**9, 10**9)
         writer.flush()
@@ -380,11 +449,17 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
     content[last.chunk_start_offset + 80] ^= 1
     path.write_bytes(content)
     heard = peer.listen(JointState, '/good', SIGNAL_QOS)
-    code, _, said = peer.end(peer.start(PLAYER, str(tmp_path / 'bag'), rate=0, wait_for_subscribers=1), None)
+    code, _, said = peer.end(
+        peer.start(PLAYER, str(tmp_path / 'bag'), rate=0, wait_for_subscribers=1), None
+    )
     assert code == 0
     peer.wait(lambda: heard, 'the first message')
     assert [message.effort[0] for message in heard] == [4.0]
-    for part in ("'/b\\x01d' is not replayed: Invalid topic name", 'is not installed here', 'wrong checksum'):
+    for part in (
+        "'/b\\x01d' is not replayed: Invalid topic name",
+        'is not installed here',
+        'wrong checksum',
+    ):
         assert part in said
 
 
@@ -395,26 +470,81 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
         (PLAYER, ['{tmp}/none'], 'no such bag'),
         (PLAYER, ['{tmp}/text.mcap'], 'is no MCAP file'),
         (PLAYER, ['{tmp}/damaged'], 'no message in this bag: '),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'], 'has no /x; there are: /motor/torque'),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'], "rate must be of type float, got 'fast'"),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'], 'the bag lasts only 1.000 s'),
         (
             PLAYER,
-            ['{tmp}/bag', '--ros-args', '-p', 'wait_for_subscribers:=1', '-p', 'wait_timeout_s:=0.3'],
+            ['{tmp}/bag', '--ros-args', '-p', 'topics:=[/x]'],
+            'has no /x; there are: /motor/torque',
+        ),
+        (
+            PLAYER,
+            ['{tmp}/bag', '--ros-args', '-p', 'rate:=fast'],
+            "rate must be of type float, got 'fast'",
+        ),
+        (
+            PLAYER,
+            ['{tmp}/bag', '--ros-args', '-p', 'start_offset_s:=99'],
+            'the bag lasts only 1.000 s',
+        ),
+        (
+            PLAYER,
+            [
+                '{tmp}/bag',
+                '--ros-args',
+                '-p',
+                'wait_for_subscribers:=1',
+                '-p',
+                'wait_timeout_s:=0.3',
+            ],
             'waited 0.3 s for 1 readers, found 0 of /motor/torque',
         ),
-        (PLAYER, ['{tmp}/bag', '--ros-args', '-p', 'ratee:=2.0'], 'ratee (did you mean rate?); --help lists them'),
-        (RECORDER, ['--ros-args', '-p', 'bag_recorder:duration:=2.0'], 'duration (did you mean duration_s?)'),
-        (RECORDER, ['--ros-args', '-p', 'frobnicate:=2'], 'not a parameter of this node: frobnicate; --help'),
-        (PLAYER, ['{tmp}/bag', '--delay', '4'], '--delay of ros2 bag is not known here; it waits for readers: '),
-        (PLAYER, ['{tmp}/bag', '-x', '/rosout'], '-x of ros2 bag is not known here; name what is wanted: --topics'),
+        (
+            PLAYER,
+            ['{tmp}/bag', '--ros-args', '-p', 'ratee:=2.0'],
+            'ratee (did you mean rate?); --help lists them',
+        ),
+        (
+            RECORDER,
+            ['--ros-args', '-p', 'bag_recorder:duration:=2.0'],
+            'duration (did you mean duration_s?)',
+        ),
+        (
+            RECORDER,
+            ['--ros-args', '-p', 'frobnicate:=2'],
+            'not a parameter of this node: frobnicate; --help',
+        ),
+        (
+            PLAYER,
+            ['{tmp}/bag', '--delay', '4'],
+            '--delay of ros2 bag is not known here; it waits for readers: ',
+        ),
+        (
+            PLAYER,
+            ['{tmp}/bag', '-x', '/rosout'],
+            '-x of ros2 bag is not known here; name what is wanted: --topics',
+        ),
         (PLAYER, ['{tmp}/bag', '-r', 'fast'], "argument -r/--rate: 'fast' is no number"),
         (PLAYER, ['{tmp}/bag', '-s', 'sqlite3'], "invalid choice: 'sqlite3' (choose from 'mcap')"),
-        (PLAYER, ['{tmp}/own'], 'holds only what an observer published; -p observer_outputs:=true replays it'),
-        (RECORDER, ['-o', '{tmp}/new', '--compression-mode', 'file'], 'leave it out: --compression-format compresses'),
+        (
+            PLAYER,
+            ['{tmp}/own'],
+            'holds only what an observer published; -p observer_outputs:=true replays it',
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '--compression-mode', 'file'],
+            'leave it out: --compression-format compresses',
+        ),
         (RECORDER, ['-o', '{tmp}/bag'], 'exists already and is not overwritten'),
-        (RECORDER, ['-o', '{tmp}/bag/metadata.yaml/new'], 'metadata.yaml/new: cannot be made: Not a directory'),
-        (RECORDER, ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'], 'must be one of none, lz4, zstd'),
+        (
+            RECORDER,
+            ['-o', '{tmp}/bag/metadata.yaml/new'],
+            'metadata.yaml/new: cannot be made: Not a directory',
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '--ros-args', '-p', 'compression:=lzma'],
+            'must be one of none, lz4, zstd',
+        ),
         (
             RECORDER,
             ['-o', '{tmp}/new', '--ros-args', '-p', 'storage_preset_profile:=x'],
@@ -422,7 +552,14 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
         ),
         (
             RECORDER,
-            ['-o', '{tmp}/new', '--storage-preset-profile', 'zstd_fast', '--compression-format', 'lz4'],
+            [
+                '-o',
+                '{tmp}/new',
+                '--storage-preset-profile',
+                'zstd_fast',
+                '--compression-format',
+                'lz4',
+            ],
             'argument --compression-format: not allowed with argument --storage-preset-profile',
         ),
         (
@@ -433,12 +570,36 @@ def test_a_damaged_bag_is_replayed_as_far_as_it_goes_and_a_topic_with_a_damaged_
             ],
             'sets the compression; leave compression out',
         ),
-        (RECORDER, ['-o', '{tmp}/new', '--max-bag-size', '-1'], 'max_file_bytes must be in [0, 1e+15], got -1'),
-        (RECORDER, ['-o', '{tmp}/new', '-d', 'long'], "argument -d/--max-bag-duration: 'long' is no number"),
-        (RECORDER, ['-o', '{tmp}/new', '-d', '1_0'], "argument -d/--max-bag-duration: '1_0' is no number"),
-        (RECORDER, ['-o', '{tmp}/new', '-d', 'nan'], 'max_file_duration_s must be in [0, 1e+09], got nan'),
-        (RECORDER, ['-o', '{tmp}/new', '-b', '1_0'], "argument -b/--max-bag-size: '1_0' is no whole number"),
-        (RECORDER, ['-o', '{tmp}/new', '-b', '9' * 25], 'max_file_bytes must be in [0, 1e+15], got 99'),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '--max-bag-size', '-1'],
+            'max_file_bytes must be in [0, 1e+15], got -1',
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '-d', 'long'],
+            "argument -d/--max-bag-duration: 'long' is no number",
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '-d', '1_0'],
+            "argument -d/--max-bag-duration: '1_0' is no number",
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '-d', 'nan'],
+            'max_file_duration_s must be in [0, 1e+09], got nan',
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '-b', '1_0'],
+            "argument -b/--max-bag-size: '1_0' is no whole number",
+        ),
+        (
+            RECORDER,
+            ['-o', '{tmp}/new', '-b', '9' * 25],
+            'max_file_bytes must be in [0, 1e+15], got 99',
+        ),
         (PLAYER, ['{tmp}/late', '--ros-args', '-p', 'clock:=true'], 'which /clock cannot tell'),
         (
             RECORDER,

@@ -70,7 +70,9 @@ def start(how: str, executor: str = 'default', *args: str) -> subprocess.Popen:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL),  # nohup hands on that it is ignored
+        preexec_fn=lambda: signal.signal(
+            signal.SIGHUP, signal.SIG_DFL
+        ),  # nohup hands on that it is ignored
     )
 
 
@@ -79,7 +81,11 @@ def finish(process: subprocess.Popen) -> tuple[int, str, list[str]]:
         out, err = process.communicate(timeout=TIMEOUT_S)
     finally:
         process.kill()
-    return process.returncode, out, [line for line in err.splitlines() if 'error:' in line or 'Traceback' in line]
+    return (
+        process.returncode,
+        out,
+        [line for line in err.splitlines() if 'error:' in line or 'Traceback' in line],
+    )
 
 
 @pytest.mark.parametrize('executor', ['default', 'single'])
@@ -117,7 +123,8 @@ def test_a_defect_shows_its_traceback():
 
 
 @pytest.mark.parametrize(
-    'arguments', [('-p', 'rate:=fast'), ('-p', 'rate'), ('--params-file', '/nowhere.yaml'), ('--nonsense',)]
+    'arguments',
+    [('-p', 'rate:=fast'), ('-p', 'rate'), ('--params-file', '/nowhere.yaml'), ('--nonsense',)],
 )
 def test_what_ros_refuses_is_one_line_too(arguments):
     returned, _, errors = finish(start('waits', 'default', '--ros-args', *arguments))

@@ -21,12 +21,16 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
 
 
 def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int) -> int | None:
-    """When the voltage is known again after the last pause that began before ``end_ns``, told stamp by stamp.
+    """When the voltage is known again after the last pause that began before ``end_ns``, told stamp
+    by stamp.
 
-    A limit a stamp is the longest habit when it came; one more is that of the voltage which is still to come.
+    A limit a stamp is the longest habit when it came; one more is that of the voltage which is
+    still to come.
     """
     known_ns = None
-    for (earlier, later), limit_s in zip(pairwise([*stamps, end_ns + 1]), limits_s[1:], strict=True):
+    for (earlier, later), limit_s in zip(
+        pairwise([*stamps, end_ns + 1]), limits_s[1:], strict=True
+    ):
         if held_ns <= earlier < end_ns and (min(later, end_ns) - earlier) / 1e9 > limit_s:
             known_ns = later
     return known_ns
@@ -40,7 +44,9 @@ def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
         held, stamps = regular()
         held_ns = stamps[-2]  # the newest is not in force before the stamp that begins with it
         limits_s = [held._rhythm.silence_s] * len(stamps)
-        for gap_ms in random.choice([1, 10, 30, 150, 190, 230, 500], size=int(random.integers(0, 6))).tolist():
+        for gap_ms in random.choice(
+            [1, 10, 30, 150, 190, 230, 500], size=int(random.integers(0, 6))
+        ).tolist():
             stamps.append(stamps[-1] + gap_ms * MS)
             limits_s.append(held._rhythm.silence_s)
             held.take(stamps[-1], 2.0)

@@ -21,7 +21,10 @@ def feed(pairing: Pairing, events: Iterable[Event]) -> list[Sample]:
 
 
 def content(samples: list[Sample]) -> list[tuple[int, float, float, float]]:
-    return [(s.stamp_ns, float(s.interval_s[0]), float(s.voltage_v[0]), float(s.torque_nm[0])) for s in samples]
+    return [
+        (s.stamp_ns, float(s.interval_s[0]), float(s.voltage_v[0]), float(s.torque_nm[0]))
+        for s in samples
+    ]
 
 
 def steady(count: int, period_ms: int = 10) -> tuple[list[Event], list[Event]]:
@@ -31,7 +34,9 @@ def steady(count: int, period_ms: int = 10) -> tuple[list[Event], list[Event]]:
 
 
 def test_a_voltage_sample_holds_until_the_next_one() -> None:
-    samples = feed(Pairing(), [('v', 0, 5.0), ('t', 0, 0.1), ('v', 10, 7.0), ('t', 10, 0.2), ('v', 20, 9.0)])
+    samples = feed(
+        Pairing(), [('v', 0, 5.0), ('t', 0, 0.1), ('v', 10, 7.0), ('t', 10, 0.2), ('v', 20, 9.0)]
+    )
     samples += feed(Pairing(), [])
     assert content(samples)[1] == (10 * MS, 0.01, 5.0, 0.2)
 
@@ -41,10 +46,17 @@ def test_the_first_sample_only_says_where_the_motor_stands() -> None:
     assert [s.interval_s[0] for s in first] == [0.0]
 
 
-@pytest.mark.parametrize('arrival', ['voltage first', 'torque first', 'voltage a step ahead', 'torque two steps ahead'])
+@pytest.mark.parametrize(
+    'arrival', ['voltage first', 'torque first', 'voltage a step ahead', 'torque two steps ahead']
+)
 def test_the_order_of_arrival_does_not_change_the_samples(arrival: str) -> None:
     voltages, torques = steady(60)
-    shift = {'voltage first': 0.0, 'torque first': 0.1, 'voltage a step ahead': -10.0, 'torque two steps ahead': 20.0}
+    shift = {
+        'voltage first': 0.0,
+        'torque first': 0.1,
+        'voltage a step ahead': -10.0,
+        'torque two steps ahead': 20.0,
+    }
     late = shift[arrival]
     events = sorted(
         [(at + late, 'v', at, value) for _, at, value in voltages]
@@ -53,7 +65,10 @@ def test_the_order_of_arrival_does_not_change_the_samples(arrival: str) -> None:
     pairing = Pairing()
     samples = feed(pairing, [(kind, at, value) for _, kind, at, value in events]) + pairing.flush()
     reference = Pairing()
-    expected = feed(reference, [e for pair in zip(voltages, torques, strict=True) for e in pair]) + reference.flush()
+    expected = (
+        feed(reference, [e for pair in zip(voltages, torques, strict=True) for e in pair])
+        + reference.flush()
+    )
     assert content(samples) == content(expected)
     assert len(samples) == 60
 
@@ -68,13 +83,23 @@ def test_torque_waits_for_a_voltage_that_is_stamped_at_or_after_it() -> None:
 
 def test_a_voltage_that_changes_inside_the_interval_counts_for_its_share_of_it() -> None:
     samples = feed(
-        Pairing(), [('v', 0, 2.0), ('t', 0, 0.0), ('v', 3, 8.0), ('v', 7, 4.0), ('v', 10, 1.0), ('t', 10, 1.0)]
+        Pairing(),
+        [
+            ('v', 0, 2.0),
+            ('t', 0, 0.0),
+            ('v', 3, 8.0),
+            ('v', 7, 4.0),
+            ('v', 10, 1.0),
+            ('t', 10, 1.0),
+        ],
     )
     assert samples[1].voltage_v[0] == pytest.approx((3 * 2.0 + 4 * 8.0 + 3 * 4.0) / 10, rel=1e-14)
 
 
 def test_a_voltage_stamped_before_the_first_torque_is_in_force_from_there() -> None:
-    samples = feed(Pairing(), [('v', 0, 2.0), ('v', 4, 6.0), ('t', 5, 0.0), ('v', 10, 9.0), ('t', 10, 1.0)])
+    samples = feed(
+        Pairing(), [('v', 0, 2.0), ('v', 4, 6.0), ('t', 5, 0.0), ('v', 10, 9.0), ('t', 10, 1.0)]
+    )
     assert samples[1].voltage_v[0] == 6.0
 
 
@@ -84,7 +109,9 @@ def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> N
     assert [s.stamp_ns // MS for s in samples] == [0, 10, 20, 30, 40]
     assert all(s.voltage_v[0] == 3.0 for s in samples[1:])
     assert pairing.waiting == 5
-    late = feed(pairing, [('v', 55, 7.0)])  # within patience: the change still lands where it belongs
+    late = feed(
+        pairing, [('v', 55, 7.0)]
+    )  # within patience: the change still lands where it belongs
     assert [s.stamp_ns // MS for s in late] == [50]
     assert feed(pairing, [('v', 60, 7.0)])[0].voltage_v[0] == pytest.approx(5.0)
 
@@ -92,7 +119,15 @@ def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> N
 def test_a_gap_never_becomes_a_derivative() -> None:
     pairing = Pairing(PairingRules(gap_s=0.5))
     samples = feed(
-        pairing, [('v', 0, 5.0), ('t', 0, 0.0), ('v', 600, 5.0), ('t', 600, 9.0), ('v', 610, 5.0), ('t', 610, 9.1)]
+        pairing,
+        [
+            ('v', 0, 5.0),
+            ('t', 0, 0.0),
+            ('v', 600, 5.0),
+            ('t', 600, 9.0),
+            ('v', 610, 5.0),
+            ('t', 610, 9.1),
+        ],
     )
     assert [float(s.interval_s[0]) for s in samples] == [0.0, 0.0, 0.01]
     assert pairing.rejected == {}
@@ -100,17 +135,28 @@ def test_a_gap_never_becomes_a_derivative() -> None:
 
 @pytest.mark.parametrize('back_ms', [0, 60, 400])
 @pytest.mark.parametrize('hole_ms', [300, 450, 2000])
-def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(hole_ms: int, back_ms: int) -> None:
-    """Both come every 10 ms, but for a hole that ends at 3 s; voltage is back so much later than torque."""
+def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(
+    hole_ms: int, back_ms: int
+) -> None:
+    """Both come every 10 ms, but for a hole that ends at 3 s; voltage is back so much later than
+    torque.
+    """
     voltages, torques = steady(400)
-    expected = {s.stamp_ns: content([s]) for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))}
+    expected = {
+        s.stamp_ns: content([s])
+        for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))
+    }
     kept = [e for e in torques if not 3000 - hole_ms <= e[1] < 3000]
     kept += [e for e in voltages if not 3000 - hole_ms <= e[1] < 3000 + back_ms]
     pairing = Pairing()
     samples = feed(pairing, sorted(kept, key=lambda e: e[1])) + pairing.flush()
     begins = [s for s in samples if s.interval_s[0] == 0.0]
     assert [s.stamp_ns for s in begins] == [0, (3000 + back_ms) * MS]
-    assert all(content([s]) == expected[s.stamp_ns] for s in samples if s not in begins and s.stamp_ns in expected)
+    assert all(
+        content([s]) == expected[s.stamp_ns]
+        for s in samples
+        if s not in begins and s.stamp_ns in expected
+    )
     assert pairing.rejected == ({Rejection.NO_VOLTAGE: back_ms // 10} if back_ms else {})
     assert pairing.received_torque == pairing.used + pairing.rejected.total()
 
@@ -118,7 +164,9 @@ def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(hole_ms: int
 def test_a_voltage_that_comes_when_it_changes_is_in_force_until_it_does() -> None:
     volts: list[Event] = [('v', at, 1.0 + at % 3) for at in (*range(0, 100), 1500)]
     pairing = Pairing()
-    events = sorted([*volts, *(('t', at, 0.1) for at in range(0, 2000, 10))], key=lambda event: event[1])
+    events = sorted(
+        [*volts, *(('t', at, 0.1) for at in range(0, 2000, 10))], key=lambda event: event[1]
+    )
     samples = feed(pairing, events) + pairing.flush()
     assert len(samples) == 200
     assert pairing.rejected == {}
@@ -139,14 +187,21 @@ def test_there_is_no_newest_voltage_while_nobody_knows_what_it_does() -> None:
 
 @pytest.mark.parametrize('delivered_late', [False, True])
 def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_late: bool) -> None:
-    """Torque goes on through an outage of the voltage, or comes first when both are delivered after it."""
+    """Torque goes on through an outage of the voltage, or comes first when both are delivered after
+    it.
+    """
     voltages, torques = steady(1500)
     out = [e for e in voltages if 12_000 <= e[1] < 13_000]
     comes = {e: 13_000.0 if e in out else float(e[1]) for e in voltages + torques}
-    events = sorted([e for e in comes if delivered_late or e not in out], key=lambda e: (comes[e], e[1]))
+    events = sorted(
+        [e for e in comes if delivered_late or e not in out], key=lambda e: (comes[e], e[1])
+    )
     pairing = Pairing()
     samples = feed(pairing, events) + pairing.flush()
-    expected = {s.stamp_ns: content([s]) for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))}
+    expected = {
+        s.stamp_ns: content([s])
+        for s in feed(Pairing(), sorted(voltages + torques, key=lambda e: e[1]))
+    }
     learnt = [s for s in samples[1:] if s.interval_s[0] > 0.0 and s.stamp_ns <= 14_980 * MS]
     wrong = [s.stamp_ns // MS for s in learnt if content([s]) != expected[s.stamp_ns]]
     assert all(12_000 < at <= 12_200 for at in wrong), 'what is not yet overdue is taken to hold on'
@@ -157,14 +212,20 @@ def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_
 
 @pytest.mark.parametrize('ahead_ms', [0, 900])
 @pytest.mark.parametrize('count', [20, 1000, 1021])
-def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows(count: int, ahead_ms: int) -> None:
-    """Torque goes on; the voltage, delivered in time or ahead of torque, misses 1 to 129 samples after regular ones."""
+def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows(
+    count: int, ahead_ms: int
+) -> None:
+    """Torque goes on; the voltage, delivered in time or ahead of torque, misses 1 to 129 samples
+    after regular ones.
+    """
     voltages, torques = steady(count + 200)
     for missing in (1, 18, 30, 46, 64, 129):
         back_ms = 10 * (count + missing)
         kept = [e for e in voltages if not 10 * count <= e[1] < back_ms]
         pairing = Pairing()
-        events = sorted(kept + torques, key=lambda e: (e[1] - ahead_ms * (e[0] == 'v'), e[0] == 't'))
+        events = sorted(
+            kept + torques, key=lambda e: (e[1] - ahead_ms * (e[0] == 'v'), e[0] == 't')
+        )
         samples = feed(pairing, events) + pairing.flush()
         assert all(math.isfinite(value) for sample in content(samples) for value in sample)
         used_ns = {s.stamp_ns for s in samples}
@@ -184,14 +245,19 @@ def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_ac
     pairing = Pairing(PairingRules(gap_s=5.0))
     samples = feed(pairing, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't')))
     samples += feed(pairing, [('t', at, 0.1) for at in range(15_000, 15_500, 10)])
-    samples += feed(pairing, [('v', 15_180, 3.0), ('v', 15_300, 4.0), ('t', 15_500, 0.1)]) + pairing.flush()
+    samples += (
+        feed(pairing, [('v', 15_180, 3.0), ('v', 15_300, 4.0), ('t', 15_500, 0.1)])
+        + pairing.flush()
+    )
     assert all(math.isfinite(value) for sample in content(samples) for value in sample)
     assert pairing.received_torque == pairing.used + pairing.rejected.total()
 
 
 @pytest.mark.parametrize('every', [1, 3])
 def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every: int) -> None:
-    """The voltage of one motor is overdue while the messages go on, torque comes as often or three times as often."""
+    """The voltage of one motor is overdue while the messages go on, torque comes as often or three
+    times as often.
+    """
     pairing, samples = Pairing(PairingRules(hold_s=0.0), motors=3), []
     for k in range(1250 * every):
         if k % every == 0:
@@ -206,7 +272,10 @@ def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every
             assert np.all(np.isfinite(values[present]))
     for motor in range(3):
         counts = pairing.of(motor)
-        assert counts.received_torque == counts.used + counts.refused['torque'].total() + counts.waiting
+        assert (
+            counts.received_torque
+            == counts.used + counts.refused['torque'].total() + counts.waiting
+        )
     assert pairing.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 100
     assert pairing.of(1).rejected == {}
 
@@ -223,13 +292,18 @@ def test_what_was_refused_with_its_torque_is_seen_by_nobody() -> None:
 
 def test_a_lost_message_is_no_silence() -> None:
     voltages, torques = steady(200)
-    kept = [e for k, e in enumerate(voltages) if k % 3] + [e for k, e in enumerate(torques) if not 80 < k < 95]
+    kept = [e for k, e in enumerate(voltages) if k % 3] + [
+        e for k, e in enumerate(torques) if not 80 < k < 95
+    ]
     samples = feed(pairing := Pairing(), sorted(kept, key=lambda event: event[1])) + pairing.flush()
     assert max(float(s.interval_s[0]) for s in samples) == 0.15
 
 
 def test_a_silence_of_just_the_gap_is_still_an_interval() -> None:
-    samples = feed(Pairing(PairingRules(gap_s=0.5)), [('v', 0, 5.0), ('t', 0, 0.0), ('v', 500, 5.0), ('t', 500, 1.0)])
+    samples = feed(
+        Pairing(PairingRules(gap_s=0.5)),
+        [('v', 0, 5.0), ('t', 0, 0.0), ('v', 500, 5.0), ('t', 500, 1.0)],
+    )
     assert samples[1].interval_s[0] == 0.5
 
 
@@ -257,8 +331,17 @@ def test_torque_whose_voltage_never_came_is_no_sample_at_the_end_of_a_bag() -> N
     ],
 )
 @pytest.mark.parametrize('kind', ['v', 't'])
-def test_a_value_that_no_motor_has_is_counted_and_leaves_no_trace(kind: str, value: float, reason: Rejection) -> None:
-    clean = [('v', 0, 5.0), ('t', 0, 0.0), ('v', 10, 6.0), ('t', 10, 0.1), ('v', 20, 6.0), ('t', 20, 0.1)]
+def test_a_value_that_no_motor_has_is_counted_and_leaves_no_trace(
+    kind: str, value: float, reason: Rejection
+) -> None:
+    clean = [
+        ('v', 0, 5.0),
+        ('t', 0, 0.0),
+        ('v', 10, 6.0),
+        ('t', 10, 0.1),
+        ('v', 20, 6.0),
+        ('t', 20, 0.1),
+    ]
     pairing, reference = Pairing(), Pairing()
     samples = feed(pairing, [*clean[:4], (kind, 15, value), *clean[4:]])
     assert content(samples) == content(feed(reference, clean))
@@ -352,7 +435,17 @@ def test_nothing_is_foreseen_without_history_or_voltage_or_across_a_gap() -> Non
 
 def test_what_is_refused_is_told_by_the_signal_it_was_of() -> None:
     pairing = Pairing()
-    feed(pairing, [('v', 0, 5.0), ('v', 0, 5.0), ('t', 0, 0.1), ('t', 10, math.nan), ('v', 20, 1e12), ('v', 30, 5.0)])
+    feed(
+        pairing,
+        [
+            ('v', 0, 5.0),
+            ('v', 0, 5.0),
+            ('t', 0, 0.1),
+            ('t', 10, math.nan),
+            ('v', 20, 1e12),
+            ('v', 30, 5.0),
+        ],
+    )
     assert pairing.refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.ABSURD: 1}
     assert pairing.refused['torque'] == {Rejection.NON_FINITE: 1}
     assert pairing.rejected.total() == 3
@@ -367,7 +460,9 @@ def test_everything_received_is_used_or_rejected_or_waits() -> None:
         if random.random() < 0.6:
             produced += len(pairing.voltage(stamp, float(random.normal())))
         late = round(MS * random.choice([0, 0, 0, 0, 3, 10, 1500]))
-        value = float(random.choice([0.1, 0.2, math.nan, math.inf, 1e12], p=[0.45, 0.45, 0.04, 0.03, 0.03]))
+        value = float(
+            random.choice([0.1, 0.2, math.nan, math.inf, 1e12], p=[0.45, 0.45, 0.04, 0.03, 0.03])
+        )
         voltage_rejections = pairing.rejected.total()
         produced += len(pairing.torque(max(stamp - late, 0), value))
         assert pairing.rejected.total() - voltage_rejections <= 20
@@ -375,9 +470,12 @@ def test_everything_received_is_used_or_rejected_or_waits() -> None:
         assert pairing.received_voltage == pairing.taken_voltage
     assert produced == pairing.used
     assert pairing.restarts > 10
-    assert {Rejection.NON_FINITE, Rejection.ABSURD, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(
-        pairing.rejected
-    )
+    assert {
+        Rejection.NON_FINITE,
+        Rejection.ABSURD,
+        Rejection.OUT_OF_ORDER,
+        Rejection.NO_VOLTAGE,
+    } <= set(pairing.rejected)
     produced += len(pairing.flush())
     assert pairing.waiting == 0
     assert pairing.received_torque == produced + pairing.rejected.total()
@@ -395,7 +493,9 @@ def test_a_silent_torque_sensor_does_not_let_memory_grow() -> None:
 
 
 @pytest.mark.parametrize('order', [('speed', 'torque', 'voltage'), ('torque', 'voltage', 'speed')])
-def test_speed_of_its_own_topic_is_joined_by_stamp_whatever_comes_first(order: tuple[str, ...]) -> None:
+def test_speed_of_its_own_topic_is_joined_by_stamp_whatever_comes_first(
+    order: tuple[str, ...],
+) -> None:
     pairing = Pairing(own_speed=True)
     samples = []
     for k in range(20):
@@ -424,7 +524,9 @@ def test_torque_without_speed_is_refused_where_speed_is_needed_and_the_interval_
     assert samples[2].voltage_v[0] == pytest.approx(1.5)
 
 
-def test_a_torque_without_speed_is_refused_too_where_it_waited_with_the_first_that_has_one() -> None:
+def test_a_torque_without_speed_is_refused_too_where_it_waited_with_the_first_that_has_one() -> (
+    None
+):
     for uses_speed in (True, False):
         pairing = Pairing(uses_speed=uses_speed)
         pairing.voltage(-MS, 1.0)
@@ -437,12 +539,18 @@ def test_a_torque_without_speed_is_refused_too_where_it_waited_with_the_first_th
 
 @pytest.mark.parametrize('delay_ms', [53, 7, -20, -400])
 @pytest.mark.parametrize('torque_late', [0, 1, -1])
-def test_a_declared_delay_gives_the_samples_of_a_recording_without_one(delay_ms: int, torque_late: int) -> None:
+def test_a_declared_delay_gives_the_samples_of_a_recording_without_one(
+    delay_ms: int, torque_late: int
+) -> None:
     voltages, torques = steady(120)
     clean, shifted = Pairing(), Pairing(delay_s=delay_ms / 1000)
-    expected = feed(clean, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't'))) + clean.flush()
+    expected = (
+        feed(clean, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't'))) + clean.flush()
+    )
     early: list[Event] = [('v', at - delay_ms, value) for _, at, value in voltages]
-    order = sorted(early + torques, key=lambda e: (e[1] + 10 * torque_late * (e[0] == 't'), e[0] == 't'))
+    order = sorted(
+        early + torques, key=lambda e: (e[1] + 10 * torque_late * (e[0] == 't'), e[0] == 't')
+    )
     assert content(feed(shifted, order) + shifted.flush()) == content(expected)
     assert shifted.rejected == clean.rejected
 
@@ -456,7 +564,9 @@ def test_with_a_delay_the_torque_at_a_voltage_stamp_is_foreseen_from_earlier_vol
 
 
 @pytest.mark.parametrize('delay_ms', [23, -15, 0])
-def test_pairing_anew_makes_the_samples_that_the_delay_would_have_made_from_the_start(delay_ms: int) -> None:
+def test_pairing_anew_makes_the_samples_that_the_delay_would_have_made_from_the_start(
+    delay_ms: int,
+) -> None:
     voltages, torques = steady(80)
     events = [e for pair in zip(voltages, torques, strict=True) for e in pair]
     fresh, changed = Pairing(delay_s=delay_ms / 1000), Pairing(delay_s=0.005)
@@ -467,7 +577,9 @@ def test_pairing_anew_makes_the_samples_that_the_delay_would_have_made_from_the_
     assert content(known + rest + after) == content(expected)
     assert known[-1].stamp_ns <= before[-1].stamp_ns
     new = [sample for sample in rest + after if not changed.repeats(sample)]
-    assert [s.stamp_ns for s in before + new] == [at * MS for _, at, _ in torques if at * MS >= before[0].stamp_ns]
+    assert [s.stamp_ns for s in before + new] == [
+        at * MS for _, at, _ in torques if at * MS >= before[0].stamp_ns
+    ]
     assert changed.received_torque == changed.used + changed.rejected.total() + changed.waiting
     assert changed.received_voltage == 80
 
@@ -484,9 +596,14 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
 
 
 def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
-    """Whatever a message lacks, and whatever becomes of it: no motor is charged with what did not speak of it."""
+    """Whatever a message lacks, and whatever becomes of it: no motor is charged with what did not
+    speak of it.
+    """
     random, motors = np.random.default_rng(7), 4
-    pairing, told = Pairing(PairingRules(hold_s=0.05), motors), {signal: np.zeros(motors, int) for signal in 'vt'}
+    pairing, told = (
+        Pairing(PairingRules(hold_s=0.05), motors),
+        {signal: np.zeros(motors, int) for signal in 'vt'},
+    )
     stamp_ns = 0
     for _ in range(3000):
         stamp_ns += round(MS * random.choice([0, 1, 10, 10, 10, 700]))
@@ -499,10 +616,17 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
         for motor in range(motors):
             counts = pairing.of(motor)
             assert counts.received_torque == told['t'][motor]
-            assert counts.received_torque == counts.used + counts.refused['torque'].total() + counts.waiting
+            assert (
+                counts.received_torque
+                == counts.used + counts.refused['torque'].total() + counts.waiting
+            )
             assert counts.received_voltage == told['v'][motor]
-            assert counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
-    assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(pairing.of(0).rejected)
+            assert (
+                counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
+            )
+    assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(
+        pairing.of(0).rejected
+    )
     assert pairing.of(0).used > 500
 
 
@@ -515,7 +639,9 @@ def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> Non
 
 
 def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
-    """A voltage that was regular for 900 samples was so no longer for having been gone through twice."""
+    """A voltage that was regular for 900 samples was so no longer for having been gone through
+    twice.
+    """
     voltages, torques = steady(900)
     later: list[Event] = [('t', at, 0.1) for at in range(9000, 12_000, 10)]
     fresh, changed = Pairing(delay_s=0.02), Pairing()
@@ -535,7 +661,9 @@ def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_
         stamp_ns, volt = 10 * k * MS, 1.0 + k % 7
         out = math.nan if 1200 <= k < 1300 else volt
         expected += alone.voltage(stamp_ns, out) + alone.torque(stamp_ns, 0.1)
-        told += group.voltage(stamp_ns, np.array([out, volt])) + group.torque(stamp_ns, np.full(2, 0.1))
+        told += group.voltage(stamp_ns, np.array([out, volt])) + group.torque(
+            stamp_ns, np.full(2, 0.1)
+        )
         ahead = group.ahead(stamp_ns)
         assert ahead is None or not np.any(np.isnan(ahead[1]) & (ahead[0] > 0.0))
     expected += alone.flush()

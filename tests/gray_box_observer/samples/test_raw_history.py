@@ -58,7 +58,9 @@ def test_what_is_remembered_is_what_came_to_the_last_bit_however_much_was_forgot
     assert signals is not None
     np.testing.assert_array_equal(signals.torque_nm, values[-TORQUES:, 0])
     np.testing.assert_array_equal(signals.speed_rad_s, values[-TORQUES:, 1])
-    events = [(stamp // MS, *given) for signal, stamp, given in made.events(0) if signal == 'torque']
+    events = [
+        (stamp // MS, *given) for signal, stamp, given in made.events(0) if signal == 'torque'
+    ]
     first = len(values) - TORQUES - SLACK
     assert events == [(first + k, *row) for k, row in enumerate(values[first:].tolist())]
 
@@ -97,7 +99,9 @@ def test_speed_of_its_own_is_read_at_the_torques() -> None:
 def test_what_is_remembered_is_the_newest_however_much_has_come() -> None:
     for count in (TORQUES, TORQUES + SLACK, 2 * (TORQUES + SLACK) + 7, 5 * TORQUES + 3):
         made = history(count)
-        torques = [(stamp, values) for signal, stamp, values in made.events(0) if signal == 'torque']
+        torques = [
+            (stamp, values) for signal, stamp, values in made.events(0) if signal == 'torque'
+        ]
         expected = range(max(0, count - TORQUES - SLACK), count)
         assert [stamp for stamp, _ in torques] == [k * 10 * MS for k in expected]
         assert [values[0] for _, values in torques] == [0.1 * k for k in expected]
@@ -134,7 +138,9 @@ def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -
     group, alone, random = RawHistory(3), RawHistory(), np.random.default_rng(0)
     forgotten = 100
     for k in range(TORQUES + SLACK + forgotten):
-        volts, torques, speeds = np.where(random.uniform(size=(3, 3)) < 0.1, np.nan, random.standard_normal((3, 3)))
+        volts, torques, speeds = np.where(
+            random.uniform(size=(3, 3)) < 0.1, np.nan, random.standard_normal((3, 3))
+        )
         group.voltage(k * MS, volts)
         group.torque(k * MS, torques, speeds)
         if np.isfinite(volts[1]):
@@ -144,7 +150,9 @@ def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -
     one = group.of(1)
     for history_of_one in (one, alone):
         history_of_one.torque(10**6 * MS, 1.0)
-    found, expected = ([repr(event) for event in which.events(0)] for which in (one, alone))  # a NaN is equal to none
+    found, expected = (
+        [repr(event) for event in which.events(0)] for which in (one, alone)
+    )  # a NaN is equal to none
     assert found == expected
     assert len(one) > TORQUES + SLACK
     assert len(RawHistory(3).of(2)) == 0

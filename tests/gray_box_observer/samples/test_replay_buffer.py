@@ -19,7 +19,10 @@ def rows(samples: list[Sample]) -> list[np.ndarray]:
 
 
 def views(buffer: ReplayBuffer, count: int | None = None) -> list[np.ndarray]:
-    return [f(count) for f in (buffer.interval_s, buffer.voltage_v, buffer.torque_nm, buffer.speed_rad_s)]
+    return [
+        f(count)
+        for f in (buffer.interval_s, buffer.voltage_v, buffer.torque_nm, buffer.speed_rad_s)
+    ]
 
 
 @pytest.mark.parametrize(('motors', 'capacity'), [(1, 1), (1, 7), (3, 16)])
@@ -96,7 +99,9 @@ def test_every_motor_has_a_stream_of_its_own(capacity: int) -> None:
     for step in range(7 * capacity):
         new = sample(random, motors)
         present = random.uniform(size=motors) < [1.0, 0.9, 0.3]
-        buffer.append(Sample(0, new.interval_s, new.voltage_v, new.torque_nm, new.speed_rad_s, present))
+        buffer.append(
+            Sample(0, new.interval_s, new.voltage_v, new.torque_nm, new.speed_rad_s, present)
+        )
         for motor in np.flatnonzero(present):
             streams[motor].append(new.torque_nm[motor])
         if step == 3 * capacity:

@@ -1,4 +1,6 @@
-"""What is declared is what numpy, compiled code, torch, parameters and documentation have: tried by declaring more."""
+"""What is declared is what numpy, compiled code, torch, parameters and documentation have: tried by
+declaring more.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,11 @@ def run(copy: Path, *arguments: str) -> str:
     """Run Python, which finds the copy before anything else; return what it prints."""
     path = os.pathsep.join([str(copy), str(ROOT / 'docs'), os.environ.get('PYTHONPATH', '')])
     done = subprocess.run(
-        [sys.executable, *arguments], env=os.environ | {'PYTHONPATH': path}, capture_output=True, text=True, check=False
+        [sys.executable, *arguments],
+        env=os.environ | {'PYTHONPATH': path},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -80,20 +86,32 @@ def compile_in(copy: Path) -> None:
     compiler = shutil.which('cc') or shutil.which('gcc')
     if compiler is None:
         pytest.skip('no C compiler')
-    folder = copy / 'gray_box_observer' / 'context_nodes'
+    folder = copy / 'gray_box_observer' / 'context_nodes' / 'native'
     library = folder / f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}'
-    sources = [str(folder / f'ordinary_{what}.c') for what in ('block', 'estimate')]
-    options = ['-O0', '-w', '-std=gnu11', '-ffp-contract=off', '-fPIC', '-shared', f'-I{folder.parent}']
-    subprocess.run([compiler, *options, *sources, '-o', str(library), '-lm'], check=True, capture_output=True)
+    sources = [str(folder / f'regular_{what}.c') for what in ('block', 'estimate')]
+    options = [
+        '-O0',
+        '-w',
+        '-std=gnu11',
+        '-ffp-contract=off',
+        '-fPIC',
+        '-shared',
+        f'-I{folder.parents[1]}',
+    ]
+    subprocess.run(
+        [compiler, *options, *sources, '-o', str(library), '-lm'], check=True, capture_output=True
+    )
 
 
 def test_the_committed_forms_are_those_of_the_declaration() -> None:
-    done = subprocess.run([sys.executable, str(MAKE_FORMS), '--check'], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(MAKE_FORMS), '--check'], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
 def test_nothing_that_runs_needs_sympy(tmp_path: Path) -> None:
-    used = 'import sys, gray_box_observer.identify, gray_box_observer.observer; assert "sympy" not in sys.modules'
+    used = 'import sys, gray_box_observer.identify.command, gray_box_observer.observer.observer; assert "sympy" not in sys.modules'
     run(tmp_path, '-c', used)
 
 
@@ -109,7 +127,11 @@ def test_an_effect_of_fifteen_lines_is_everywhere(copy: Path) -> None:
     declare(copy, EFFECT)
     compile_in(copy)
     found = probe(copy, PROBE)
-    assert Path(found['package']) == copy / 'gray_box_observer' != Path(gray_box_observer.__file__).parent
+    assert (
+        Path(found['package'])
+        == copy / 'gray_box_observer'
+        != Path(gray_box_observer.__file__).parent
+    )
 
     expected = [[abs(i) * i for i in (-2.0, 0.0, 3.0)], [2.0 * abs(i) for i in (-2.0, 0.0, 3.0)]]
     for language in ('numbers', 'numpy', 'torch', 'compiled'):
@@ -128,13 +150,19 @@ def test_an_effect_of_fifteen_lines_is_everywhere(copy: Path) -> None:
         'initial.spread_drop': [0.2, 1e-6, 1000.0],
         'initial_relative_std.spread_drop': [0.0, 0.0, 100.0],
     }
-    assert found['refused'] == 'parameter motor.initial.spread_drop must be in [1e-06, 1000], got 2000.0'
+    assert (
+        found['refused']
+        == 'parameter motor.initial.spread_drop must be in [1e-06, 1000], got 2000.0'
+    )
     assert [row[:5] for row in found['documented']] == [
         ['`<motor>.known.spread_drop`', 'double', 'V/A^2', '`0.0`', '0 to 1000'],
         ['`<motor>.initial.spread_drop`', 'double', 'V/A^2', '`0.2`', '1e-6 to 1000'],
         ['`<motor>.initial_relative_std.spread_drop`', 'double', '', '`0.0`', '0 to 100'],
     ]
-    assert found['documented'][0][6] == 'Square-law drop V_q in V/A^2; known unless among context_nodes.'
+    assert (
+        found['documented'][0][6]
+        == 'Square-law drop V_q in V/A^2; known unless among context_nodes.'
+    )
 
 
 PROBE = """
@@ -143,12 +171,13 @@ from pathlib import Path
 import numpy as np, torch
 import gray_box_observer
 from api_tables import spec_rows
-from gray_box_observer.configuration import Configuration
-from gray_box_observer.context_nodes import RecursiveUpdate, ordinary_block
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes.native import regular_block
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.parameters import MOTOR_PARAMETERS
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 from gray_box_observer.samples import Sample
-from gray_box_observer.torch_ops import TorchOps
+from gray_box_observer.white_box.torch_ops import TorchOps
 from gray_box_observer.white_box import TERMS, MotorWhiteBox
 from gray_box_observer.white_box.flow import flow, to_coordinates
 
@@ -164,7 +193,7 @@ def value_and_slope(current):
 found['numbers'] = [*zip(*map(value_and_slope, currents))]
 found['numpy'] = [part.tolist() for part in value_and_slope(np.array(currents))]
 found['torch'] = [part.tolist() for part in value_and_slope(torch.tensor(currents, dtype=torch.float64))]
-library, values, code = ordinary_block.library(), (ctypes.c_double * 2)(), list(TERMS).index('spread_drop')
+library, values, code = regular_block.library(), (ctypes.c_double * 2)(), list(TERMS).index('spread_drop')
 
 def compiled(current):
     assert library.term_values(code, 1, current, 0.0, 0.5, values)
@@ -196,7 +225,7 @@ def learn():
 
 found['identified'], told = learn()
 found['all blocks by compiled code'] = len(told) > 50 and bool(np.mean(np.array(told) > 0) > 0.9)
-ordinary_block.library = lambda: None
+regular_block.library = lambda: None
 found['identified by numpy'], _ = learn()
 many = [np.array([[-3.0, 0.1, 2.0]])], np.full((1, 3), 9.0), np.ones((1, 3)), np.ones((1, 3)), np.full((1, 3), 2e-3)
 found['by numpy'] = [part.tolist() for part in flow(box, to_coordinates(theta), *many).of_state(0)]
@@ -223,12 +252,18 @@ print(json.dumps(found))
 def test_there_is_room_for_a_rotor(copy: Path) -> None:
     second = '    CURRENT = 0\n    SPEED = 1\n'
     drives = "DRIVES = {State.CURRENT: 'voltage', State.SPEED: 'torque_constant * current'}"
-    declare(copy, ROTOR, **{'    CURRENT = 0\n': second, "DRIVES = {State.CURRENT: 'voltage'}": drives})
+    declare(
+        copy, ROTOR, **{'    CURRENT = 0\n': second, "DRIVES = {State.CURRENT: 'voltage'}": drives}
+    )
     found = probe(copy, ROTOR_PROBE)
     assert found['states'] == ['CURRENT', 'SPEED']
     np.testing.assert_allclose(found['ends'], found['by scipy'], rtol=1e-5)
-    np.testing.assert_allclose(found['by state'], found['by differences of states'], rtol=1e-5, atol=1e-8)
-    np.testing.assert_allclose(found['by coordinate'], found['by differences of coordinates'], rtol=1e-4, atol=1e-7)
+    np.testing.assert_allclose(
+        found['by state'], found['by differences of states'], rtol=1e-5, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        found['by coordinate'], found['by differences of coordinates'], rtol=1e-4, atol=1e-7
+    )
     assert not found['compiled']
 
 
@@ -236,8 +271,8 @@ ROTOR_PROBE = """
 import json
 import numpy as np
 from scipy.integrate import solve_ivp
-from gray_box_observer.context_nodes.ordinary_block import OrdinaryBlocks
-from gray_box_observer.context_nodes.rules import RecursiveRules
+from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import flow
@@ -273,6 +308,6 @@ print(json.dumps({
     'by differences of states': np.array(by_states).T.tolist(),
     'by coordinate': [column[:, 0, 0].tolist() for column in whole.by_coordinate],
     'by differences of coordinates': np.array(by_coordinates).T.tolist(),
-    'compiled': OrdinaryBlocks(box, RecursiveRules(), ReplayBuffer(1, 128)).compiled,
+    'compiled': RegularBlocks(box, RecursiveRules(), ReplayBuffer(1, 128)).compiled,
 }))
 """

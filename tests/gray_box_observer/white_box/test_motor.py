@@ -39,14 +39,18 @@ def test_the_slope_of_every_term_is_its_finite_difference(name: str, speed_measu
     slope = drop if is_known else balance.basis_slope(State.CURRENT, signals)[0]
     h = 1e-6
     expected = (value(CURRENTS + h) - value(CURRENTS - h)) / (2 * h)
-    np.testing.assert_allclose(np.broadcast_to(slope, CURRENTS.shape), expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(
+        np.broadcast_to(slope, CURRENTS.shape), expected, rtol=1e-5, atol=1e-7
+    )
 
 
 def test_a_known_term_moves_from_the_unknowns_to_the_drive() -> None:
     unknown = MotorWhiteBox(ALL, 0.3, {}, True)
     known = MotorWhiteBox(('inductance', 'resistance'), 0.3, dict.fromkeys(ALL[2:], 0.7), True)
     rest = sum(0.7 * phi for phi in unknown.basis(CURRENTS, SPEEDS)[1:])
-    np.testing.assert_allclose(known.drive(24.0 + 0 * CURRENTS, CURRENTS, SPEEDS), 24.0 - rest, rtol=1e-14)
+    np.testing.assert_allclose(
+        known.drive(24.0 + 0 * CURRENTS, CURRENTS, SPEEDS), 24.0 - rest, rtol=1e-14
+    )
 
 
 def test_hysteresis_takes_energy_in_all_four_quadrants() -> None:
@@ -80,12 +84,17 @@ def test_speed_is_the_measured_one_or_that_of_the_thesis(measured: bool) -> None
         ((('inductance', 'back_emf_constant'), 0.01), 'without measured speed'),
         ((('inductance',), 0.0), 'torque_constant must be positive'),
         ((('inductance',), float('nan')), 'torque_constant must be positive'),
-        ((('inductance',), [0.01, 0.02]), r'torque_constant must be a number or an array .* got \[0.01, 0.02\]'),
+        (
+            (('inductance',), [0.01, 0.02]),
+            r'torque_constant must be a number or an array .* got \[0.01, 0.02\]',
+        ),
         ((('inductance',), '0.01'), "torque_constant must be a number or an array .* got '0.01'"),
         ((('inductance',), np.array([0.01, -0.02])), 'torque_constant must be positive'),
     ],
 )
-def test_a_white_box_that_cannot_be_is_refused_in_one_line(arguments: tuple[Any, ...], message: str) -> None:
+def test_a_white_box_that_cannot_be_is_refused_in_one_line(
+    arguments: tuple[Any, ...], message: str
+) -> None:
     with pytest.raises(ConfigurationError, match=message) as caught:
         MotorWhiteBox(*arguments)
     assert '\n' not in str(caught.value)
@@ -93,15 +102,21 @@ def test_a_white_box_that_cannot_be_is_refused_in_one_line(arguments: tuple[Any,
 
 def test_inductance_cannot_be_a_known_constant() -> None:
     box = MotorWhiteBox(('inductance', 'resistance'), 0.01, {'inductance': 0.5})
-    np.testing.assert_allclose(box.drive(np.ones(1), np.ones(1), np.ones(1)), 1.0)  # it is unknown all the same
+    np.testing.assert_allclose(
+        box.drive(np.ones(1), np.ones(1), np.ones(1)), 1.0
+    )  # it is unknown all the same
 
 
 def test_a_description_survives_json_and_makes_the_same_white_box() -> None:
-    box = MotorWhiteBox(ALL[:3], np.array([0.1, 0.2]), {'back_emf_constant': np.array([0.3, 0.4])}, True)
+    box = MotorWhiteBox(
+        ALL[:3], np.array([0.1, 0.2]), {'back_emf_constant': np.array([0.3, 0.4])}, True
+    )
     again = MotorWhiteBox.from_dict(json.loads(json.dumps(box.to_dict())))
     assert again.to_dict() == box.to_dict()
     signal = np.ones((2, 3))
-    np.testing.assert_array_equal(again.drive(signal, signal, 2 * signal), box.drive(signal, signal, 2 * signal))
+    np.testing.assert_array_equal(
+        again.drive(signal, signal, 2 * signal), box.drive(signal, signal, 2 * signal)
+    )
 
 
 def test_motors_can_be_chosen_and_repeated() -> None:
@@ -124,16 +139,25 @@ def test_parameters_come_in_the_order_of_the_context_nodes_with_room_around_thei
 @pytest.mark.parametrize('measured', [True, False])
 def test_tensors_give_what_arrays_give(measured: bool) -> None:
     names = ALL if measured else ALL[:3]
-    box = MotorWhiteBox(names, np.array([0.3, 0.1]), {'back_emf_constant': np.array([0.2, 0.1])}, measured)
+    box = MotorWhiteBox(
+        names, np.array([0.3, 0.1]), {'back_emf_constant': np.array([0.2, 0.1])}, measured
+    )
     twin = MotorWhiteBox.from_dict(box.to_dict(), lambda v: torch.as_tensor(v, dtype=torch.float64))
     i, w = np.stack([CURRENTS, -CURRENTS]), np.stack([SPEEDS, SPEEDS])
     ti, tw = torch.as_tensor(i), torch.as_tensor(w)
     (balance, signals), (tensors, of_twin) = electrical(box, i, w), electrical(twin, ti, tw)
     pairs = [
         *zip(box.basis(i, w), twin.basis(ti, tw), strict=True),
-        *zip(balance.basis_slope(State.CURRENT, signals), tensors.basis_slope(State.CURRENT, of_twin), strict=True),
+        *zip(
+            balance.basis_slope(State.CURRENT, signals),
+            tensors.basis_slope(State.CURRENT, of_twin),
+            strict=True,
+        ),
         (box.drive(i, i, w), twin.drive(ti, ti, tw)),
-        (balance.drive_slope(State.CURRENT, i, signals), tensors.drive_slope(State.CURRENT, ti, of_twin)),
+        (
+            balance.drive_slope(State.CURRENT, i, signals),
+            tensors.drive_slope(State.CURRENT, ti, of_twin),
+        ),
         (box.state(i), twin.state(ti)),
         (box.speed(i, w), twin.speed(ti, tw)),
     ]

@@ -1,4 +1,6 @@
-"""What of the command line is refused before rcl reads it: rcl waits for pipes, and reads without a bound."""
+"""What of the command line is refused before rcl reads it: rcl waits for pipes, and reads without a
+bound.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ LARGEST_BYTES = 4 << 20
 
 
 def check(args: Sequence[str]) -> None:
-    """Refuse arguments that are no text, and parameter files that are no regular files of reasonable size.
+    """Refuse arguments that are no text, and parameter files that are no regular files of
+    reasonable size.
 
     Raises:
         ConfigurationError: One line that names the argument or the file.
@@ -54,5 +57,6 @@ def check_file(path: str) -> None:
         raise ConfigurationError(f'parameter file {path}: cannot be read: expected a regular file')
     if status.st_size > LARGEST_BYTES:
         raise ConfigurationError(
-            f'parameter file {path}: cannot be read: {status.st_size:,} bytes, expected at most {LARGEST_BYTES:,}'
+            f'parameter file {path}: cannot be read: {status.st_size:,} bytes, expected at most '
+            f'{LARGEST_BYTES:,}'
         )

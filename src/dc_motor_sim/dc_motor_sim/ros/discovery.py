@@ -19,11 +19,14 @@ SAYS = (
     'CYCLONEDDS_URI',
     'ZENOH_SESSION_CONFIG_URI',
 )
-"""Variables by which a user, or a profile of the middleware, decides; any of them leaves everything as it is."""
+"""Variables by which a user, or a profile of the middleware, decides; any of them leaves everything
+as it is."""
 
 OPENED_BY = f'discovery stays on this host; {RANGE}=SUBNET opens it to others'
 
 
 def default_range(environment: Mapping[str, str]) -> dict[str, str]:
-    """What to add to the environment so that discovery stays on this host; nothing where the user has decided."""
+    """What to add to the environment so that discovery stays on this host; nothing where the user
+    has decided.
+    """
     return {} if any(environment.get(name) for name in SAYS) else {RANGE: 'LOCALHOST'}

@@ -44,7 +44,8 @@ TICKS_PER_SAMPLE = 4
 LAG_WARNING_S = 1.0
 LAST_SUBSCRIBER_GRACE_S = 2.0
 SETTLE_S = 0.25
-"""A subscriber that is matched here may not have matched us yet; torque would reach it before its voltage."""
+"""A subscriber that is matched here may not have matched us yet; torque would reach it before its
+voltage."""
 MIRROR_PERIOD_S = 1.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 """Longer than the 3 s between two of Fast DDS's requests for acknowledgements."""
@@ -94,7 +95,9 @@ class MotorSim(Node):
         self._torque = JointState(name=names)
         self._voltage_publisher = self._publisher(topics.VOLTAGE)
         self._torque_publisher = self._publisher(topics.TORQUE)
-        self._clock_publisher = self._publisher(topics.CLOCK) if self._options.publish_clock else None
+        self._clock_publisher = (
+            self._publisher(topics.CLOCK) if self._options.publish_clock else None
+        )
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
         parameters.settle_unread(self, said)
@@ -102,7 +105,8 @@ class MotorSim(Node):
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        # Finer than a sample: a tick that comes just before a sample is due would delay it by a whole tick.
+        # Finer than a sample: a tick that comes just before a sample is due would delay it by a
+        # whole tick.
         tick_s = to_seconds(self._period_ns) / self._options.clock_speed_up / TICKS_PER_SAMPLE
         tick_s = min(max(tick_s, SHORTEST_TICK_S), LONGEST_TICK_S)
         self.create_timer(tick_s, self._tick, clock=steady)
@@ -121,21 +125,27 @@ class MotorSim(Node):
         unconfirmed = [self._voltage_publisher, self._torque_publisher]
         while True:
             patience = Duration(seconds=ACKNOWLEDGE_SLICE_S)
-            unconfirmed = [publisher for publisher in unconfirmed if not publisher.wait_for_all_acked(patience)]
+            unconfirmed = [
+                publisher for publisher in unconfirmed if not publisher.wait_for_all_acked(patience)
+            ]
             if not unconfirmed:
                 break
             names = ', '.join(publisher.topic_name for publisher in unconfirmed)
             waited_s = time.monotonic() - began_s
             if hurried() or waited_s > ACKNOWLEDGE_TIMEOUT_S:
-                self.get_logger().warning(f'{names}: not acknowledged by every subscriber within {waited_s:.1f} s')
+                self.get_logger().warning(
+                    f'{names}: not acknowledged by every subscriber within {waited_s:.1f} s'
+                )
                 break
             if not told and waited_s > ACKNOWLEDGE_TOLD_S:
                 told = True
                 self.get_logger().info(
-                    f'waiting up to {ACKNOWLEDGE_TIMEOUT_S:g} s for acknowledgements of {names}; interrupt to leave'
+                    f'waiting up to {ACKNOWLEDGE_TIMEOUT_S:g} s for acknowledgements of {names}; '
+                    'interrupt to leave'
                 )
         self.get_logger().info(
-            f'published {self._made} samples, {to_seconds(self._made * self._period_ns):g} simulated seconds'
+            f'published {self._made} samples, {to_seconds(self._made * self._period_ns):g} '
+            'simulated seconds'
         )
 
     def mirror_schedule(self) -> None:
@@ -150,9 +160,14 @@ class MotorSim(Node):
             self.set_parameters_atomically(changed)
 
     def _publisher(self, topic: topics.Topic) -> Any:
-        profile, overrides = copy.copy(topic.qos), QoSOverridingOptions(OVERRIDABLE)  # which rclpy writes into it
+        profile, overrides = (
+            copy.copy(topic.qos),
+            QoSOverridingOptions(OVERRIDABLE),
+        )  # which rclpy writes into it
         try:
-            return self.create_publisher(topic.type, topic.name, profile, qos_overriding_options=overrides)
+            return self.create_publisher(
+                topic.type, topic.name, profile, qos_overriding_options=overrides
+            )
         except (InvalidQosOverridesError, ParameterException, RuntimeError, ValueError) as error:
             raise ConfigurationError(
                 f'quality of service of {topic.name}: {error}; see the parameters qos_overrides...'
@@ -161,13 +176,15 @@ class MotorSim(Node):
     def _log_start(self, settings: parameters.Settings) -> None:
         for motor, excitation in list(settings.excitation.items())[:MOST_NAMED]:
             self.get_logger().info(
-                f'{motor}: {excitation} at {self._options.sample_rate_hz:g} Hz, {settings.motors[motor]}'
+                f'{motor}: {excitation} at {self._options.sample_rate_hz:g} Hz, '
+                f'{settings.motors[motor]}'
             )
         if len(settings.motors) > MOST_NAMED:
             self.get_logger().info(f'and {len(settings.motors) - MOST_NAMED} motors more')
         if self._options.wait_for_subscribers:
             self.get_logger().info(
-                f'waiting for {self._options.wait_for_subscribers} subscriber(s) of {topics.TORQUE.name}'
+                f'waiting for {self._options.wait_for_subscribers} subscriber(s) of '
+                f'{topics.TORQUE.name}'
             )
 
     def _tick(self) -> None:
@@ -177,14 +194,18 @@ class MotorSim(Node):
                 return
             self._started_ns = now_ns
             with_clock = self._options.publish_clock
-            self._start_stamp_ns = to_nanoseconds(self._options.start_stamp_s) if with_clock else time.time_ns()
+            self._start_stamp_ns = (
+                to_nanoseconds(self._options.start_stamp_s) if with_clock else time.time_ns()
+            )
         simulated_ns = int((now_ns - self._started_ns) * self._options.clock_speed_up)
         due = simulated_ns // self._period_ns + 1 - self._made
         self._warn_of_lag(due)
         if self._sample_limit:
             due = min(due, self._sample_limit - self._made)
         give_way_ns = now_ns + to_nanoseconds(CATCH_UP_S)
-        batch = max(1, int(to_nanoseconds(CATCH_UP_S * self._options.clock_speed_up)) // self._period_ns)
+        batch = max(
+            1, int(to_nanoseconds(CATCH_UP_S * self._options.clock_speed_up)) // self._period_ns
+        )
         for _ in range(min(due, batch)):
             self._publish(self._simulation.step())
             self._made += 1
@@ -198,7 +219,8 @@ class MotorSim(Node):
         if self._torque_publisher.get_subscription_count() >= wanted:
             if self._torque_matched_ns is None:
                 self._torque_matched_ns = now_ns
-            # Who wants both topics is matched on one of them first; who wants the torque only must not block.
+            # Who wants both topics is matched on one of them first; who wants the torque only must
+            # not block.
             grace_over = now_ns - self._torque_matched_ns > to_nanoseconds(LAST_SUBSCRIBER_GRACE_S)
             if wanted == 0 or grace_over:
                 return True
@@ -209,7 +231,8 @@ class MotorSim(Node):
             return now_ns - self._all_matched_ns >= to_nanoseconds(SETTLE_S)
         if now_ns - self._created_ns > to_nanoseconds(self._options.wait_timeout_s):
             self.get_logger().warning(
-                f'fewer than {wanted} subscribers after {self._options.wait_timeout_s:g} s; starting anyway'
+                f'fewer than {wanted} subscribers after {self._options.wait_timeout_s:g} s; '
+                'starting anyway'
             )
             return True
         return False
@@ -218,12 +241,15 @@ class MotorSim(Node):
         lag_s = to_seconds(due * self._period_ns) / self._options.clock_speed_up
         if lag_s > LAG_WARNING_S:
             self.get_logger().warning(
-                f'{lag_s:.1f} s behind the wall clock; stamps stay exact; lower the rate or the load',
+                f'{lag_s:.1f} s behind the wall clock; stamps stay exact; lower the rate or the '
+                'load',
                 throttle_duration_sec=WARNING_INTERVAL_S,
             )
 
     def _publish(self, sample: Sample) -> None:
-        seconds, nanoseconds = divmod(self._start_stamp_ns + sample.stamp_ns, NANOSECONDS_PER_SECOND)
+        seconds, nanoseconds = divmod(
+            self._start_stamp_ns + sample.stamp_ns, NANOSECONDS_PER_SECOND
+        )
         stamp = Time(sec=seconds, nanosec=nanoseconds)
         self._voltage.header.stamp = stamp
         self._voltage.effort = array('d', sample.voltage_v)
@@ -249,7 +275,8 @@ class MotorSim(Node):
     def _refuse(self, reason: str) -> None:
         self._refused_commands += 1
         self.get_logger().warning(
-            f'voltage command refused: {reason}; {self._refused_commands} so far; the last good one holds',
+            f'voltage command refused: {reason}; {self._refused_commands} so far; the last good '
+            'one holds',
             throttle_duration_sec=WARNING_INTERVAL_S,
         )
 
@@ -261,7 +288,9 @@ class MotorSim(Node):
             motor, _, name = parameter.name.partition('.')
             if motor in present and name in PlantParameters.__dataclass_fields__:
                 values.setdefault(motor, {})[name] = parameter.value
-        return {motor: parameters.replaced(motor, present[motor], new) for motor, new in values.items()}
+        return {
+            motor: parameters.replaced(motor, present[motor], new) for motor, new in values.items()
+        }
 
     def _check_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -283,8 +312,8 @@ def main(args: Sequence[str] | None = None) -> int:
         args: Command line without the program name; the process's own by default.
 
     Returns:
-        Exit status: 0 at the end, 1 if the plant could not be simulated on, 2 for a start that makes no
-        sense.
+        Exit status: 0 at the end, 1 if the plant could not be simulated on, 2 for a start that
+        makes no sense.
     """
     argv = list(sys.argv[1:] if args is None else args)
     own = argv[: argv.index('--ros-args')] if '--ros-args' in argv else argv
@@ -294,13 +323,17 @@ def main(args: Sequence[str] | None = None) -> int:
     asked_s: list[float] = []
 
     # rclpy's own handlers would shut the context down under the last samples.
-    handled = [number for number in executables.SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
+    handled = [
+        number for number in executables.SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+    ]
     for number in handled:
         signal.signal(number, lambda *_: asked_s.append(time.monotonic()))
     try:
         return _run(argv, asked_s)
     finally:
-        for number in handled:  # a second interrupt, as of a terminal and of launch, must not kill what is done
+        for number in (
+            handled
+        ):  # a second interrupt, as of a terminal and of launch, must not kill what is done
             signal.signal(number, signal.SIG_IGN)
 
 
@@ -320,7 +353,9 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
         command_line.check(argv)
         unknown = remove_ros_args(args=argv)
         if unknown:
-            return _fail(f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help')
+            return _fail(
+                f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help'
+            )
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         node = MotorSim(command_line.parameter_names(argv))
         if kept_here:

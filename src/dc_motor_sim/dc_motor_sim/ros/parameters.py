@@ -1,7 +1,8 @@
-"""Every parameter of the node, declared once: default, description, unit, bounds, read-only or live.
+"""Every parameter of the node, declared once: default, description, unit, bounds, read-only or
+live.
 
-The parameters of each motor are the fields of `PlantParameters`, under the motor's name, and stay live; all
-others are read-only.
+The parameters of each motor are the fields of `PlantParameters`, under the motor's name, and stay
+live; all others are read-only.
 """
 
 from __future__ import annotations
@@ -40,34 +41,50 @@ _EXCITATION_OF_MOTOR = Quantity("excitation of this motor; empty for the node's 
 class NodeParameters:
     """Parameters of the node itself."""
 
-    motors: tuple[str, ...] = field(default=('motor',), metadata=about('names of the motors, at most 10,000'))
+    motors: tuple[str, ...] = field(
+        default=('motor',), metadata=about('names of the motors, at most 10,000')
+    )
     excitation: str = field(
         default='R[5,15]D[1,20]',
         metadata=about(
-            'voltage: R[a,b]D[c,d], C[v], external, table_5_1/1 to /8; +sin, +sin(A,w), +noise, +noise(std)'
+            'voltage: R[a,b]D[c,d], C[v], external, table_5_1/1 to /8; +sin, +sin(A,w), +noise, '
+            '+noise(std)'
         ),
     )
     seed: int = field(default=1, metadata=about('seed of everything random', '', 0, 2**31 - 1))
-    sample_rate_hz: float = field(default=100.0, metadata=about('samples a second', 'Hz', 1.0, 1000.0))
+    sample_rate_hz: float = field(
+        default=100.0, metadata=about('samples a second', 'Hz', 1.0, 1000.0)
+    )
     duration_s: float = field(
-        default=0.0, metadata=about('simulated time after which the node ends; 0 for never', 's', 0.0, 1e9)
+        default=0.0,
+        metadata=about('simulated time after which the node ends; 0 for never', 's', 0.0, 1e9),
     )
     speed_mode: str = field(
         default='thesis',
         metadata=about('thesis: speed = Kt i; rotor: speed is a state', choices=SPEED_MODES),
     )
     speed_measured: bool = field(
-        default=False, metadata=about('publish the speed in thesis mode too (rotor mode always does)')
+        default=False,
+        metadata=about('publish the speed in thesis mode too (rotor mode always does)'),
     )
     solver_step_s: float = field(
         default=0.01,
-        metadata=about('longest solver step, always also at most a tenth of the time constant', 's', 1e-6, 1.0),
+        metadata=about(
+            'longest solver step, always also at most a tenth of the time constant', 's', 1e-6, 1.0
+        ),
     )
     voltage_noise_std: float = field(
         default=0.0,
-        metadata=about('noise on the voltage of every motor; 0: only where +noise says so, 0.5 V then', 'V', 0.0, 1e4),
+        metadata=about(
+            'noise on the voltage of every motor; 0: only where +noise says so, 0.5 V then',
+            'V',
+            0.0,
+            1e4,
+        ),
     )
-    torque_noise_std: float = field(default=0.0, metadata=about('noise of the torque sensor', 'N m', 0.0, 1e6))
+    torque_noise_std: float = field(
+        default=0.0, metadata=about('noise of the torque sensor', 'N m', 0.0, 1e6)
+    )
     torque_noise_relative: float = field(
         default=0.0,
         metadata=about(
@@ -81,33 +98,47 @@ class NodeParameters:
         default=0.0, metadata=about('resolution of the torque sensor; 0 for none', 'N m', 0.0, 1e6)
     )
     torque_limit: float = field(
-        default=0.0, metadata=about('the torque sensor saturates here; 0 for never', 'N m', 0.0, 1e6)
+        default=0.0,
+        metadata=about('the torque sensor saturates here; 0 for never', 'N m', 0.0, 1e6),
     )
-    speed_noise_std: float = field(default=0.0, metadata=about('noise of the speed sensor', 'rad/s', 0.0, 1e6))
+    speed_noise_std: float = field(
+        default=0.0, metadata=about('noise of the speed sensor', 'rad/s', 0.0, 1e6)
+    )
     speed_quantisation: float = field(
         default=0.0, metadata=about('resolution of the speed sensor; 0 for none', 'rad/s', 0.0, 1e6)
     )
     schedule: tuple[str, ...] = field(
         default=(),
-        metadata=about('changes over time: motor.resistance=1.3@60 or motor.resistance=1.0..1.2@0..60'),
+        metadata=about(
+            'changes over time: motor.resistance=1.3@60 or motor.resistance=1.0..1.2@0..60'
+        ),
     )
     command_timeout_s: float = field(
         default=0.0,
-        metadata=about('an external command older than this counts as 0 V; 0: never', 's', 0.0, 1e9),
+        metadata=about(
+            'an external command older than this counts as 0 V; 0: never', 's', 0.0, 1e9
+        ),
     )
-    publish_clock: bool = field(default=False, metadata=about('publish /clock; stamps then begin at start_stamp_s'))
+    publish_clock: bool = field(
+        default=False, metadata=about('publish /clock; stamps then begin at start_stamp_s')
+    )
     clock_speed_up: float = field(
         default=1.0,
-        metadata=about('simulated seconds in a second; needs publish_clock unless 1', '', 0.001, 1000.0),
+        metadata=about(
+            'simulated seconds in a second; needs publish_clock unless 1', '', 0.001, 1000.0
+        ),
     )
     start_stamp_s: float = field(
-        default=0.0, metadata=about('first stamp with publish_clock; without it that is now', 's', 0.0, 2e9)
+        default=0.0,
+        metadata=about('first stamp with publish_clock; without it that is now', 's', 0.0, 2e9),
     )
     wait_for_subscribers: int = field(
-        default=0, metadata=about('subscribers of motor/torque to wait for before the start', '', 0, 1000)
+        default=0,
+        metadata=about('subscribers of motor/torque to wait for before the start', '', 0, 1000),
     )
     wait_timeout_s: float = field(
-        default=30.0, metadata=about('start after this long without them, with a warning', 's', 0.0, 1e6)
+        default=30.0,
+        metadata=about('start after this long without them, with a warning', 's', 0.0, 1e6),
     )
 
     def __post_init__(self) -> None:
@@ -115,7 +146,9 @@ class NodeParameters:
         object.__setattr__(self, 'motors', _expanded(self.motors))
         _check_names(self.motors)
         if self.clock_speed_up != 1.0 and not self.publish_clock:
-            raise ConfigurationError(f'clock_speed_up is {self.clock_speed_up:g}, which needs publish_clock: true')
+            raise ConfigurationError(
+                f'clock_speed_up is {self.clock_speed_up:g}, which needs publish_clock: true'
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,13 +192,20 @@ def declare(node: Node) -> Settings:
         ConfigurationError: A value has the wrong type or cannot be used.
         PlantError: A physical parameter is out of its bounds; the motor is named.
     """
-    own = NodeParameters(**{f.name: _declare(node, f.name, f, live=False) for f in fields(NodeParameters)})
+    own = NodeParameters(
+        **{f.name: _declare(node, f.name, f, live=False) for f in fields(NodeParameters)}
+    )
     excitation, motors = {}, {}
     for motor in own.motors:
         name = f'{motor}.excitation'
         descriptor = _descriptor(_EXCITATION_OF_MOTOR, live=False)
-        excitation[motor] = _declared(node, name, '', _EXCITATION_OF_MOTOR, descriptor) or own.excitation
-        values = {f.name: _declare(node, f'{motor}.{f.name}', f, live=True) for f in fields(PlantParameters)}
+        excitation[motor] = (
+            _declared(node, name, '', _EXCITATION_OF_MOTOR, descriptor) or own.excitation
+        )
+        values = {
+            f.name: _declare(node, f'{motor}.{f.name}', f, live=True)
+            for f in fields(PlantParameters)
+        }
         motors[motor] = PlantParameters(**values)
     return Settings(own, motors, excitation)
 
@@ -183,12 +223,14 @@ def usage_text() -> str:
     lines = [
         'usage: motor_sim [--help] [--ros-args -p NAME:=VALUE ... --params-file FILE.yaml ...]',
         '',
-        'Simulates DC motors; publishes motor/voltage and motor/torque, listens to motor/voltage_command.',
+        'Simulates DC motors; publishes motor/voltage and motor/torque, listens to '
+        'motor/voltage_command.',
         '',
         'Parameters, fixed at the start:',
         *(_usage_line(f.name, f.default, quantity_of(f)) for f in fields(NodeParameters)),
         '',
-        'Parameters of each motor, under its name (motor.resistance); all but excitation can be set live:',
+        'Parameters of each motor, under its name (motor.resistance); all but excitation can be '
+        'set live:',
         _usage_line('excitation', '', _EXCITATION_OF_MOTOR),
         *(_usage_line(f.name, f.default, quantity_of(f)) for f in fields(PlantParameters)),
     ]
@@ -200,17 +242,24 @@ def _usage_line(name: str, default: object, quantity: Quantity) -> str:
     shown = default if isinstance(default, str) else shown
     unit = f' {quantity.unit}' if quantity.unit else ''
     bounds = quantity.bounds()
-    return f'  {name:<22} {quantity.text} (default {shown or "empty"}{unit}{bounds and f"; {bounds}"})'
+    return (
+        f'  {name:<22} {quantity.text} (default {shown or "empty"}{unit}{bounds and f"; {bounds}"})'
+    )
 
 
 def _declare(node: Node, name: str, declared: Field[Any], *, live: bool) -> Any:
     quantity = quantity_of(declared)
-    return _declared(node, name, declared.default, quantity, _descriptor(quantity, live=live, of=declared))
+    return _declared(
+        node, name, declared.default, quantity, _descriptor(quantity, live=live, of=declared)
+    )
 
 
-def _declared(node: Node, name: str, default: Any, quantity: Quantity, descriptor: ParameterDescriptor) -> Any:
+def _declared(
+    node: Node, name: str, default: Any, quantity: Quantity, descriptor: ParameterDescriptor
+) -> Any:
     """Declare one parameter and return its value in the type of its default."""
-    # rclpy refuses `1` for `1.0` and reports a range without its unit, hence the look at the override itself.
+    # rclpy refuses `1` for `1.0` and reports a range without its unit, hence the look at the
+    # override itself.
     override = getattr(node, '_parameter_overrides', {}).get(name)
     value = default if override is None else _converted(name, override.value, default)
     complaint = quantity.complaint(name, value)
@@ -230,21 +279,29 @@ def _converted(name: str, value: Any, default: Any) -> Any:
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not type(default):
-        kind = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}[type(default)]
+        kind = {bool: 'true or false', int: 'a whole number', float: 'a number', str: 'a text'}[
+            type(default)
+        ]
         raise ConfigurationError(f'{name} must be {kind}; got {value!r}')
     return value
 
 
-def _descriptor(quantity: Quantity, *, live: bool, of: Field[Any] | None = None) -> ParameterDescriptor:
+def _descriptor(
+    quantity: Quantity, *, live: bool, of: Field[Any] | None = None
+) -> ParameterDescriptor:
     unit = f', in {quantity.unit}' if quantity.unit else ''
     descriptor = ParameterDescriptor(description=f'{quantity.text}{unit}', read_only=not live)
     if quantity.choices:
         descriptor.additional_constraints = f'one of {", ".join(quantity.choices)}'
     default = of.default if of is not None else ''
     if isinstance(default, float):
-        descriptor.floating_point_range = [FloatingPointRange(from_value=quantity.low, to_value=quantity.high)]
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=quantity.low, to_value=quantity.high)
+        ]
     elif isinstance(default, int) and not isinstance(default, bool):
-        descriptor.integer_range = [IntegerRange(from_value=int(quantity.low), to_value=int(quantity.high), step=1)]
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(quantity.low), to_value=int(quantity.high), step=1)
+        ]
     return descriptor
 
 
@@ -253,21 +310,28 @@ def _expanded(motors: tuple[str, ...]) -> tuple[str, ...]:
     ranges = [_RANGE.fullmatch(text) for text in motors]
     counts = [max(0, int(found[3]) - int(found[2]) + 1) if found else 1 for found in ranges]
     if sum(counts) > MOST_MOTORS:  # before any is written out
-        raise ConfigurationError(f'motors stands for {sum(counts)} motors; expected {MOST_MOTORS} at most')
+        raise ConfigurationError(
+            f'motors stands for {sum(counts)} motors; expected {MOST_MOTORS} at most'
+        )
     names: list[str] = []
     for text, found in zip(motors, ranges, strict=True):
-        names += [f'{found[1]}{k}' for k in range(int(found[2]), int(found[3]) + 1)] if found else [text]
+        names += (
+            [f'{found[1]}{k}' for k in range(int(found[2]), int(found[3]) + 1)] if found else [text]
+        )
     return tuple(names)
 
 
 def _check_names(motors: tuple[str, ...]) -> None:
     taken = {f.name for f in fields(NodeParameters)}
     if not motors or len(set(motors)) != len(motors):
-        raise ConfigurationError(f'motors must be one name or more, all different; got {list(motors)}')
+        raise ConfigurationError(
+            f'motors must be one name or more, all different; got {list(motors)}'
+        )
     for motor in motors:
         if not re.fullmatch(r'[A-Za-z][A-Za-z0-9_]*', motor) or motor in taken:
             raise ConfigurationError(
-                f'motors: {motor!r} cannot name a motor; use letters, digits and _, and no parameter name'
+                f'motors: {motor!r} cannot name a motor; use letters, digits and _, and no '
+                'parameter name'
             )
 
 
@@ -293,17 +357,24 @@ def settle_unread(node: Node, said: Container[str]) -> None:
     slips: list[str] = []
     for name in unread:
         group = name.partition('.')[0]
-        known = [other for other in declared if other.partition('.')[0] in {group, *bare} or '.' not in name]
+        known = [
+            other
+            for other in declared
+            if other.partition('.')[0] in {group, *bare} or '.' not in name
+        ]
         near = _slip_of(name, known)
         if not near and name in said:
             near = next(iter(get_close_matches(name, known, 1, _SUGGESTED)), '')
         if near or name in said:
             slips.append(f'{name} (did you mean {near}?)' if near else name)
     if slips:
-        raise ConfigurationError(f'no parameter of motor_sim: {", ".join(slips[:_MOST_TOLD])}; --help lists them')
+        raise ConfigurationError(
+            f'no parameter of motor_sim: {", ".join(slips[:_MOST_TOLD])}; --help lists them'
+        )
     if unread:
         node.get_logger().warning(
-            f'no parameter of motor_sim, ignored: {", ".join(unread[:_MOST_TOLD])}; --help lists them'
+            f'no parameter of motor_sim, ignored: {", ".join(unread[:_MOST_TOLD])}; --help lists '
+            'them'
         )
 
 

@@ -12,7 +12,8 @@ SIGNAL_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Stamped signals: nothing may be lost on the way to a slower reader."""
 
 CLOCK_QOS = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
-"""Reliable, so that readers of either kind match; of one message alone, none that the transport drops is sent again."""
+"""Reliable, so that readers of either kind match; of one message alone, none that the transport
+drops is sent again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,14 +26,23 @@ class Topic:
     description: str = ''
 
 
-VOLTAGE = Topic('motor/voltage', JointState, SIGNAL_QOS, 'Armature voltage in V as `effort`; it holds until the next.')
+VOLTAGE = Topic(
+    'motor/voltage',
+    JointState,
+    SIGNAL_QOS,
+    'Armature voltage in V as `effort`; it holds until the next.',
+)
 TORQUE = Topic(
     'motor/torque',
     JointState,
     SIGNAL_QOS,
-    'Torque in N m as `effort`; speed in rad/s as `velocity` with `speed_measured` or in rotor mode.',
+    'Torque in N m as `effort`; speed in rad/s as `velocity` with `speed_measured` or in rotor '
+    'mode.',
 )
 VOLTAGE_COMMAND = Topic(
-    'motor/voltage_command', JointState, SIGNAL_QOS, 'Voltage in V as `effort`, with `excitation` set to `external`.'
+    'motor/voltage_command',
+    JointState,
+    SIGNAL_QOS,
+    'Voltage in V as `effort`, with `excitation` set to `external`.',
 )
 CLOCK = Topic('/clock', Clock, CLOCK_QOS, 'Simulated time, with `publish_clock`.')

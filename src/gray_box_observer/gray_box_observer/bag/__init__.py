@@ -1,0 +1,1 @@
+"""Reading, writing and describing bags. Read `reader.py` and `writer.py` first."""

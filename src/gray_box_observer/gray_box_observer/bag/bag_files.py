@@ -1,4 +1,6 @@
-"""The files of a bag: found, opened one at a time, read piece by piece, and held against what is told of them."""
+"""The files of a bag: found, opened one at a time, read piece by piece, and held against what is
+told of them.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +12,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from gray_box_observer.bag import packed
+from gray_box_observer.bag.data_loss import UNFINISHED, Losses
 from gray_box_observer.bag.limits import MESSAGE_OVERHEAD_BYTES, ReadLimits
-from gray_box_observer.bag.losses import UNFINISHED, Losses
-from gray_box_observer.bag.mcap_content import (
+from gray_box_observer.bag.mcap.mcap_content import (
     RawMessage,
     TooLarge,
     Unreadable,
@@ -21,8 +23,8 @@ from gray_box_observer.bag.mcap_content import (
     read_records,
     survey_messages,
 )
-from gray_box_observer.bag.mcap_layout import Layout, Piece, walk
-from gray_box_observer.bag.mcap_records import END_BYTES, MAGIC, MESSAGE_HEAD, Definitions
+from gray_box_observer.bag.mcap.mcap_layout import Layout, Piece, walk
+from gray_box_observer.bag.mcap.mcap_records import END_BYTES, MAGIC, MESSAGE_HEAD, Definitions
 from gray_box_observer.bag.metadata import ListedFile, conversion, list_files
 from gray_box_observer.errors import BagError
 
@@ -69,7 +71,9 @@ class BagFiles:
             self._opened[1].close()
             self._opened = None
 
-    def read(self, file: BagFile, piece: Piece, topics: Collection[str] | None, room: int) -> list[RawMessage]:
+    def read(
+        self, file: BagFile, piece: Piece, topics: Collection[str] | None, room: int
+    ) -> list[RawMessage]:
         """The messages of one piece in the order of the file; what cannot be read is noted.
 
         Args:
@@ -84,7 +88,9 @@ class BagFiles:
         channels = file.layout.channels
         wanted = channels
         if topics is not None:
-            wanted = {number: channel for number, channel in channels.items() if channel.topic in topics}
+            wanted = {
+                number: channel for number, channel in channels.items() if channel.topic in topics
+            }
             if not wanted:
                 return []
         records = self._records(file, piece)
@@ -96,12 +102,19 @@ class BagFiles:
             return self._unpacked(file, piece, found, room)
         return found
 
-    def _unpacked(self, file: BagFile, piece: Piece, messages: list[RawMessage], room: int) -> list[RawMessage]:
+    def _unpacked(
+        self, file: BagFile, piece: Piece, messages: list[RawMessage], room: int
+    ) -> list[RawMessage]:
         """The messages of a piece that rosbag2 has packed one by one."""
         try:
             found, complaint = packed.unpack_messages(messages, room, self.limits)
         except TooLarge as error:
-            self._damage(file, piece, piece.length, f'what stands at byte {piece.offset} is left out: {error}')
+            self._damage(
+                file,
+                piece,
+                piece.length,
+                f'what stands at byte {piece.offset} is left out: {error}',
+            )
             return []
         if complaint:
             self._damage(file, piece, 0, f'at byte {piece.offset} {complaint}')
@@ -112,15 +125,26 @@ class BagFiles:
         try:
             return read_records(self._stream(file.path), piece, self.limits)
         except TooLarge as error:
-            self._damage(file, piece, piece.length, f'what stands at byte {piece.offset} is left out: {error}')
+            self._damage(
+                file,
+                piece,
+                piece.length,
+                f'what stands at byte {piece.offset} is left out: {error}',
+            )
         except Unreadable as error:
-            self._damage(file, piece, piece.length, f'a damaged chunk at byte {piece.offset} ({error})')
+            self._damage(
+                file, piece, piece.length, f'a damaged chunk at byte {piece.offset} ({error})'
+            )
         except OSError as error:
             raise BagError(f'{file.path}: cannot be read: {error.strerror or error}') from None
         return None
 
-    def _fits(self, file: BagFile, piece: Piece, records: bytes, wanted: Container[int], room: int) -> bool:
-        """Whether the wanted messages may be held; they are weighed only where there is reason to doubt it."""
+    def _fits(
+        self, file: BagFile, piece: Piece, records: bytes, wanted: Container[int], room: int
+    ) -> bool:
+        """Whether the wanted messages may be held; they are weighed only where there is reason to
+        doubt it.
+        """
         if len(records) // MESSAGE_HEAD.size * MESSAGE_OVERHEAD_BYTES + len(records) <= room:
             return True
         weight = survey_messages(records, wanted).weight
@@ -130,8 +154,10 @@ class BagFiles:
         needed = limit - room + weight
         others = ', with those of overlapping chunks,' if room < limit else ''
         what = (
-            f'the messages at byte {piece.offset} are left out: they would take {needed / 1e6:.0f} MB '
-            f'of memory{others} where {limit / 1e6:.0f} MB are the limit; {self.limits.remedy(needed / 2)}'
+            f'the messages at byte {piece.offset} are left out: they would take '
+            f'{needed / 1e6:.0f} MB '
+            f'of memory{others} where {limit / 1e6:.0f} MB are the limit; '
+            f'{self.limits.remedy(needed / 2)}'
         )
         self._damage(file, piece, piece.length, what)
         return False
@@ -141,9 +167,13 @@ class BagFiles:
         if piece.is_cut:
             self._damage(file, piece, rest + END_BYTES, 'the file ends in the middle of a chunk')
         elif rest:
-            self._damage(file, piece, rest, f'a malformed record in the chunk at byte {piece.offset}')
+            self._damage(
+                file, piece, rest, f'a malformed record in the chunk at byte {piece.offset}'
+            )
         elif orphan_count:
-            self._damage(file, piece, 0, f'{orphan_count} messages of a topic that the file does not declare')
+            self._damage(
+                file, piece, 0, f'{orphan_count} messages of a topic that the file does not declare'
+            )
 
     def _damage(self, file: BagFile, piece: Piece, byte_count: int, what: str) -> None:
         self._losses.damage(file.path, piece.offset, byte_count, what)
@@ -183,15 +213,25 @@ class BagFiles:
             if listed.message_count is not None and found < listed.message_count:
                 what = f'it holds {found} messages, but {listed.message_count} according to metadata.yaml'
                 self._losses.damage(file.path, layout.size, 0, what)
-            elif expected is not None and listed.message_count and listed.start_ns not in (None, expected.start_ns):
-                self._losses.damage(file.path, layout.size, 0, 'it does not begin when it should by metadata.yaml')
+            elif (
+                expected is not None
+                and listed.message_count
+                and listed.start_ns not in (None, expected.start_ns)
+            ):
+                self._losses.damage(
+                    file.path, layout.size, 0, 'it does not begin when it should by metadata.yaml'
+                )
 
     def _count_by_reading(self, file: BagFile, counts: Counter[str]) -> list[tuple[int, int]]:
-        """Count the messages of a file without a summary, and put the true times of its pieces in place."""
+        """Count the messages of a file without a summary, and put the true times of its pieces in
+        place.
+        """
         layout, definitions = file.layout, Definitions()
         for piece in layout.pieces:
             try:
-                parse_definitions(read_records(self._stream(file.path), piece, self.limits), definitions)
+                parse_definitions(
+                    read_records(self._stream(file.path), piece, self.limits), definitions
+                )
             except (Unreadable, OSError):
                 continue  # the second look below says so
         layout.channels = definitions.channels | layout.channels
@@ -216,7 +256,8 @@ class BagFiles:
         return [(piece.start_ns, piece.end_ns) for piece in held]
 
     def _leave_out_strangers(self, file: BagFile, held: dict[Piece, int], in_chunks: int) -> bool:
-        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells of.
+        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells
+        of.
 
         One wrong byte makes any record into such a message, and no checksum covers it.
         """
@@ -273,7 +314,9 @@ class BagFiles:
             size = stream.seek(0, io.SEEK_END)  # of a packed file, what it unpacks to
             stream.seek(0)
             if stream.read(len(MAGIC)) != MAGIC:
-                raise BagError(f'{path} is no MCAP file; of another kind of bag, {conversion(path)} makes one')
+                raise BagError(
+                    f'{path} is no MCAP file; of another kind of bag, {conversion(path)} makes one'
+                )
             return walk(stream, size)
         except OSError as error:
             raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

@@ -45,8 +45,13 @@ class Loss:
 
 
 def name_list(names: Iterable[str]) -> str:
-    """Say names in order, for one line to the user: a bag may have tens of thousands, each as long as a book."""
+    """Say names in order, for one line to the user: a bag may have tens of thousands, each as long
+    as a book.
+    """
     ordered = sorted(names)
-    shown = [name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME]}...' for name in ordered[:_MOST_NAMES]]
+    shown = [
+        name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME]}...'
+        for name in ordered[:_MOST_NAMES]
+    ]
     more = f' and {len(ordered) - _MOST_NAMES} more' if len(ordered) > _MOST_NAMES else ''
     return (', '.join(shown) or 'none') + more

@@ -1,4 +1,6 @@
-"""Paths into messages, such as ``effort``, ``wrench.torque.z`` or ``effort[2]``: parsed, never evaluated."""
+"""Paths into messages, such as ``effort``, ``wrench.torque.z`` or ``effort[2]``: parsed, never
+evaluated.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from typing import Any
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
 from gray_box_observer.errors import ConfigurationError, SampleError, brief
 
-__all__ = ['FieldPath', 'JointStateDecoder', 'JointStateView', 'MissingFieldError', 'decode_joint_state']
+__all__ = [
+    'FieldPath',
+    'JointStateDecoder',
+    'JointStateView',
+    'MissingFieldError',
+    'decode_joint_state',
+]
 
 _STEP = re.compile(r'([A-Za-z]\w*)((?:\[\d{1,9}\])*)\Z')
 _INDEX = re.compile(r'\[(\d+)\]')
@@ -21,10 +29,12 @@ class MissingFieldError(SampleError):
 
 
 class FieldPath:
-    """A compiled path to one field of a message; works on rclpy's messages and on mcap's decoded ones.
+    """A compiled path to one field of a message; works on rclpy's messages and on mcap's decoded
+    ones.
 
     Args:
-        text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``, ``effort[2]``.
+        text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``,
+            ``effort[2]``.
 
     Raises:
         ConfigurationError: The text is no such path.
@@ -39,13 +49,16 @@ class FieldPath:
             found = _STEP.match(part)
             if found is None:
                 raise ConfigurationError(
-                    f"{brief(text)} is no field path; expected names joined by dots, such as 'effort', "
+                    f'{brief(text)} is no field path; expected names joined by dots, such as '
+                    "'effort', "
                     "'wrench.torque.z' or 'effort[2]'"
                 )
             steps.append(found[1])
             steps += [int(index) for index in _INDEX.findall(found[2])]
         self._steps = tuple(steps)
-        self._get: Callable[[Any], Any] = attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
+        self._get: Callable[[Any], Any] = (
+            attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
+        )
 
     @property
     def steps(self) -> tuple[str | int, ...]:
@@ -88,7 +101,8 @@ class FieldPath:
                     value = value[step]
                 except (IndexError, KeyError):
                     return SampleError(
-                        f'{walked} has {len(value)} values, so there is no [{step}] (field {self.text!r})'
+                        f'{walked} has {len(value)} values, so there is no [{step}] (field '
+                        f'{self.text!r})'
                     )
                 except TypeError:
                     return MissingFieldError(
@@ -99,14 +113,18 @@ class FieldPath:
             if not hasattr(value, step):
                 fields = field_names(value)
                 there = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
-                return MissingFieldError(f'{walked} has no field {step!r}; {there} (field {self.text!r})')
+                return MissingFieldError(
+                    f'{walked} has no field {step!r}; {there} (field {self.text!r})'
+                )
             value = getattr(value, step)
             walked += f'.{step}'
         return SampleError(f'{walked} cannot be read (field {self.text!r})')
 
 
 def field_names(message: Any) -> list[str]:
-    """The names of a message's fields, for rclpy's messages and mcap's decoded ones; empty for other values."""
+    """The names of a message's fields, for rclpy's messages and mcap's decoded ones; empty for
+    other values.
+    """
     describe = getattr(message, 'get_fields_and_field_types', None)
     if callable(describe):
         return list(describe())

@@ -1,7 +1,7 @@
 """sensor_msgs/JointState to and from its CDR bytes, without ROS and without a general decoder.
 
-The layout is plain CDR (OMG CORBA 3.1 part 2, section 9.3; XCDR1 in DDS-XTypes 1.3): four bytes of encapsulation,
-then every value aligned to its own size, counted from behind these four bytes.
+The layout is plain CDR (OMG CORBA 3.1 part 2, section 9.3; XCDR1 in DDS-XTypes 1.3): four bytes of
+encapsulation, then every value aligned to its own size, counted from behind these four bytes.
 """
 
 from __future__ import annotations
@@ -10,8 +10,13 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from gray_box_observer.bounded_cache import MAX_LETTERS, MAX_NAMES, BoundedCache, size_of_names
 from gray_box_observer.errors import SampleError
+from gray_box_observer.safe_io.bounded_cache import (
+    MAX_LETTERS,
+    MAX_NAMES,
+    BoundedCache,
+    size_of_names,
+)
 
 TYPE_NAME = 'sensor_msgs/msg/JointState'
 
@@ -22,7 +27,8 @@ _PREFIX_START = 12
 _MAX_LAYOUTS = 64
 """A publisher keeps its frame and names, so few layouts are enough; more are forgotten at once."""
 _MAX_LAYOUT_BYTES = 8_000_000
-"""What they may take together: somebody who sends ever other frames and names would fill the memory."""
+"""What they may take together: somebody who sends ever other frames and names would fill the
+memory."""
 
 
 class JointStateView(NamedTuple):
@@ -44,7 +50,9 @@ class JointStateView(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where everything stands in messages that agree in length, byte order, frame, names and array lengths."""
+    """Where everything stands in messages that agree in length, byte order, frame, names and array
+    lengths.
+    """
 
     encapsulation: bytes
     prefix: bytes
@@ -59,7 +67,11 @@ class _Layout(NamedTuple):
         n_position, n_velocity, n_effort = self.counts
         after_position = 3 + n_position
         after_velocity = after_position + 1 + n_velocity
-        if flat[2] != n_position or flat[after_position] != n_velocity or flat[after_velocity] != n_effort:
+        if (
+            flat[2] != n_position
+            or flat[after_position] != n_velocity
+            or flat[after_velocity] != n_effort
+        ):
             return None
         return JointStateView(
             flat[0] * 1_000_000_000 + flat[1],
@@ -74,7 +86,8 @@ def decode_joint_state(data: bytes) -> JointStateView:
     """Decode one message; `JointStateDecoder` is faster for many.
 
     Args:
-        data: CDR of either byte order, with its encapsulation; bytes behind the message are ignored.
+        data: CDR of either byte order, with its encapsulation; bytes behind the message are
+            ignored.
 
     Raises:
         SampleError: The bytes are no JointState; the message says where they stop making sense.
@@ -91,17 +104,25 @@ def _first_view(layout: _Layout, data: bytes) -> JointStateView:
 
 
 class JointStateDecoder:
-    """Decodes many messages of few publishers: remembers where the numbers stand for each frame and name list."""
+    """Decodes many messages of few publishers: remembers where the numbers stand for each frame and
+    name list.
+    """
 
     def __init__(self) -> None:
-        self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(_MAX_LAYOUTS, _MAX_LAYOUT_BYTES)
+        self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(
+            _MAX_LAYOUTS, _MAX_LAYOUT_BYTES
+        )
 
     def __call__(self, data: bytes) -> JointStateView:
         """Decode one message; the same as `decode_joint_state`."""
         # Length and first names find a candidate; the candidate is then compared in full.
         key = (len(data), data[12:48])
         layout = self._layouts.get(key)
-        if layout is not None and data[12 : layout.prefix_end] == layout.prefix and data[:2] == layout.encapsulation:
+        if (
+            layout is not None
+            and data[12 : layout.prefix_end] == layout.prefix
+            and data[:2] == layout.encapsulation
+        ):
             view = layout.view(data)
             if view is not None:
                 return view
@@ -123,7 +144,9 @@ class _Cursor:
     def count(self, what: str) -> int:
         self.align(4)
         if self.at + 4 > len(self.data):
-            raise SampleError(f'JointState cut before {what}, at byte {self.at} of {len(self.data)}')
+            raise SampleError(
+                f'JointState cut before {what}, at byte {self.at} of {len(self.data)}'
+            )
         value: int = self._count.unpack_from(self.data, self.at)[0]
         self.at += 4
         return value
@@ -136,7 +159,8 @@ class _Cursor:
         start = self.at
         if start + byte_count > len(self.data):
             raise SampleError(
-                f'JointState with {byte_count} bytes of {what} at byte {start}, but only {len(self.data)} in all'
+                f'JointState with {byte_count} bytes of {what} at byte {start}, but only '
+                f'{len(self.data)} in all'
             )
         self.at += byte_count
         return start
@@ -152,14 +176,16 @@ def _layout(data: bytes) -> _Layout:
     order = _ENCAPSULATIONS.get(encapsulation)
     if order is None:
         raise SampleError(
-            f'JointState with encapsulation {encapsulation.hex() or "none"}, expected plain CDR (0000 or 0001)'
+            f'JointState with encapsulation {encapsulation.hex() or "none"}, expected plain CDR '
+            '(0000 or 0001)'
         )
     cursor = _Cursor(data, order, _PREFIX_START)
     cursor.text('the frame')
     name_count = cursor.count('the number of names')
     if name_count * 4 > len(data):
         raise SampleError(f'JointState that claims {name_count} names in {len(data)} bytes')
-    # As rclpy reads them: one name in Latin-1 is a name that nobody has, and no reason to refuse what others measured.
+    # As rclpy reads them: one name in Latin-1 is a name that nobody has, and no reason to refuse
+    # what others measured.
     names = tuple(cursor.text('a name').decode('utf-8', 'replace') for _ in range(name_count))
     prefix_end = cursor.at
     form = [f'{order}4xiI{prefix_end - _PREFIX_START}x']
@@ -196,7 +222,8 @@ def encode_joint_state(
     """The little-endian CDR bytes of one JointState, as a publisher would send them.
 
     Args:
-        stamp_ns: The header's stamp; from -2**31 s to 2**31 s, the range of builtin_interfaces/Time.
+        stamp_ns: The header's stamp; from -2**31 s to 2**31 s, the range of
+            builtin_interfaces/Time.
         names: One per motor.
         position: In rad.
         velocity: In rad/s.
@@ -208,7 +235,9 @@ def encode_joint_state(
     """
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     if not -(1 << 31) <= seconds < 1 << 31:
-        raise SampleError(f'stamp of {stamp_ns} ns does not fit into a message; expected less than 2**31 s')
+        raise SampleError(
+            f'stamp of {stamp_ns} ns does not fit into a message; expected less than 2**31 s'
+        )
     out = bytearray(struct.pack('<4siI', b'\x00\x01\x00\x00', seconds, nanoseconds))
     _append_text(out, frame_id)
     _append_count(out, len(names))

@@ -1,4 +1,6 @@
-"""How much of a bag is held in memory at one time: a bag of a few kilobytes may claim, and even unpack to, any size."""
+"""How much of a bag is held in memory at one time: a bag of a few kilobytes may claim, and even
+unpack to, any size.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ LARGEST_GENERAL_MESSAGE_BYTES = 1 << 18
 """Of a message that is no JointState, which the general decoder makes an object of
 Python a part: up to 200 bytes for one."""
 LARGEST_DEFINITION_BYTES = 1 << 18
-"""Of the text of a type that is parsed; ROS's own are of some kilobytes, the longest known of some tens."""
+"""Of the text of a type that is parsed; ROS's own are of some kilobytes, the longest known of some
+tens."""
 LARGEST_DECLARATION_BYTES = 4 << 20
 MOST_DECLARED_BYTES = 32 << 20
 """What schemas and channels of one file may hold together; those of ROS are some kilobytes each."""
@@ -27,7 +30,8 @@ _EXPANSION = 1000
 
 @dataclass(frozen=True, slots=True)
 class ReadLimits:
-    """What reading a bag may hold in memory at one time; what would need more is left out, and a line says so.
+    """What reading a bag may hold in memory at one time; what would need more is left out, and a
+    line says so.
 
     Attributes:
         chunk_bytes: The largest chunk, unpacked, and the largest message outside chunks.
@@ -41,7 +45,8 @@ class ReadLimits:
 
     @classmethod
     def from_mb(cls, chunk_mb: int | None, option: str = 'ReadLimits.from_mb({})') -> ReadLimits:
-        """Return the limits that a user has asked for; whoever sets one trusts the bag to unpack to it.
+        """Return the limits that a user has asked for; whoever sets one trusts the bag to unpack to
+        it.
 
         Args:
             chunk_mb: The largest chunk in MB; None for the default.

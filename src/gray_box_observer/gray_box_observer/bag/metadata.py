@@ -1,4 +1,6 @@
-"""The ``metadata.yaml`` of a rosbag2 folder: which files belong to it, and the text that Jazzy's tools expect."""
+"""The ``metadata.yaml`` of a rosbag2 folder: which files belong to it, and the text that Jazzy's
+tools expect.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from typing import Any
 import yaml
 
 from gray_box_observer.bag import packed
-from gray_box_observer.bounded_yaml import parse_yaml, read_yaml
 from gray_box_observer.errors import BagError, InputError, brief
+from gray_box_observer.safe_io.bounded_yaml import parse_yaml, read_yaml
 
 METADATA_NAME = 'metadata.yaml'
 METADATA_VERSION = 9
@@ -51,7 +53,9 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
-    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log time of the first."""
+    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log
+    time of the first.
+    """
 
     path: Path
     message_count: int | None = None
@@ -134,7 +138,9 @@ def _load(path: Path) -> Mapping[str, Any]:
 
 
 def leads_out(path: Path) -> bool:
-    """Whether a file of a bag is a link to one outside of its folder: a bag that came from elsewhere could name any."""
+    """Whether a file of a bag is a link to one outside of its folder: a bag that came from
+    elsewhere could name any.
+    """
     return path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve())
 
 
@@ -152,10 +158,16 @@ def _found_files(folder: Path, complaint: str) -> Listing:
     found = [p for p in found if p.name in plain or p.name.removesuffix(packed.SUFFIX) not in plain]
     paths = sorted((p for p in found if p.is_file() and not leads_out(p)), key=_by_number)
     if not paths:
-        raise BagError(f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an .mcap file')
+        raise BagError(
+            f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an '
+            '.mcap file'
+        )
     return Listing(
         tuple(map(ListedFile, paths)),
-        (f"{complaint}; its {len(paths)} .mcap files are read all the same ('ros2 bag reindex' makes a new one)",),
+        (
+            f"{complaint}; its {len(paths)} .mcap files are read all the same ('ros2 bag reindex' "
+            'makes a new one)',
+        ),
     )
 
 
@@ -169,31 +181,47 @@ def _by_number(path: Path) -> tuple[str, int, str]:
 def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
     storage = information.get('storage_identifier')
     if storage != 'mcap':
-        raise BagError(f"{folder} is stored as {_word(storage)}, expected 'mcap'; {conversion(folder)} makes one")
+        raise BagError(
+            f"{folder} is stored as {_word(storage)}, expected 'mcap'; {conversion(folder)} makes "
+            'one'
+        )
     mode = _word(information.get('compression_mode') or '').lower()
     form = _word(information.get('compression_format') or '').lower()
     if mode not in ("''", "'none'") and (mode not in ("'file'", "'message'") or form != "'zstd'"):
         raise BagError(
-            f'{folder} is compressed by {mode}, {form}; expected none, or files or messages packed by zstd; '
+            f'{folder} is compressed by {mode}, {form}; expected none, or files or messages '
+            'packed by zstd; '
             f'{conversion(folder)} makes one'
         )
     told = _told_of_files(information)
-    # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the bag.
-    paths = [_as_it_lies(folder / PurePosixPath(name).name) for name in dict.fromkeys(_names(information))]
+    # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the
+    # bag.
+    paths = [
+        _as_it_lies(folder / PurePosixPath(name).name)
+        for name in dict.fromkeys(_names(information))
+    ]
     missing = [path.name for path in paths if not path.is_file() or leads_out(path)]
     complaint = ''
     if missing:
-        reason = 'leads out of it by a link and is not read' if leads_out(folder / missing[0]) else 'is missing'
+        reason = (
+            'leads out of it by a link and is not read'
+            if leads_out(folder / missing[0])
+            else 'is missing'
+        )
         complaint = f'{folder}: the file {brief(missing[0])}, listed in {METADATA_NAME}, {reason}'
     if len(missing) > 1:
         complaint += f', and {len(missing) - 1} more'
     if len(missing) == len(paths):
         raise BagError(complaint)
-    names = {path: path.name.removesuffix(packed.SUFFIX) for path in paths if path.name not in missing}
+    names = {
+        path: path.name.removesuffix(packed.SUFFIX) for path in paths if path.name not in missing
+    }
     files = tuple(ListedFile(path, *told.get(name, (None, None))) for path, name in names.items())
     custom = information.get('custom_data')
     texts = custom.items() if isinstance(custom, dict) else ()
-    custom_data = {key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)}
+    custom_data = {
+        key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)
+    }
     return Listing(files, (complaint,) if missing else (), custom_data)
 
 
@@ -204,7 +232,9 @@ def _as_it_lies(path: Path) -> Path:
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
-    """Number of messages and starting time of each file by its name, as far as the metadata makes sense."""
+    """Number of messages and starting time of each file by its name, as far as the metadata makes
+    sense.
+    """
     entries = information.get('files')
     told: dict[str, tuple[int | None, int | None]] = {}
     for entry in entries if isinstance(entries, list) else []:
@@ -242,7 +272,8 @@ def metadata_text(
     """
     information = _information(topics, files, ros_distro, custom_data)
     text = _dump({'rosbag2_bagfile_information': information})
-    # A recording of days has thousands of files, which PyYAML would take seconds for, at every split.
+    # A recording of days has thousands of files, which PyYAML would take seconds for, at every
+    # split.
     names = [_scalar(file.path) for file in files]
     lists = {
         'relative_file_paths': ''.join(f'  - {name}\n' for name in names),
@@ -255,7 +286,8 @@ def metadata_text(
 
 
 def storage_text(ros_distro: str, custom_data: Mapping[str, str] | None = None) -> str:
-    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the file itself tells.
+    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the
+    file itself tells.
 
     ``ros2 bag info`` and ``ros2 bag reindex`` read it where there is no ``metadata.yaml``.
 
@@ -304,10 +336,13 @@ def _information(
 
 
 def _file_text(name: str, file: FileRecord) -> str:
-    start_ns, end_ns = (file.start_ns, file.end_ns) if file.message_count else (_NEVER_NS, _NEVER_NS)
+    start_ns, end_ns = (
+        (file.start_ns, file.end_ns) if file.message_count else (_NEVER_NS, _NEVER_NS)
+    )
     return (
         f'  - path: {name}\n    duration:\n      nanoseconds: {end_ns - start_ns}\n'
-        f'    starting_time:\n      nanoseconds_since_epoch: {start_ns}\n    message_count: {file.message_count}\n'
+        f'    starting_time:\n      nanoseconds_since_epoch: {start_ns}\n    message_count: '
+        f'{file.message_count}\n'
     )
 
 

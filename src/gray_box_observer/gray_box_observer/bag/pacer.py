@@ -1,4 +1,6 @@
-"""When recorded messages are due: recorded time turned into present time, with a rate, pauses and single steps."""
+"""When recorded messages are due: recorded time turned into present time, with a rate, pauses and
+single steps.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +9,19 @@ import time
 from collections.abc import Callable
 
 BURST = 50
-"""Messages that may come at once where their number a second is limited: a thread wakes too late for single ones."""
+"""Messages that may come at once where their number a second is limited: a thread wakes too late
+for single ones."""
 
 
 class Pacer:
-    """Holds a replaying thread back until its next message is due. All methods may be called from any thread.
+    """Holds a replaying thread back until its next message is due. All methods may be called from
+    any thread.
 
     Args:
         rate: Recorded seconds per second; 0 or less for as fast as possible.
         is_paused: Whether to begin paused.
-        max_messages_per_s: Where it is as fast as possible: no more than so many a second; 0 for no limit.
+        max_messages_per_s: Where it is as fast as possible: no more than so many a second; 0 for no
+            limit.
         clock: Monotonic seconds.
     """
 
@@ -80,7 +85,12 @@ class Pacer:
             self._is_stopped = True
             self._changed.notify_all()
 
-    def wait(self, log_time_ns: int, tick: Callable[[int], None] | None = None, tick_period_s: float = 0.01) -> bool:
+    def wait(
+        self,
+        log_time_ns: int,
+        tick: Callable[[int], None] | None = None,
+        tick_period_s: float = 0.01,
+    ) -> bool:
         """Block until the message of this recorded time is due; False once stopped.
 
         Args:
@@ -103,7 +113,9 @@ class Pacer:
                 if left_s <= 0:
                     self._allowance -= 1.0
                     return True
-                if tick is None or self._rate <= 0:  # without a rate no recorded time passes while waiting
+                if (
+                    tick is None or self._rate <= 0
+                ):  # without a rate no recorded time passes while waiting
                     self._changed.wait(min(left_s, 1.0))
                     continue
                 self._changed.wait(min(left_s, tick_period_s))
@@ -118,7 +130,9 @@ class Pacer:
             return 0.0
         now_s = self._clock()
         # What was not used is soon forgotten: catching up after a halt would flood the readers.
-        self._allowance = min(BURST, self._allowance + (now_s - self._allowed_s) * self._limit_per_s)
+        self._allowance = min(
+            BURST, self._allowance + (now_s - self._allowed_s) * self._limit_per_s
+        )
         self._allowed_s = now_s
         return (1.0 - self._allowance) / self._limit_per_s
 

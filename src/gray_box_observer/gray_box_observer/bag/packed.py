@@ -1,8 +1,8 @@
 """What ``ros2 bag record --compression-mode`` packs by zstd: whole files, or single messages.
 
 Chunks that are packed inside an MCAP file are the format's own affair
-(`gray_box_observer.bag.mcap_content`). Here too the sizes that a head claims are held against the
-limits before anything is unpacked.
+(`gray_box_observer.bag.mcap.mcap_content`). Here too the sizes that a head claims are held against
+the limits before anything is unpacked.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import BinaryIO
 import zstandard
 
 from gray_box_observer.bag.limits import MESSAGE_OVERHEAD_BYTES, ReadLimits
-from gray_box_observer.bag.mcap_content import RawMessage, TooLarge, Unreadable, check_size
+from gray_box_observer.bag.mcap.mcap_content import RawMessage, TooLarge, Unreadable, check_size
 from gray_box_observer.errors import BagError
 
 SUFFIX = '.zstd'
@@ -67,9 +67,13 @@ def unpack_file(path: Path, stream: BinaryIO, limits: ReadLimits) -> tuple[Binar
             unpacked.write(piece)
             check_size(unpacked.tell(), packed_bytes, limits)
         if unpacked.tell() < claimed_bytes:
-            complaint = f'the packed file is cut: {unpacked.tell()} of {claimed_bytes} bytes are there'
+            complaint = (
+                f'the packed file is cut: {unpacked.tell()} of {claimed_bytes} bytes are there'
+            )
     except TooLarge as error:
-        raise BagError(f'{path} is packed as a whole: {error}; or unpack it first: unzstd --rm {path}') from None
+        raise BagError(
+            f'{path} is packed as a whole: {error}; or unpack it first: unzstd --rm {path}'
+        ) from None
     except zstandard.ZstdError as error:
         complaint = f'the packed file is damaged after {unpacked.tell()} bytes ({error})'
     if not unpacked.tell():
@@ -78,7 +82,9 @@ def unpack_file(path: Path, stream: BinaryIO, limits: ReadLimits) -> tuple[Binar
     return unpacked, complaint
 
 
-def unpack_messages(messages: Sequence[RawMessage], room: int, limits: ReadLimits) -> tuple[list[RawMessage], str]:
+def unpack_messages(
+    messages: Sequence[RawMessage], room: int, limits: ReadLimits
+) -> tuple[list[RawMessage], str]:
     """Unpack the messages that are packed one by one.
 
     Args:

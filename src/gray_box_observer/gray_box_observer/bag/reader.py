@@ -21,15 +21,15 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gray_box_observer.bag.bag_files import BagFiles
 from gray_box_observer.bag.contents import Loss, TopicInfo
+from gray_box_observer.bag.data_loss import Losses
 from gray_box_observer.bag.limits import (
     LARGEST_DEFINITION_BYTES,
     LARGEST_GENERAL_MESSAGE_BYTES,
     MESSAGE_OVERHEAD_BYTES,
     ReadLimits,
 )
-from gray_box_observer.bag.losses import Losses
-from gray_box_observer.bag.mcap_content import RawMessage
-from gray_box_observer.bag.mcap_records import Channel
+from gray_box_observer.bag.mcap.mcap_content import RawMessage
+from gray_box_observer.bag.mcap.mcap_records import Channel
 from gray_box_observer.errors import BagError
 
 _LOG_TIME = itemgetter(4)
@@ -61,7 +61,10 @@ class BagReader:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -94,8 +97,11 @@ class BagReader:
         """What could not be read so far, or None; ask again once all messages have been read."""
         return self._losses.total(with_names=len(self._files.all) > 1)
 
-    def messages(self, topics: Collection[str] | None = None, start_ns: int | None = None) -> Iterator[RawMessage]:
-        """Every message in the order of log times; messages of equal time in the order of the files.
+    def messages(
+        self, topics: Collection[str] | None = None, start_ns: int | None = None
+    ) -> Iterator[RawMessage]:
+        """Every message in the order of log times; messages of equal time in the order of the
+        files.
 
         Args:
             topics: Names of the topics that are wanted; None for all. Unknown names give nothing.
@@ -107,7 +113,9 @@ class BagReader:
         earliest = -1 if start_ns is None else start_ns
         pieces = [
             (piece, order, file)
-            for order, (file, piece) in enumerate((f, p) for f in self._files.all for p in f.layout.pieces)
+            for order, (file, piece) in enumerate(
+                (f, p) for f in self._files.all for p in f.layout.pieces
+            )
             if piece.end_ns >= earliest or not piece.is_chunk
         ]
         pieces.sort(key=lambda item: item[0].start_ns)
@@ -128,7 +136,8 @@ class BagReader:
             yield from waiting.before(limit)
 
     def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
-        """Every message with its decoded content, whatever its type; the order is that of `messages`.
+        """Every message with its decoded content, whatever its type; the order is that of
+        `messages`.
 
         Messages whose bytes do not fit their type are left out and counted in `lost`.
 
@@ -146,7 +155,10 @@ class BagReader:
                 decoder = decoders[key] = self._decoder(message, len(decoders) + 1)
             try:
                 if len(message.data) > LARGEST_GENERAL_MESSAGE_BYTES:
-                    raise BagError(f'of {len(message.data)} bytes, expected at most {LARGEST_GENERAL_MESSAGE_BYTES}')
+                    raise BagError(
+                        f'of {len(message.data)} bytes, expected at most '
+                        f'{LARGEST_GENERAL_MESSAGE_BYTES}'
+                    )
                 content = decoder(message.data)
             except Exception as error:  # whatever a foreign decoder makes of foreign bytes
                 reason = ' '.join(str(error).split()) or type(error).__name__
@@ -156,26 +168,36 @@ class BagReader:
 
     def _decoder(self, message: RawMessage, number: int) -> Callable[[bytes], Any]:
         if not message.schema_text:
-            raise BagError(f'{self.path}: no definition of {message.type_name or message.topic} in the bag')
+            raise BagError(
+                f'{self.path}: no definition of {message.type_name or message.topic} in the bag'
+            )
         if len(message.schema_text) > LARGEST_DEFINITION_BYTES:
             raise BagError(
-                f'{self.path}: the definition of {message.type_name[:100]} has {len(message.schema_text)} letters, '
+                f'{self.path}: the definition of {message.type_name[:100]} has '
+                f'{len(message.schema_text)} letters, '
                 f'expected at most {LARGEST_DEFINITION_BYTES}'
             )
         schema = Schema(number, message.schema_text.encode(), 'ros2msg', message.type_name)
         encoding = self._topics[message.topic].encoding
         try:
-            with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # the parser prints what it refuses
+            with (
+                redirect_stdout(io.StringIO()),
+                redirect_stderr(io.StringIO()),
+            ):  # the parser prints what it refuses
                 decoder = DecoderFactory().decoder_for(encoding, schema)
         except Exception as error:  # whatever a foreign parser makes of a foreign text
             reason = ' '.join(f'{message.type_name} cannot be understood: {error}'.split())
             raise BagError(f'{self.path}: the definition of {reason}') from None
         if decoder is None:
-            raise BagError(f"{self.path}: {message.topic} is encoded as {encoding!r}, expected 'cdr'")
+            raise BagError(
+                f"{self.path}: {message.topic} is encoded as {encoding!r}, expected 'cdr'"
+            )
         return decoder
 
     def _account(self) -> None:
-        """Find topics, counts and times: from the summaries where they can be believed, else by reading."""
+        """Find topics, counts and times: from the summaries where they can be believed, else by
+        reading.
+        """
         counts: Counter[str] = Counter()
         declared: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []
@@ -189,7 +211,14 @@ class BagReader:
             raise BagError(f'{self.path}: no message in this bag{reason}')
         self._start_ns, self._end_ns = min(s for s, _ in spans), max(e for _, e in spans)
         self._topics = {
-            name: TopicInfo(c.type_name, counts.get(name, 0), c.schema_text, c.encoding, c.qos_profiles, c.type_hash)
+            name: TopicInfo(
+                c.type_name,
+                counts.get(name, 0),
+                c.schema_text,
+                c.encoding,
+                c.qos_profiles,
+                c.type_hash,
+            )
             for name, c in declared.items()
         }
 
@@ -222,7 +251,8 @@ class _Waiting:
     def before(self, limit: int | None) -> Iterator[RawMessage]:
         """Take out what is earlier than ``limit``; all that is left where it is None.
 
-        Whatever is taken is complete: no piece that is still to be read holds anything earlier than ``limit``.
+        Whatever is taken is complete: no piece that is still to be read holds anything earlier than
+        ``limit``.
         """
         if limit is not None and self._first_ns >= limit:
             return
@@ -236,6 +266,8 @@ class _Waiting:
             elif count:
                 self.parts[order] = part[count:]
         self.weight -= _weight(taken)
-        self._first_ns = min((part[0].log_time_ns for part in self.parts.values()), default=_NEVER_NS)
+        self._first_ns = min(
+            (part[0].log_time_ns for part in self.parts.values()), default=_NEVER_NS
+        )
         taken.sort(key=_LOG_TIME)
         yield from taken

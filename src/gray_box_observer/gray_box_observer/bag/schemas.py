@@ -1,7 +1,7 @@
 """The ros2msg text of a message type with everything it depends on, as MCAP files carry it.
 
-The form is that of https://mcap.dev/spec/registry#ros2msg: the definition itself, then for each dependency a line of
-80 equals signs, ``MSG: package/Name``, and its definition.
+The form is that of https://mcap.dev/spec/registry#ros2msg: the definition itself, then for each
+dependency a line of 80 equals signs, ``MSG: package/Name``, and its definition.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _PRIMITIVES = frozenset(
 )
 _BUILT_IN = {
     ('sensor_msgs', 'JointState'): (
-        'std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n'
+        'std_msgs/Header header\n\nstring[] name\nfloat64[] position\nfloat64[] '
+        'velocity\nfloat64[] effort\n'
     ),
     ('std_msgs', 'Header'): 'builtin_interfaces/Time stamp\nstring frame_id\n',
     ('builtin_interfaces', 'Time'): 'int32 sec\nuint32 nanosec\n',
@@ -49,7 +50,9 @@ def schema_text(type_name: str, lookup: Lookup) -> str:
     """
     found = _TYPE.match(type_name)
     if found is None:
-        raise BagError(f"{type_name!r} is no message type; expected such as 'sensor_msgs/msg/JointState'")
+        raise BagError(
+            f"{type_name!r} is no message type; expected such as 'sensor_msgs/msg/JointState'"
+        )
     parts: list[str] = []
     seen: set[tuple[str, str]] = set()
     open_types = [(found[1], found[2])]
@@ -61,7 +64,8 @@ def schema_text(type_name: str, lookup: Lookup) -> str:
         text = lookup(package, name)
         if text is None:
             raise BagError(
-                f'no definition of {package}/msg/{name} (needed for {type_name}); source the workspace that has it'
+                f'no definition of {package}/msg/{name} (needed for {type_name}); source the '
+                'workspace that has it'
             )
         parts.append(f'{_SEPARATOR}\nMSG: {package}/{name}\n{text}' if parts else text)
         open_types += _dependencies(package, text)
@@ -95,15 +99,18 @@ def share_lookup(prefixes: Iterable[str | Path] | None = None) -> Lookup:
     """Look definitions up where packages install them, ``<prefix>/share/<package>/msg/<Name>.msg``.
 
     Args:
-        prefixes: Where to look, first match wins; None for every prefix of AMENT_PREFIX_PATH and the present
-            Python environment (a sourced workspace names only itself there when ROS comes from wheels).
+        prefixes: Where to look, first match wins; None for every prefix of AMENT_PREFIX_PATH and
+            the present Python environment (a sourced workspace names only itself there when ROS
+            comes from wheels).
     """
     places = [Path(prefix) for prefix in (default_prefixes() if prefixes is None else prefixes)]
 
     def look_up(package: str, name: str) -> str | None:
         for place in places:
             try:
-                return (place / 'share' / package / 'msg' / f'{name}.msg').read_text(encoding='utf-8')
+                return (place / 'share' / package / 'msg' / f'{name}.msg').read_text(
+                    encoding='utf-8'
+                )
             except (OSError, ValueError):
                 continue
         return built_in_lookup(package, name)

@@ -10,11 +10,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from gray_box_observer.atomic_write import atomic_write
-from gray_box_observer.bag.mcap_file import McapFile
-from gray_box_observer.bag.metadata import METADATA_NAME, FileRecord, TopicRecord, metadata_text, qos_text, storage_text
-from gray_box_observer.bag.options import BagOptions
+from gray_box_observer.bag.mcap.mcap_file import McapFile
+from gray_box_observer.bag.metadata import (
+    METADATA_NAME,
+    FileRecord,
+    TopicRecord,
+    metadata_text,
+    qos_text,
+    storage_text,
+)
+from gray_box_observer.bag.writing_options import BagOptions
 from gray_box_observer.errors import BagError
+from gray_box_observer.safe_io.atomic_write import atomic_write
 
 __all__ = ['BagOptions', 'BagWriter']
 
@@ -37,8 +44,8 @@ class _Topic:
 class BagWriter:
     """A bag being written; a context manager that closes it.
 
-    After an error of the disk the writer stays in that error: every later call raises it again, and what reached
-    the disk before stays readable.
+    After an error of the disk the writer stays in that error: every later call raises it again, and
+    what reached the disk before stays readable.
 
     Args:
         folder: The folder to make; must not exist, since nothing is ever overwritten.
@@ -68,7 +75,9 @@ class BagWriter:
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
-            raise BagError(f'{self.folder} exists already and is not overwritten; give another name') from None
+            raise BagError(
+                f'{self.folder} exists already and is not overwritten; give another name'
+            ) from None
         except OSError as error:
             raise BagError(f'{self.folder}: cannot be made: {error.strerror or error}') from None
         self._file = self._next_file()
@@ -78,7 +87,10 @@ class BagWriter:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.close()
 
@@ -105,7 +117,8 @@ class BagWriter:
         Args:
             name: Full name of the topic.
             type_name: Such as ``sensor_msgs/msg/JointState``.
-            schema_text: The ros2msg definition with all dependencies (`gray_box_observer.bag.schemas`).
+            schema_text: The ros2msg definition with all dependencies
+                (`gray_box_observer.bag.schemas`).
             qos_profiles: What its publishers offer, in rosbag2's form.
             type_hash: Such as ``RIHS01_...``.
 
@@ -135,10 +148,13 @@ class BagWriter:
         self._check()
         known = self._topics.get(topic)
         if known is None:
-            raise BagError(f'{self.folder}: the topic {topic} is not declared; call add_topic first')
+            raise BagError(
+                f'{self.folder}: the topic {topic} is not declared; call add_topic first'
+            )
         if not (0 <= log_time_ns <= _LARGEST_TIME_NS and 0 <= publish_time_ns <= _LARGEST_TIME_NS):
             raise BagError(
-                f'{self.folder}: times {log_time_ns} and {publish_time_ns} ns of a message of {topic} '
+                f'{self.folder}: times {log_time_ns} and {publish_time_ns} ns of a message of '
+                f'{topic} '
                 'are out of range; expected 0 to 2**63 - 1'
             )
         if self._is_full(log_time_ns):
@@ -148,7 +164,8 @@ class BagWriter:
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the chunk is full or old enough; for a timer, in case no message comes for a while.
+        """Flush if the chunk is full or old enough; for a timer, in case no message comes for a
+        while.
 
         Raises:
             BagError: The disk refuses.
@@ -164,17 +181,22 @@ class BagWriter:
             BagError: The disk refuses.
         """
         self._check()
-        if self._metadata_is_stale:  # before the first message of a topic or file, so that no reader leaves it out
+        if (
+            self._metadata_is_stale
+        ):  # before the first message of a topic or file, so that no reader leaves it out
             self._write_metadata()
         is_first = not self._file.written[2]
         self._guard(self._file.flush)
         self._count_as_written()
         self._flushed_s = self._clock()
-        if (is_first and self._file.written[2]) or self._flushed_s - self._metadata_s >= _METADATA_PERIOD_S:
+        if (
+            is_first and self._file.written[2]
+        ) or self._flushed_s - self._metadata_s >= _METADATA_PERIOD_S:
             self._write_metadata()
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing, nor does a call after an error that was raised.
+        """Finish the bag; a second call does nothing, nor does a call after an error that was
+        raised.
 
         Raises:
             BagError: The disk refuses.
@@ -202,7 +224,10 @@ class BagWriter:
             raise
 
     def _declare(self, name: str, topic: _Topic) -> None:
-        metadata = {'offered_qos_profiles': qos_text(topic.qos_profiles), 'topic_type_hash': topic.type_hash}
+        metadata = {
+            'offered_qos_profiles': qos_text(topic.qos_profiles),
+            'topic_type_hash': topic.type_hash,
+        }
         topic.channel = self._file.add_channel(name, topic.type_name, topic.schema_text, metadata)
 
     def _next_file(self) -> McapFile:
@@ -256,10 +281,14 @@ class BagWriter:
         if not self._is_closed:
             files.append(self._record(self._file))
         topics = [
-            TopicRecord(name, topic.type_name, topic.qos_profiles, topic.type_hash, topic.written_count)
+            TopicRecord(
+                name, topic.type_name, topic.qos_profiles, topic.type_hash, topic.written_count
+            )
             for name, topic in self._topics.items()
         ]
-        text = metadata_text(topics, files, ros_distro=self.options.ros_distro, custom_data=self.options.custom_data)
+        text = metadata_text(
+            topics, files, ros_distro=self.options.ros_distro, custom_data=self.options.custom_data
+        )
         path = self.folder / METADATA_NAME
         try:
             with atomic_write(path) as file:

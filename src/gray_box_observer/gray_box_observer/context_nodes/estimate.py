@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array, Parameter, bounds
+from gray_box_observer.white_box.interface import Array, Parameter, bounds
 
 
 class Verdict(str, Enum):
@@ -49,7 +49,13 @@ class Estimate:
     def of(self, motor: int) -> Estimate:
         """Return the estimate of one motor, with a motor axis of one."""
         one = slice(motor, motor + 1)
-        return Estimate(self.stamp_ns, self.parameters, self.value[one], self.covariance[one], self.verdicts[one])
+        return Estimate(
+            self.stamp_ns,
+            self.parameters,
+            self.value[one],
+            self.covariance[one],
+            self.verdicts[one],
+        )
 
     @property
     def std(self) -> Array:
@@ -65,7 +71,9 @@ class Estimate:
     def bound_met(self, motor: int, parameter: int) -> str:
         """Say which bound a value stands at, for an ``implausible`` one; empty where at none."""
         p, value = self.parameters[parameter], self.value[motor, parameter]
-        nearer, limit = min(('lower', p.lower), ('upper', p.upper), key=lambda bound: abs(np.log(value / bound[1])))
+        nearer, limit = min(
+            ('lower', p.lower), ('upper', p.upper), key=lambda bound: abs(np.log(value / bound[1]))
+        )
         at = self.verdicts[motor][parameter] is Verdict.IMPLAUSIBLE
         return f'at its {nearer} bound of {limit:g} {p.unit}' if at else ''
 
@@ -75,22 +83,26 @@ class Estimate:
 
 
 LOG_NORMAL = 0.3
-"""Relative standard deviation up to which the spread of a logarithm is as good as that of the value."""
+"""Relative standard deviation up to which the spread of a logarithm is as good as that of the
+value."""
 
 ABSURD_SPREAD = 1e12
 """Relative standard deviation that is none: products of such variances would soon be no numbers."""
 
 WIDEST = 4.0
-"""Standard deviation of a logarithm beyond which nothing is known either way; it also keeps the exponential finite."""
+"""Standard deviation of a logarithm beyond which nothing is known either way; it also keeps the
+exponential finite."""
 
 
 def spread_of_values(value: Array, covariance: Array) -> Array:
-    """Turn the spread of logarithms into that of the values, where it is so wide that the two differ.
+    """Turn the spread of logarithms into that of the values, where it is so wide that the two
+    differ.
 
-    Along every principal axis of the relative covariance a log-normal of spread s reaches up to ``exp(s) - 1`` of the
-    value with one standard deviation; from LOG_NORMAL on s grows as fast as that. What is known sharply, and sharply
-    known combinations of vaguely known values, stay as they are. Without this R would be called known where K_HS
-    happens to be guessed small: the share of the voltage that falls on it, and so the spread of R, would be as small.
+    Along every principal axis of the relative covariance a log-normal of spread s reaches up to
+    ``exp(s) - 1`` of the value with one standard deviation; from LOG_NORMAL on s grows as fast as
+    that. What is known sharply, and sharply known combinations of vaguely known values, stay as
+    they are. Without this R would be called known where K_HS happens to be guessed small: the share
+    of the voltage that falls on it, and so the spread of R, would be as small.
 
     Args:
         value: shape (motor, parameter).
@@ -113,7 +125,9 @@ def spread_of_values(value: Array, covariance: Array) -> Array:
 
 
 def bounded(value: Array, covariance: Array) -> Array:
-    """Covariances that are finite and not absurd; of others only the order of magnitude of the values is known."""
+    """Covariances that are finite and not absurd; of others only the order of magnitude of the
+    values is known.
+    """
     finite = np.all(np.isfinite(covariance), axis=(1, 2))
     finite &= np.all(covariance.diagonal(0, 1, 2) <= (ABSURD_SPREAD * value) ** 2, axis=1)
     if finite.all():
@@ -127,8 +141,10 @@ class VerdictRules:
     """When a parameter counts as identified.
 
     Attributes:
-        identified_relative_std: largest standard deviation, as a fraction of the value, that may be called identified.
-        excited_relative_std: a parameter whose standard deviation stays above this fraction has not been excited.
+        identified_relative_std: largest standard deviation, as a fraction of the value, that may be
+            called identified.
+        excited_relative_std: a parameter whose standard deviation stays above this fraction has not
+            been excited.
         bound_tolerance: nearness to a bound, as a fraction of it, that is called implausible.
         negligible_share: of the voltage; a parameter that takes less, at most, is as good as zero.
     """
@@ -154,17 +170,22 @@ class VerdictRules:
             value: shape (motor, parameter).
             std: likewise, their standard deviations.
             frozen: whether nothing is learnt.
-            most: likewise, the share of the voltage that each takes at most; infinite where that is not known.
+            most: likewise, the share of the voltage that each takes at most; infinite where that is
+                not known.
         """
         if frozen:
             return tuple(tuple(Verdict.FROZEN for _ in parameters) for _ in value)
         lower, upper = bounds(parameters)
-        at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (value >= upper * (1.0 - self.bound_tolerance))
+        at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (
+            value >= upper * (1.0 - self.bound_tolerance)
+        )
         known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
         code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)
         code = np.where(at_bound, _IMPLAUSIBLE, code)
         if most is not None:
-            code = np.where((most < self.negligible_share) & (code != _IDENTIFIED), _NEGLIGIBLE, code)
+            code = np.where(
+                (most < self.negligible_share) & (code != _IDENTIFIED), _NEGLIGIBLE, code
+            )
         return verdicts_of(code)
 
 
@@ -174,4 +195,6 @@ def verdicts_of(codes: NDArray[np.integer[Any]]) -> tuple[tuple[Verdict, ...], .
 
 
 _VERDICTS = tuple(Verdict)
-_IDENTIFIED, _CONVERGING, _UNEXCITED, _FROZEN, _IMPLAUSIBLE, _MISFIT, _NEGLIGIBLE = range(len(_VERDICTS))
+_IDENTIFIED, _CONVERGING, _UNEXCITED, _FROZEN, _IMPLAUSIBLE, _MISFIT, _NEGLIGIBLE = range(
+    len(_VERDICTS)
+)

@@ -1,9 +1,11 @@
-"""The thesis's rule: stage 1, a gradient step on the L1 loss of first differences (thesis 4.2.3, 4.2.4, 4.3.2).
+"""The thesis's rule: stage 1, a gradient step on the L1 loss of first differences (thesis 4.2.3,
+4.2.4, 4.3.2).
 
-What is kept: one trainable number a parameter, the L1 norm, Adam, weights by the rate of change plus a small constant,
-learning-rate cuts on plateaus, a bounded replay of past data. What is mended: the thesis compares a difference with one
-forward Euler step and so reads L a tenth too low; here the equation is integrated over the window between two samples,
-exactly in time. Parameters live on a logarithmic scale, so they are positive by construction (thesis 4.3.1).
+What is kept: one trainable number a parameter, the L1 norm, Adam, weights by the rate of change
+plus a small constant, learning-rate cuts on plateaus, a bounded replay of past data. What is
+mended: the thesis compares a difference with one forward Euler step and so reads L a tenth too low;
+here the equation is integrated over the window between two samples, exactly in time. Parameters
+live on a logarithmic scale, so they are positive by construction (thesis 4.3.1).
 """
 
 from __future__ import annotations
@@ -16,10 +18,8 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.printable import printable
-from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
-from gray_box_observer.samples.sample import Sample
-from gray_box_observer.saved_state import (
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.saved_state import (
     LATEST_NS,
     MOST,
     ArrayRule,
@@ -30,25 +30,31 @@ from gray_box_observer.saved_state import (
     entry,
     whole,
 )
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
+from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.dynamics import integrated_regressors
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
 @dataclass(frozen=True, slots=True)
 class GradientRules:
-    """Settings of the gradient rule; defaults are for tens to hundreds of samples in an electrical time constant.
+    """Settings of the gradient rule; defaults are for tens to hundreds of samples in an electrical
+    time constant.
 
     Attributes:
         batch_size: new samples between two updates.
         steps: Adam steps an update.
         minibatch: windows drawn from the replay buffer for an update.
-        window: samples between the two ends of a difference; longer ones see less of the sensor's noise.
+        window: samples between the two ends of a difference; longer ones see less of the sensor's
+            noise.
         learning_rate: of Adam, on the logarithm of the parameters (thesis: 0.01).
         smallest_learning_rate: where plateau cuts end.
-        weight_floor: constant added to the transition weights, so that steady state is not lost (thesis: 0.07).
+        weight_floor: constant added to the transition weights, so that steady state is not lost
+            (thesis: 0.07).
         patience: updates without a better loss before the learning rate is halved.
         drift_ratio: loss on the newest data over its usual level that is taken for a changed motor.
-        drift_floor: and it must be at least this fraction of the current: below, it is the quadrature's own error.
+        drift_floor: and it must be at least this fraction of the current: below, it is the
+            quadrature's own error.
         replay_capacity: samples remembered.
     """
 
@@ -137,7 +143,9 @@ class GradientUpdate:
         return nothing, nothing
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; what comes while frozen is not remembered, a new signal history follows it."""
+        """Stop or resume learning; what comes while frozen is not remembered, a new signal history
+        follows it.
+        """
         if frozen == self._frozen:
             return
         self._frozen, self._resumes = frozen, not frozen
@@ -146,11 +154,15 @@ class GradientUpdate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         theta, covariance = self.theta[which], self._covariance[which]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        verdicts = self.verdict_rules.judge(self._white_box.parameters, theta, std, frozen=self._frozen)
+        verdicts = self.verdict_rules.judge(
+            self._white_box.parameters, theta, std, frozen=self._frozen
+        )
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Remember one sample; on every full batch of them, update. Tell whether the estimate has changed."""
+        """Remember one sample; on every full batch of them, update. Tell whether the estimate has
+        changed.
+        """
         self._stamp_ns = sample.stamp_ns
         if self._frozen:
             return False
@@ -192,7 +204,9 @@ class GradientUpdate:
         """
         names = [p.name for p in self._white_box.parameters]
         if plain['parameters'] != names:
-            raise ConfigurationError(f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}')
+            raise ConfigurationError(
+                f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
+            )
         self._check(plain, arrays)
         self._random.bit_generator.state = plain['random']
         self._new, self._stamp_ns = int(plain['new']), int(plain['stamp_ns'])
@@ -219,7 +233,9 @@ class GradientUpdate:
             'covariance': ArrayRule((motors, n, n)),
         }
         check_arrays(arrays, rules)
-        if (arrays['z'] < self._lower - ROUNDING).any() or (arrays['z'] > self._upper + ROUNDING).any():
+        if (arrays['z'] < self._lower - ROUNDING).any() or (
+            arrays['z'] > self._upper + ROUNDING
+        ).any():
             raise CheckpointError('z lies outside the bounds of the parameters')
         check_covariance('covariance', arrays['covariance'])
         check_signals('replay', arrays.get('replay'), motors)
@@ -228,7 +244,9 @@ class GradientUpdate:
         whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
 
     def _windows(self, ends: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Regressors (motor, window, parameter), targets and validity of the windows that end at these samples."""
+        """Regressors (motor, window, parameter), targets and validity of the windows that end at
+        these samples.
+        """
         n = self._rules.window
         index = np.maximum(ends, n)[:, None] + np.arange(-n, 1)
         intervals = self.replay.interval_s()[:, index[:, 1:]]
@@ -237,7 +255,9 @@ class GradientUpdate:
         current = self._white_box.state(self.replay.torque_nm()[:, index])
         phi, target = integrated_regressors(self._white_box, voltage, current, speed, intervals)
         phi, target = phi.sum(axis=2), target.sum(axis=2)
-        valid = np.all(intervals > 0.0, axis=2) & np.isfinite(target) & np.all(np.isfinite(phi), axis=2)
+        valid = (
+            np.all(intervals > 0.0, axis=2) & np.isfinite(target) & np.all(np.isfinite(phi), axis=2)
+        )
         return np.where(valid[..., None], phi, 0.0), np.where(valid, target, 0.0), valid
 
     def _residual(self, phi: Array, target: Array) -> tuple[Array, Array]:
@@ -250,7 +270,9 @@ class GradientUpdate:
         return gap, slope
 
     def _weigh(self, windows: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Replace validity by transition weights: |change| scaled to 0..1 plus the floor (thesis 4.3.2), sum one."""
+        """Replace validity by transition weights: |change| scaled to 0..1 plus the floor (thesis
+        4.3.2), sum one.
+        """
         phi, target, valid = windows
         change = np.abs(phi[..., 0]) * valid
         largest = np.maximum(change.max(axis=1, keepdims=True), 1e-300)
@@ -267,8 +289,12 @@ class GradientUpdate:
     def _adam_step(self, phi: Array, target: Array, weights: Array) -> None:
         loss, gradient = self._weighted_loss(phi, target, weights)
         scale = np.maximum(np.abs(gradient).max(axis=1, keepdims=True), 1e-300)
-        gradient = gradient / np.maximum(scale, loss)  # Adam's epsilon must not depend on the motor's size
-        self._adam_steps = self._adam_steps + 1.0  # not in place: a state that was handed out must stay as it is
+        gradient = gradient / np.maximum(
+            scale, loss
+        )  # Adam's epsilon must not depend on the motor's size
+        self._adam_steps = (
+            self._adam_steps + 1.0
+        )  # not in place: a state that was handed out must stay as it is
         self._first = 0.9 * self._first + 0.1 * gradient
         self._second = 0.999 * self._second + 0.001 * gradient**2
         first = self._first / (1.0 - 0.9**self._adam_steps)
@@ -284,18 +310,24 @@ class GradientUpdate:
         self._best = np.where(better, self._loss, self._best)
         self._stale = np.where(better, 0, self._stale + 1)
         cut = self._stale >= self._rules.patience
-        self._rate = np.where(cut, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate)
+        self._rate = np.where(
+            cut, np.maximum(0.5 * self._rate, self._rules.smallest_learning_rate), self._rate
+        )
         self._stale = np.where(cut, 0, self._stale)
 
     def _follow_drift(self, fresh: Array) -> None:
-        """Start over from where we stand when the newest data no longer fit (the old ones tell of another motor)."""
+        """Start over from where we stand when the newest data no longer fit (the old ones tell of
+        another motor).
+        """
         settled = self._rate <= 0.25 * self._rules.learning_rate
         newest = self._white_box.state(self.replay.torque_nm(self._rules.batch_size))
         floor = self._rules.drift_floor * np.abs(newest).mean(axis=1, keepdims=True)
         drifted = settled & (fresh > np.maximum(self._rules.drift_ratio * self._loss, floor))
         if not np.any(drifted):
             return
-        self.replay.forget(2 * max(self._rules.batch_size, self._rules.window + 1))  # what an update needs
+        self.replay.forget(
+            2 * max(self._rules.batch_size, self._rules.window + 1)
+        )  # what an update needs
         self._rate = np.where(drifted, self._rules.learning_rate, self._rate)
         self._best = np.where(drifted, np.inf, self._best)
         self._loss = np.where(drifted, fresh, self._loss)
@@ -309,10 +341,11 @@ class GradientUpdate:
         return prior
 
     def _sandwich(self) -> Array:
-        """Covariance from the curvature and scatter of the remembered windows, plus the distance still to go.
+        """Covariance from the curvature and scatter of the remembered windows, plus the distance
+        still to go.
 
-        Windows that do not overlap are nearly independent. The last term is one Newton step of least squares from the
-        present values: what has not converged yet is not certain yet.
+        Windows that do not overlap are nearly independent. The last term is one Newton step of
+        least squares from the present values: what has not converged yet is not certain yet.
         """
         n = self._rules.window
         phi, target, valid = self._windows(np.arange(n, len(self.replay), n))
@@ -321,15 +354,24 @@ class GradientUpdate:
         freedom = np.maximum(weights.sum(axis=1) - phi.shape[-1], 1.0)
         variance = np.sum(weights * gap**2, axis=1) / freedom
         information = np.einsum('mw,mwp,mwq->mpq', weights, slope, slope)
-        information += 1e-9 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(phi.shape[-1])
+        information += (
+            1e-9 * np.trace(information, axis1=1, axis2=2)[:, None, None] * np.eye(phi.shape[-1])
+        )
         information += 1e-300 * np.eye(phi.shape[-1])
         inverse = np.linalg.pinv(information, hermitian=True)
         newton = -np.einsum('mpq,mw,mwq,mw->mp', inverse, weights, slope, gap)
         newton = np.clip(newton, -1.0, 1.0)
-        floor = 1e-18 * np.trace(information, axis1=1, axis2=2) / np.maximum(weights.sum(axis=1), 1.0) + 1e-300
+        floor = (
+            1e-18 * np.trace(information, axis1=1, axis2=2) / np.maximum(weights.sum(axis=1), 1.0)
+            + 1e-300
+        )
         precision = information / np.maximum(variance, floor)[:, None, None]
-        in_log = np.linalg.inv(precision + np.eye(phi.shape[-1]))  # nothing is vaguer than the prior
-        in_log = 0.5 * (in_log + np.swapaxes(in_log, 1, 2)) + np.einsum('mp,mq->mpq', newton, newton)
+        in_log = np.linalg.inv(
+            precision + np.eye(phi.shape[-1])
+        )  # nothing is vaguer than the prior
+        in_log = 0.5 * (in_log + np.swapaxes(in_log, 1, 2)) + np.einsum(
+            'mp,mq->mpq', newton, newton
+        )
         theta = self.theta
         covariance: Array = in_log * theta[:, :, None] * theta[:, None, :]
         return covariance

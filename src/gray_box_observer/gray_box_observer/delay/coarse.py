@@ -1,9 +1,10 @@
-"""Where a delay may lie: the residual of the integrated equation for every whole number of sample intervals at once.
+"""Where a delay may lie: the residual of the integrated equation for every whole number of sample
+intervals at once.
 
-Over a window of samples the change of the current is linear in the integrals of voltage and basis functions (METHOD 4,
-:mod:`gray_box_observer.context_nodes.linear_start`); a delay shifts the integral of the voltage and nothing else. On an
-even grid the sums of products for all shifts are cross-correlations, which the Fourier transform gives at the price of
-a few.
+Over a window of samples the change of the current is linear in the integrals of voltage and basis
+functions (METHOD 4, :mod:`gray_box_observer.context_nodes.recursive.linear_start`); a delay shifts
+the integral of the voltage and nothing else. On an even grid the sums of products for all shifts
+are cross-correlations, which the Fourier transform gives at the price of a few.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.samples.raw_history import RawSignals
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 WINDOW = 12
 """Samples between the two ends of a difference."""
@@ -39,13 +40,17 @@ class Profile:
     rows: int
 
     def best(self) -> float:
-        """Return the delay of the smallest misfit in s, by the parabola through the three around it."""
+        """Return the delay of the smallest misfit in s, by the parabola through the three around
+        it.
+        """
         at, slope, bend = self._parabola()
         shift = -slope / bend if bend > 0.0 else 0.0
         return float(self.delay_s[at] + shift * (self.delay_s[1] - self.delay_s[0]))
 
     def evidence(self, delay_s: float) -> float:
-        """Gain in log-likelihood of the best delay over a given one, were the residuals independent."""
+        """Gain in log-likelihood of the best delay over a given one, were the residuals
+        independent.
+        """
         at, slope, bend = self._parabola()
         logs = np.log(self.misfit)
         away = float((delay_s - self.delay_s[at]) / (self.delay_s[1] - self.delay_s[0]))
@@ -56,7 +61,9 @@ class Profile:
         return 0.5 * self.rows * (here - lowest)
 
     def _parabola(self) -> tuple[int, float, float]:
-        """Where the misfit is smallest, and slope and bend of its logarithm there, a step being one interval."""
+        """Where the misfit is smallest, and slope and bend of its logarithm there, a step being one
+        interval.
+        """
         at = int(np.argmin(self.misfit))
         if not 0 < at < self.misfit.size - 1:
             return at, 0.0, 0.0
@@ -92,7 +99,9 @@ def profile(
     speed = white_box.speed(state, np.interp(grid, signals.time_s, signals.speed_rad_s))
     restarts = np.concatenate([[0], np.cumsum(restart)])
     before = restarts[np.searchsorted(signals.time_s, grid, side='right') - 1]
-    after = restarts[np.minimum(np.searchsorted(signals.time_s, grid, side='left'), restarts.size - 1)]
+    after = restarts[
+        np.minimum(np.searchsorted(signals.time_s, grid, side='left'), restarts.size - 1)
+    ]
     whole = (after[WINDOW:] == before[:-WINDOW]).astype(float)
     change = (state[WINDOW:] - state[:-WINDOW]) * whole
     known = -_windowed(white_box.drive(np.zeros_like(state), state, speed), interval_s) * whole
@@ -100,7 +109,9 @@ def profile(
     first, last = grid[0] - high * interval_s, grid[-1] - low * interval_s
     wide = first + interval_s * np.arange(round((last - first) / interval_s) + 1)
     integral = signals.voltage_integral(wide)
-    volt = integral[WINDOW:] - integral[:-WINDOW]  # of the window that ends at each instant of the wide grid
+    volt = (
+        integral[WINDOW:] - integral[:-WINDOW]
+    )  # of the window that ends at each instant of the wide grid
     yield
     misfit = yield from _misfits(change, basis, known, whole, volt)
     delays: Array = interval_s * np.arange(low, high + 1, dtype=np.float64)
@@ -108,7 +119,9 @@ def profile(
 
 
 def credible(current: Array) -> Array:
-    """Bound currents by twice the largest that is not alone; an absurd sample must not blind the rest."""
+    """Bound currents by twice the largest that is not alone; an absurd sample must not blind the
+    rest.
+    """
     if current.size <= OUTLIERS:
         return current
     limit = 2.0 * np.partition(np.abs(current), -OUTLIERS - 1)[-OUTLIERS - 1]
@@ -133,9 +146,11 @@ def _windowed(values: Array, interval_s: float) -> Array:
 def _misfits(
     change: Array, basis: list[Array], known: Array, whole: Array, volt: Array
 ) -> Generator[None, None, Array]:
-    """Sums of squares of ``change = p_0 (volt - known) - sum_j p_j basis_j`` for every place of the voltage's windows.
+    """Sums of squares of ``change = p_0 (volt - known) - sum_j p_j basis_j`` for every place of the
+    voltage's windows.
 
-    What the basis explains is projected out once; ``p_0`` follows for each place, and is not negative.
+    What the basis explains is projected out once; ``p_0`` follows for each place, and is not
+    negative.
     """
     if basis:
         scaled = np.stack([b / max(float(np.linalg.norm(b)), 1e-300) for b in basis], axis=1)
@@ -155,7 +170,9 @@ def _misfits(
         yield
         square = square - (along(column) - column @ known) ** 2
     total = float(rest @ rest)
-    explained = np.where(square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0)
+    explained = np.where(
+        square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0
+    )
     explained = explained / np.maximum(square, 1e-300)
     misfit: Array = np.maximum(total - explained, 1e-12 * total) + 1e-300
     return misfit

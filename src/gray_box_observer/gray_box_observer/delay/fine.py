@@ -1,9 +1,9 @@
 """The delay as one more unknown of the maximum-likelihood fit, to a fraction of a sample interval.
 
-Gauss-Newton on the prediction error in (first state, coordinates, delay), with the same linearised trajectories as
-:mod:`gray_box_observer.context_nodes.batch_fit`; the derivative by the delay is a difference of two trajectories. What
-is compared at the end is the likelihood with the delay free and with the delay held where it was taken to be, the
-parameters free in both.
+Gauss-Newton on the prediction error in (first state, coordinates, delay), with the same linearised
+trajectories as :mod:`gray_box_observer.context_nodes.recursive.batch_fit`; the derivative by the
+delay is a difference of two trajectories. What is compared at the end is the likelihood with the
+delay free and with the delay held where it was taken to be, the parameters free in both.
 """
 
 from __future__ import annotations
@@ -15,24 +15,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.linear_start import linear_start
-from gray_box_observer.context_nodes.normal_equations import OUTLIER, Frame, robust_std, weighted
-from gray_box_observer.context_nodes.trajectory import Stretch, follow, linearise
+from gray_box_observer.context_nodes.recursive.linear_start import linear_start
+from gray_box_observer.context_nodes.recursive.normal_equations import (
+    OUTLIER,
+    Frame,
+    robust_std,
+    weighted,
+)
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch, follow, linearise
 from gray_box_observer.delay.coarse import credible
 from gray_box_observer.samples.raw_history import RawSignals
-from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import within_bounds
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 STEPS = 12
 TOLERANCE = 0.02
-"""Gauss-Newton ends when the delay moves by less than this part of its standard deviation, or of a thousandth step."""
+"""Gauss-Newton ends when the delay moves by less than this part of its standard deviation, or of a
+thousandth step."""
 
 GAINS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
-"""Kalman gains tried against zero: what the white box does not explain must not be taken for a delay."""
+"""Kalman gains tried against zero: what the white box does not explain must not be taken for a
+delay."""
 
 GAIN_EVIDENCE = 8.0
 CLIP = 6.0
-"""Standard deviations beyond which a residual counts no more: likelihoods are compared on all samples alike."""
+"""Standard deviations beyond which a residual counts no more: likelihoods are compared on all
+samples alike."""
 
 NOISE_FLOOR = 1e-4
 PRIOR_STD = 2.0
@@ -46,8 +54,10 @@ class Fitted:
         delay_s: where.
         std_s: standard deviation of the delay; 0 where it was held.
         loss_a2: Huber's loss, half the sum of squares but for outliers.
-        noise_a: standard deviation of the prediction error of the current, where the data speak of the delay.
-        correlated: so many neighbouring prediction errors count for one there; 1 where they are white.
+        noise_a: standard deviation of the prediction error of the current, where the data speak of
+            the delay.
+        correlated: so many neighbouring prediction errors count for one there; 1 where they are
+            white.
     """
 
     delay_s: float
@@ -104,15 +114,22 @@ class FineSearch:
         self._delay_s, self._gain = delay_s, 0.0
         stretch = replace(self._stretch(delay_s), state=self._near)
         window = min(20, stretch.voltage_v.shape[1] // 4)
-        self._p = within_bounds(self._white_box, linear_start(self._white_box, self._initial, stretch, window))
+        self._p = within_bounds(
+            self._white_box, linear_start(self._white_box, self._initial, stretch, window)
+        )
         self._about, self._first = self._near, self._near[:, 0]
 
     def _stretch(self, delay_s: float) -> Stretch:
         times = self._signals.time_s
         interval = np.diff(times)[None]
         voltage = np.diff(self._signals.voltage_integral(times - delay_s))[None] / interval
-        voltage, interval = np.where(self._restart, 0.0, voltage), np.where(self._restart, 0.0, interval)
-        return Stretch(self._state, voltage, interval, self._signals.speed_rad_s[None], self._restart)
+        voltage, interval = (
+            np.where(self._restart, 0.0, voltage),
+            np.where(self._restart, 0.0, interval),
+        )
+        return Stretch(
+            self._state, voltage, interval, self._signals.speed_rad_s[None], self._restart
+        )
 
     def _climb(self, free: bool) -> Generator[None, None, None]:
         for iteration in range(STEPS):
@@ -127,7 +144,9 @@ class FineSearch:
         self._predict(stretch, self._gain)
         if self._gain > 0.0:  # an outlier must not be followed
             self._predict(stretch, self._gain * (np.abs(self._residual) < OUTLIER * self._scale))
-        weights = np.minimum(1.0, OUTLIER * self._scale / np.maximum(np.abs(self._residual), 1e-300))
+        weights = np.minimum(
+            1.0, OUTLIER * self._scale / np.maximum(np.abs(self._residual), 1e-300)
+        )
         self._weights = weights * self._valid
 
     def _predict(self, stretch: Stretch, gain: float | Array) -> None:
@@ -205,7 +224,9 @@ class FineSearch:
         residual = self._residual[0] * self._valid[0]
         limit = OUTLIER * float(self._scale[0, 0])
         size = np.abs(residual)
-        loss = float(np.sum(np.where(size < limit, 0.5 * residual**2, limit * (size - 0.5 * limit))))
+        loss = float(
+            np.sum(np.where(size < limit, 0.5 * residual**2, limit * (size - 0.5 * limit)))
+        )
         if not free:
             return Fitted(self._delay_s, 0.0, loss, math.sqrt(self._noise2), 1.0)
         jacobian = np.concatenate(
@@ -221,11 +242,17 @@ class FineSearch:
         correlation = min(max(float(np.sum(pairs)) / max(local, 1e-300), 0.0), 0.99)
         correlated = (1.0 + correlation) / (1.0 - correlation)
         std = noise * math.sqrt(max(float(self._covariance[-1, -1]), 0.0) * correlated)
-        speaking = leverage**2 / max(float(np.sum(influence**4)), 1e-300)  # no more can count for one than there are
+        speaking = leverage**2 / max(
+            float(np.sum(influence**4)), 1e-300
+        )  # no more can count for one than there are
         return Fitted(self._delay_s, std * self._interval_s, loss, noise, min(correlated, speaking))
 
 
 def evidence(best: Fitted, held: Fitted) -> float:
-    """Log-likelihood that the best delay brings over the held one; correlated residuals count for fewer."""
+    """Log-likelihood that the best delay brings over the held one; correlated residuals count for
+    fewer.
+    """
     scale = best.noise_a**2 * best.correlated
-    return (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0  # a motor at rest says nothing
+    return (
+        (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
+    )  # a motor at rest says nothing

@@ -9,7 +9,8 @@ from gray_box_observer.delay.watch import DelayEstimate, DelayWatch
 from gray_box_observer.samples.raw_history import RawHistory
 
 SPACING = 8
-"""Samples of the group between two pieces of work: a search must not cost more than all the motors' estimates."""
+"""Samples of the group between two pieces of work: a search must not cost more than all the motors'
+estimates."""
 
 
 class DelayRound:
@@ -36,7 +37,8 @@ class DelayRound:
         Args:
             history: raw measurements of the group.
             stamp_ns: stamp of the sample.
-            awaited: as in :meth:`DelayWatch.take`; of many motors somebody always waits, and it is not asked.
+            awaited: as in :meth:`DelayWatch.take`; of many motors somebody always waits, and it is
+                not asked.
         """
         self._count += 1
         if self._count % SPACING:

@@ -1,7 +1,8 @@
-"""Whether voltage acts on torque later than its stamps say: asked again and again while a motor is observed.
+"""Whether voltage acts on torque later than its stamps say: asked again and again while a motor is
+observed.
 
-The work is spread over samples, one small piece each, and is decided by their number alone, never by a clock: live and
-replayed samples lead to the same delay at the same sample.
+The work is spread over samples, one small piece each, and is decided by their number alone, never
+by a clock: live and replayed samples lead to the same delay at the same sample.
 """
 
 from __future__ import annotations
@@ -17,30 +18,34 @@ import numpy as np
 from gray_box_observer.delay.coarse import Profile, profile
 from gray_box_observer.delay.fine import FineSearch, evidence
 from gray_box_observer.errors import CheckpointError
-from gray_box_observer.printable import printable
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.saved_state import LARGEST, entry, number, number_or_none, whole
 from gray_box_observer.samples.raw_history import TORQUES, RawHistory, RawSignals
 from gray_box_observer.samples.sample import nanoseconds, seconds
-from gray_box_observer.saved_state import LARGEST, entry, number, number_or_none, whole
-from gray_box_observer.white_box.base import Array, WhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 FIRST = 128
-"""Samples before the question is first asked; then whenever a quarter has come on top, at last every LONGEST_WAIT."""
+"""Samples before the question is first asked; then whenever a quarter has come on top, at last
+every LONGEST_WAIT."""
 
 LONGEST_WAIT = 1024
 
 LONGEST_DELAY_S = 0.5
 LONGEST_LEAD_S = 0.1
-"""Voltage is looked for so far after and before its stamp, and no further than a quarter and an eighth of the data."""
+"""Voltage is looked for so far after and before its stamp, and no further than a quarter and an
+eighth of the data."""
 
 FURTHEST_S = 10.0
 """No delay is larger, be it declared or found, in either direction."""
 
 EVIDENCE = 15.0
-"""Log-likelihood that a delay must bring; by chance one time in 2e7 (chi-square of 30 with one degree of freedom)."""
+"""Log-likelihood that a delay must bring; by chance one time in 2e7 (chi-square of 30 with one
+degree of freedom)."""
 
 COARSE_EVIDENCE = 7.5
-"""What the coarse search must bring for the fine one, which brings half as much again or more, to be worth its time."""
+"""What the coarse search must bring for the fine one, which brings half as much again or more, to
+be worth its time."""
 
 WORTH = 0.1
 """Sample intervals that a delay must differ from the one in force: less harms nobody."""
@@ -89,7 +94,9 @@ class DelayEstimate:
         """Say what is wrong and what to do about it, in one line; None where nothing is."""
         if self.verdict is not DelayVerdict.UNDECLARED:
             return None
-        who = 'voltage seems to lead torque' if self.value_s > 0.0 else 'torque seems to lead voltage'
+        who = (
+            'voltage seems to lead torque' if self.value_s > 0.0 else 'torque seems to lead voltage'
+        )
         instead = f', not by {1e3 * self.applied_s:.4g} ms' if self.applied_s else ''
         return (
             f'{who} by {1e3 * abs(self.value_s):.3g} ms{instead}: '
@@ -122,7 +129,9 @@ class DelayWatch:
         estimate: what is known.
     """
 
-    def __init__(self, white_box: WhiteBox, initial: Array, applied_s: float, *, asked: bool, gap_s: float) -> None:
+    def __init__(
+        self, white_box: WhiteBox, initial: Array, applied_s: float, *, asked: bool, gap_s: float
+    ) -> None:
         self._white_box = white_box
         self._applied_std_s = math.inf
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
@@ -151,7 +160,8 @@ class DelayWatch:
             history: raw measurements that led to the samples so far.
             stamp_ns: stamp of the newest sample.
             samples: how many have come since it was last called.
-            awaited: whether somebody waits for what the sample has led to; the work then waits for the next one.
+            awaited: whether somebody waits for what the sample has led to; the work then waits for
+                the next one.
 
         Returns:
             The delay in s that shall be applied from now on; None where all stays as it is.
@@ -181,7 +191,9 @@ class DelayWatch:
         return self._work is not None
 
     def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
-        """Search once, a piece of work at a time; return what was found, None where the data do not speak of it."""
+        """Search once, a piece of work at a time; return what was found, None where the data do not
+        speak of it.
+        """
         applied_s = self.estimate.applied_s
         signals = history.signals(stamp_ns, round(applied_s * 1e9))
         cut = None if signals is None else self._cut(signals, applied_s)
@@ -199,7 +211,9 @@ class DelayWatch:
         if coarse is None:
             return None
         start_s = coarse.best()
-        if coarse.evidence(start_s + interval_s) < COARSE_EVIDENCE:  # flat: the voltage did not move
+        if (
+            coarse.evidence(start_s + interval_s) < COARSE_EVIDENCE
+        ):  # flat: the voltage did not move
             return None
         if not self._worth_refining(coarse, start_s, interval_s):
             return _Found(applied_s, math.nan, 0.0, interval_s, True)
@@ -223,12 +237,16 @@ class DelayWatch:
         away = abs(delay_s - known.applied_s) > COARSE_WORTH * interval_s
         return away and coarse.evidence(known.applied_s) > COARSE_EVIDENCE
 
-    def _cut(self, signals: RawSignals, applied_s: float) -> tuple[RawSignals, tuple[float, float]] | None:
+    def _cut(
+        self, signals: RawSignals, applied_s: float
+    ) -> tuple[RawSignals, tuple[float, float]] | None:
         """Keep the torques whose voltage is known whatever the delay, and say how far it may reach."""
         span_s = float(signals.time_s[-1] - signals.time_s[0])
         low = max(min(-LONGEST_LEAD_S, applied_s - LONGEST_LEAD_S), applied_s - span_s / 8.0)
         high = min(max(LONGEST_DELAY_S, applied_s + LONGEST_LEAD_S), applied_s + span_s / 4.0)
-        keep = (signals.time_s >= signals.voltage_time_s[0] + high) & (signals.time_s <= low - applied_s)
+        keep = (signals.time_s >= signals.voltage_time_s[0] + high) & (
+            signals.time_s <= low - applied_s
+        )
         if self._white_box.speed_measured:
             keep &= np.isfinite(signals.speed_rad_s)
         if np.count_nonzero(keep) < FIRST // 4:
@@ -242,7 +260,9 @@ class DelayWatch:
         return kept, (low, high)
 
     def _judge(self, found: _Found) -> float | None:
-        """Compare the outcome with the delay in force; two searches in a row must agree on another one."""
+        """Compare the outcome with the delay in force; two searches in a row must agree on another
+        one.
+        """
         known, before, self._before = self.estimate, self._before, None
         off_s = abs(found.delay_s - known.applied_s)
         if math.isnan(found.std_s):
@@ -254,13 +274,17 @@ class DelayWatch:
         if not found.inside or found.evidence < EVIDENCE:
             return None
         self._before = found
-        near_s = found.interval_s + STDS * math.hypot(found.std_s, 0.0 if before is None else before.std_s)
+        near_s = found.interval_s + STDS * math.hypot(
+            found.std_s, 0.0 if before is None else before.std_s
+        )
         if before is None or abs(found.delay_s - before.delay_s) > near_s:
             if known.verdict is not DelayVerdict.UNDECLARED:
                 self.estimate = replace(known, verdict=DelayVerdict.SUSPECTED)
             return None
         if not known.asked:
-            self.estimate = replace(known, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.UNDECLARED)
+            self.estimate = replace(
+                known, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.UNDECLARED
+            )
             return None
         self._before = None
         return self._apply(found)
@@ -268,22 +292,33 @@ class DelayWatch:
     def _agree(self, found: _Found) -> float | None:
         """Note that the data agree with the delay in force; sharpen an estimated one.
 
-        Then all is learnt anew from the history: only while that forgets nothing and holds what restarts left out.
+        Then all is learnt anew from the history: only while that forgets nothing and holds what
+        restarts left out.
         """
         if not self.estimate.asked:
             self.estimate = replace(
-                self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.CONFIRMED
+                self.estimate,
+                value_s=found.delay_s,
+                std_s=found.std_s,
+                verdict=DelayVerdict.CONFIRMED,
             )
             return None
-        sharper = found.std_s < 0.5 * self._applied_std_s and abs(found.delay_s - self.estimate.applied_s) > found.std_s
+        sharper = (
+            found.std_s < 0.5 * self._applied_std_s
+            and abs(found.delay_s - self.estimate.applied_s) > found.std_s
+        )
         if sharper and self.estimate.applied_s != 0.0 and self._gone <= self._count <= TORQUES:
             return self._apply(found)
-        self.estimate = replace(self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.ESTIMATED)
+        self.estimate = replace(
+            self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.ESTIMATED
+        )
         return None
 
     def _apply(self, found: _Found) -> float:
         applied_s = seconds(nanoseconds(found.delay_s))
-        self.estimate = DelayEstimate(applied_s, True, found.delay_s, found.std_s, DelayVerdict.ESTIMATED)
+        self.estimate = DelayEstimate(
+            applied_s, True, found.delay_s, found.std_s, DelayVerdict.ESTIMATED
+        )
         self._applied_std_s = found.std_s
         self._gone = 0
         return applied_s
@@ -301,23 +336,30 @@ class DelayWatch:
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
-        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it is declared.
+        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it
+        is declared.
 
         Raises:
             CheckpointError: it is no state that could have been found.
         """
         applied_s = number(plain, 'applied_s', -FURTHEST_S, FURTHEST_S)
         value_s = number_or_none(plain, 'value_s', -FURTHEST_S, FURTHEST_S)
-        std_s, applied_std_s = (number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s'))
+        std_s, applied_std_s = (
+            number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s')
+        )
         learnt, word = whole(plain, 'learnt'), entry(plain, 'verdict')
         if not isinstance(word, str) or word not in DelayVerdict.__members__:
-            raise CheckpointError(f'verdict is {printable(repr(word), 40)}, expected one of a delay')
+            raise CheckpointError(
+                f'verdict is {printable(repr(word), 40)}, expected one of a delay'
+            )
         if not self.estimate.asked and applied_s != self.estimate.applied_s:
             return
         self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
         self._gone = learnt
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
-        self.estimate = DelayEstimate(applied_s, self.estimate.asked, value_s, std_s, DelayVerdict[word])
+        self.estimate = DelayEstimate(
+            applied_s, self.estimate.asked, value_s, std_s, DelayVerdict[word]
+        )
 
 
 def _median(values: Array) -> float:

@@ -1,4 +1,6 @@
-"""What the residual analysis of one motor says: a verdict, the figures behind it, and what is likely left out."""
+"""What the residual analysis of one motor says: a verdict, the figures behind it, and what is
+likely left out.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ class Suspect:
     """An effect that the white box leaves out and that would explain the residual.
 
     Attributes:
-        effect: its name, a key of :data:`~gray_box_observer.fit_test.effects.REMEDIES`, or a doubt about the data.
+        effect: its name, a key of :data:`~gray_box_observer.fit_test.effects.REMEDIES`, or a doubt
+            about the data.
         evidence: log-likelihood that it brings, discounted by the residual's own correlation.
         remedy: what to do about it, as a line that can be pasted.
     """
@@ -39,7 +42,8 @@ class FitAssessment:
 
     Attributes:
         verdict: what follows for the parameters: nothing of a misfit may be believed.
-        ratio: root mean square of the residual over the noise floor; about 1 where the white box holds.
+        ratio: root mean square of the residual over the noise floor; about 1 where the white box
+            holds.
         whiteness: Ljung-Box statistic over its degrees of freedom; about 1 for white noise.
         suspects: what is likely left out, the likeliest first.
         samples: how many it rests on.
@@ -66,7 +70,10 @@ class FitAssessment:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> FitAssessment:
         """Return what :meth:`to_dict` gave, with ``samples`` beside it."""
-        ratio, whiteness = (math.nan if plain[name] is None else float(plain[name]) for name in ('ratio', 'whiteness'))
+        ratio, whiteness = (
+            math.nan if plain[name] is None else float(plain[name])
+            for name in ('ratio', 'whiteness')
+        )
         suspects = tuple(Suspect(**suspect) for suspect in plain['suspects'])
         return cls(FitVerdict(plain['verdict']), ratio, whiteness, suspects, int(plain['samples']))
 

@@ -1,8 +1,10 @@
-"""Doubts about the data themselves: a unit that is not SI, a wrong sign or Kb, a sensor at the end of its range.
+"""Doubts about the data themselves: a unit that is not SI, a wrong sign or Kb, a sensor at the end
+of its range.
 
-A white box fits a current in mA as well as one in A: only what a motor can be tells them apart. Magnitudes tell the
-units. A least-squares fit of the integrated voltage balance (docs/METHOD.md, Residual analysis) with Kb free tells the
-back-EMF: ``int V dt = L di + R int i dt + ... + Kb int w dt``, summed over windows and never differentiated.
+A white box fits a current in mA as well as one in A: only what a motor can be tells them apart.
+Magnitudes tell the units. A least-squares fit of the integrated voltage balance (docs/METHOD.md,
+Residual analysis) with Kb free tells the back-EMF: ``int V dt = L di + R int i dt + ... + Kb int w
+dt``, summed over windows and never differentiated.
 """
 
 from __future__ import annotations
@@ -12,14 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.configuration import MotorConfiguration
 from gray_box_observer.fit_test.assessment import Suspect
-from gray_box_observer.fit_test.noise_floor import quantisation_step
-from gray_box_observer.parameters import MOTOR_PARAMETERS
+from gray_box_observer.samples.noise_floor import quantisation_step
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
+from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.dynamics import integrated_regressors
+from gray_box_observer.white_box.interface import Array
 
 KB = 'back_emf_constant'
 
@@ -57,13 +59,16 @@ NORMAL_MEDIAN = 0.6745
 """Median of the magnitude of a normal variable, in standard deviations."""
 
 DISTINCT = 0.1
-"""Share of the speed that no other regressor explains (standard deviation), below which Kb cannot be told from R."""
+"""Share of the speed that no other regressor explains (standard deviation), below which Kb cannot
+be told from R."""
 
 ABOVE_NOISE = 5.0
-"""By how much that share has to exceed the noise of current and speed: where ``w = Kt i``, noise alone is distinct."""
+"""By how much that share has to exceed the noise of current and speed: where ``w = Kt i``, noise
+alone is distinct."""
 
 SURE = 10.0
-"""Standard deviations between a fitted and a configured Kb that count; the residual of a misfit is not white."""
+"""Standard deviations between a fitted and a configured Kb that count; the residual of a misfit is
+not white."""
 
 MATTERS = 0.05
 """Share of the voltage that a wrong Kb has to move."""
@@ -75,22 +80,26 @@ EXPLAINS_DEFAULT = 0.8
 """The same where Kb has its default: logs whose command leads the current leave more."""
 
 FAR = 2.0
-"""Ratio of a fitted to a stated Kb that is doubted: speed sensors and magnets are better than that."""
+"""Ratio of a fitted to a stated Kb that is doubted: speed sensors and magnets are better than that.
+"""
 
 FAR_FROM_DEFAULT = 1.25
 """The same where Kb has its default, which says nothing of this motor."""
 
 CLIPPED = 0.01
-"""Share of the readings that stand at their largest value where a sensor is at the end of its range."""
+"""Share of the readings that stand at their largest value where a sensor is at the end of its
+range."""
 
 SEVERAL_STEPS = 2.0
-"""Steps of the readings that the noise must reach: what toggles between two levels looks like 1.2 steps of it."""
+"""Steps of the readings that the noise must reach: what toggles between two levels looks like 1.2
+steps of it."""
 
 NOISELESS = 1e-4
 """Noise, as a share of the current's spread, of a simulation without any."""
 
 FEWEST_CLIPPED = 30
-"""Readings that these are at least: noise brings a step's worth of readings to the largest value by chance."""
+"""Readings that these are at least: noise brings a step's worth of readings to the largest value by
+chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,23 +130,28 @@ class _Balance:
         return 0.5 * self.windows * -math.log(max(self.gain, 1e-300))
 
     def contradicts(self, kb: float) -> bool:
-        """Tell whether another Kb is ruled out, and moves the voltage by so much that the parameters bear it."""
+        """Tell whether another Kb is ruled out, and moves the voltage by so much that the
+        parameters bear it.
+        """
         away = abs(self.kb - kb)
         explains = EXPLAINS_DEFAULT if kb == DEFAULT_KB else EXPLAINS
         surely = away > SURE * self.std and self.gain < explains
         return surely and away * self.speed_rad_s > MATTERS * self.voltage_v
 
 
-def doubts(white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorConfiguration) -> tuple[Suspect, ...]:
-    """Return what is likely wrong with the data of one motor, or with what is said of them; the surest first.
+def doubts(
+    white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorConfiguration
+) -> tuple[Suspect, ...]:
+    """Return what is likely wrong with the data of one motor, or with what is said of them; the
+    surest first.
 
-    A doubt stands before every other suspect, and with one nothing of the motor may be called identified: wrong units
-    leave no residual.
+    A doubt stands before every other suspect, and with one nothing of the motor may be called
+    identified: wrong units leave no residual.
 
     Args:
         white_box: physics of this motor alone, its constants plain numbers.
-        samples: shape (signal, n): interval in s, voltage in V, torque in N m and speed in rad/s, as
-            :meth:`~gray_box_observer.samples.ReplayBuffer.newest` returns them of one motor.
+        samples: shape (signal, n): interval in s, voltage in V, torque in N m and speed in rad/s,
+            as :meth:`~gray_box_observer.samples.ReplayBuffer.newest` returns them of one motor.
         theta: shape (parameter,): the published values.
         motor: as configured.
     """
@@ -156,11 +170,13 @@ def doubts(white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorC
 
 
 def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
-    """Doubt that the sensor's range is wide enough: noisy readings that end at one and the same largest value.
+    """Doubt that the sensor's range is wide enough: noisy readings that end at one and the same
+    largest value.
 
     Args:
         current_a: shape (n,): readings.
-        noise_a: standard deviation of their noise; of a step of the readings or less nothing can be told.
+        noise_a: standard deviation of their noise; of a step of the readings or less nothing can be
+            told.
     """
     step_a = float(quantisation_step(current_a[None])[0])
     if noise_a < SEVERAL_STEPS * step_a or noise_a <= NOISELESS * float(np.std(current_a)):
@@ -169,7 +185,8 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
         share = float(np.mean(current_a == limit_a))
         if share >= CLIPPED and share * current_a.size >= FEWEST_CLIPPED:
             text = (
-                f'widen the range of the current sensor, or drive the motor less: {100.0 * share:.2g} % of the '
+                'widen the range of the current sensor, or drive the motor less: '
+                f'{100.0 * share:.2g} % of the '
                 f'readings stand at {limit_a:.4g} A'
             )
             return Suspect('saturation', share * current_a.size, text)
@@ -177,14 +194,17 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
 
 
 def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
-    """Doubt the unit of the stamps; nothing is doubted that a data sheet says L of, which would show it."""
+    """Doubt the unit of the stamps; nothing is doubted that a data sheet says L of, which would
+    show it.
+    """
     interval_s = samples[INTERVAL]
     follows = interval_s > 0.0
     if motor.values['initial_relative_std.inductance'] > 0.0 and follows.any():
         return None
     if np.mean(follows) < 0.5:  # most samples begin a history anew
         text = (
-            'no two samples are near enough in time: if the stamps are in ms, write time=NAME*1e-3 among --columns; '
+            'no two samples are near enough in time: if the stamps are in ms, write '
+            'time=NAME*1e-3 among --columns; '
             'if they are right, set gap_s to more than the interval'
         )
         return Suspect('units_of_time', float(samples.shape[1]), text)
@@ -194,14 +214,20 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
     limit_s = LONGEST_INTERVAL_S if typical_s > LONGEST_INTERVAL_S else SHORTEST_INTERVAL_S
     factor = '1e-3' if typical_s > LONGEST_INTERVAL_S else '1e3'
     text = (
-        f'an interval of {typical_s:.3g} s between samples: if the stamps are not in s, write time=NAME*{factor} '
-        'among --columns; if they are right, say what the data sheet says with initial_relative_std.inductance'
+        f'an interval of {typical_s:.3g} s between samples: if the stamps are not in s, write '
+        f'time=NAME*{factor} '
+        'among --columns; if they are right, say what the data sheet says with '
+        'initial_relative_std.inductance'
     )
     return Suspect('units_of_time', _evidence(typical_s / limit_s, samples.shape[1]), text)
 
 
-def _doubt_of_voltage(samples: Array, balance: _Balance | None, motor: MotorConfiguration) -> Suspect | None:
-    """Doubt the unit of the voltage: by its size, or by a Kb that comes out a thousand times what it is said to be."""
+def _doubt_of_voltage(
+    samples: Array, balance: _Balance | None, motor: MotorConfiguration
+) -> Suspect | None:
+    """Doubt the unit of the voltage: by its size, or by a Kb that comes out a thousand times what
+    it is said to be.
+    """
     peak_v = float(np.percentile(np.abs(samples[VOLTAGE]), 99.0))
     kb = float(motor.values[KB])
     by_kb = (
@@ -215,14 +241,25 @@ def _doubt_of_voltage(samples: Array, balance: _Balance | None, motor: MotorConf
     if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
         return None
     text = f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among --columns'
-    return Suspect('units_of_voltage', _evidence(peak_v / LARGEST_VOLTAGE_V, samples.shape[1]), text)
+    return Suspect(
+        'units_of_voltage', _evidence(peak_v / LARGEST_VOLTAGE_V, samples.shape[1]), text
+    )
 
 
 def _doubt_of_current(
-    white_box: MotorWhiteBox, samples: Array, balance: _Balance | None, theta: Array, motor: MotorConfiguration
+    white_box: MotorWhiteBox,
+    samples: Array,
+    balance: _Balance | None,
+    theta: Array,
+    motor: MotorConfiguration,
 ) -> Suspect | None:
-    """Doubt the unit of current or torque, unless a data sheet says that the resistance is as small as that."""
-    if motor.values['initial_relative_std.resistance'] > 0.0 or motor.values['known.resistance'] > 0.0:
+    """Doubt the unit of current or torque, unless a data sheet says that the resistance is as small
+    as that.
+    """
+    if (
+        motor.values['initial_relative_std.resistance'] > 0.0
+        or motor.values['known.resistance'] > 0.0
+    ):
         return None
     current_a = white_box.state(samples[TORQUE])
     peak_a = float(np.percentile(np.abs(current_a), 99.0))
@@ -230,7 +267,8 @@ def _doubt_of_current(
     if peak_a < LARGE_CURRENT_A or resistance_ohm >= LOWEST_RESISTANCE_OHM:
         return None
     text = (
-        f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN m, set torque.scale '
+        f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN '
+        'm, set torque.scale '
         'to a thousandth, or current=NAME*1e-3 among --columns; if they are right, say so with '
         f'{motor.name}.initial_relative_std.resistance'
     )
@@ -239,9 +277,15 @@ def _doubt_of_current(
 
 
 def _smallest_resistance(
-    white_box: MotorWhiteBox, samples: Array, current_a: Array, balance: _Balance | None, theta: Array
+    white_box: MotorWhiteBox,
+    samples: Array,
+    current_a: Array,
+    balance: _Balance | None,
+    theta: Array,
 ) -> float:
-    """Return the resistance that the data speak of: without back-EMF where speed is measured, else the impedance."""
+    """Return the resistance that the data speak of: without back-EMF where speed is measured, else
+    the impedance.
+    """
     if balance is not None and balance.resistance > 0.0:
         return balance.resistance
     voltage_v = float(np.sqrt(np.mean(samples[VOLTAGE] ** 2)))
@@ -252,7 +296,9 @@ def _smallest_resistance(
     return min(impedance, published)
 
 
-def _doubts_of_back_emf(white_box: MotorWhiteBox, balance: _Balance, motor: MotorConfiguration) -> tuple[Suspect, ...]:
+def _doubts_of_back_emf(
+    white_box: MotorWhiteBox, balance: _Balance, motor: MotorConfiguration
+) -> tuple[Suspect, ...]:
     """Doubt the sign of the speed, and Kb where it is not among what is identified."""
     identified = KB in white_box.context_nodes
     kb = 0.0 if identified else float(white_box.known.get(KB, 0.0))
@@ -260,7 +306,9 @@ def _doubts_of_back_emf(white_box: MotorWhiteBox, balance: _Balance, motor: Moto
         return ()
     found = []
     if balance.kb < 0.0:
-        text = 'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
+        text = (
+            'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
+        )
         found.append(Suspect('speed_sign', balance.evidence, text))
     magnitude = abs(balance.kb)
     far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
@@ -272,7 +320,9 @@ def _doubts_of_back_emf(white_box: MotorWhiteBox, balance: _Balance, motor: Moto
 
 
 def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
-    """Fit the integrated voltage balance with Kb free; None where the data do not tell Kb from the other terms."""
+    """Fit the integrated voltage balance with Kb free; None where the data do not tell Kb from the
+    other terms.
+    """
     sums = _window_sums(_with_free_kb(white_box), samples)
     if sums is None:
         return None
@@ -312,12 +362,16 @@ def _with_free_kb(white_box: MotorWhiteBox) -> MotorWhiteBox:
     return replace(white_box, context_nodes=nodes)
 
 
-def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array, float, float] | None:
-    """Sum the integrated balance over windows of the samples, divided by their lengths; none spans a new history.
+def _window_sums(
+    white_box: MotorWhiteBox, samples: Array
+) -> tuple[Array, Array, float, float] | None:
+    """Sum the integrated balance over windows of the samples, divided by their lengths; none spans
+    a new history.
 
     Returns:
-        Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root mean square of the
-        speed, and the share of noise in a window's mean; None where there are too few windows, or no speed.
+        Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root
+        mean square of the speed, and the share of noise in a window's mean; None where there are
+        too few windows, or no speed.
     """
     interval_s = samples[INTERVAL, 1:]
     length = max(SHORTEST_WINDOW, interval_s.size // WINDOWS)
@@ -325,7 +379,9 @@ def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array
     if count < FEWEST_WINDOWS or not np.any(samples[SPEED]):
         return None
     state = white_box.state(samples[TORQUE])
-    columns, target = integrated_regressors(white_box, samples[VOLTAGE, 1:], state, samples[SPEED], interval_s)
+    columns, target = integrated_regressors(
+        white_box, samples[VOLTAGE, 1:], state, samples[SPEED], interval_s
+    )
     cut = slice(0, count * length)
     duration_s = interval_s[cut].reshape(count, length)
     whole = (duration_s > 0.0).all(axis=1)
@@ -339,7 +395,9 @@ def _window_sums(white_box: MotorWhiteBox, samples: Array) -> tuple[Array, Array
 
 
 def _noise_share(signal: Array) -> float:
-    """Return the share of white noise in a signal, from its second differences (half of them may be anything)."""
+    """Return the share of white noise in a signal, from its second differences (half of them may be
+    anything).
+    """
     size = float(np.sqrt(np.mean(signal**2)))
     noise = float(np.median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
     return noise / max(size, 1e-300)
@@ -351,5 +409,7 @@ def _is_thousand(ratio: float) -> bool:
 
 
 def _evidence(ratio: float, samples: int) -> float:
-    """Weigh a magnitude beyond its limit: every sample bears it out by the logarithm of how far beyond it is."""
+    """Weigh a magnitude beyond its limit: every sample bears it out by the logarithm of how far
+    beyond it is.
+    """
     return samples * abs(math.log(max(ratio, 1e-300)))

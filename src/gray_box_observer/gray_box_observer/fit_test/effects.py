@@ -1,8 +1,9 @@
 """Effects that a white box may leave out, each declared once as further voltages of known shape.
 
-Whatever spoils the voltage balance can be written as a voltage that is missing from it: the back-EMF of a rotor that
-nobody measures, a drop of the brushes, an offset of the current times R, the part of the voltage that comes later. The
-shape follows from the samples; how much of it there is, the tests ask (:mod:`residual_analysis`, :mod:`suspects`).
+Whatever spoils the voltage balance can be written as a voltage that is missing from it: the
+back-EMF of a rotor that nobody measures, a drop of the brushes, an offset of the current times R,
+the part of the voltage that comes later. The shape follows from the samples; how much of it there
+is, the tests ask (:mod:`residual_analysis`, :mod:`suspects`).
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gray_box_observer.context_nodes.trajectory import recurrence
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.context_nodes.recursive.trajectory import recurrence
+from gray_box_observer.white_box.interface import Array
 
 KNEE = 0.01
 """Share of the largest current at which a drop that follows its sign has half of its value."""
 
 ROTOR_SAMPLES = ((16.0, 128.0), (64.0, 512.0), (256.0, 4096.0))
-"""Pairs of time constants, in samples: a rotor's back-EMF is near a sum of two leaky integrals of the current."""
+"""Pairs of time constants, in samples: a rotor's back-EMF is near a sum of two leaky integrals of
+the current."""
 
 DELAY_SAMPLES = (((1,), (4,)), ((1,), (1, 2), (2, 3), (3, 4), (5, 6), (8, 9)))
 LAG_SAMPLES = ((1.0, 3.0), (0.5, 1.0, 2.0, 4.0, 8.0))
@@ -31,19 +33,21 @@ LATER = (0.0, 1.5)
 """Amounts of a delay or a lag: voltage that acts before it is stamped is none."""
 
 CHANGE_AT = ((0.5,), (0.25, 0.5, 0.75))
-"""Delays, time constants, and shares of the stretch after which the motor is another one: few to find that something is
-wrong, more to say what (:attr:`Scene.fine`)."""
+"""Delays, time constants, and shares of the stretch after which the motor is another one: few to
+find that something is wrong, more to say what (:attr:`Scene.fine`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the shapes are made of; every array has shape (k,), one entry an interval between samples.
+    """What the shapes are made of; every array has shape (k,), one entry an interval between
+    samples.
 
     Attributes:
         voltage_v: held over the interval.
         current_a: mean over it, measured or of a free run.
         speed_rad_s: likewise; None where speed is not measured.
-        fine: whether effects are told from each other, which takes more shapes than finding that there is one.
+        fine: whether effects are told from each other, which takes more shapes than finding that
+            there is one.
     """
 
     voltage_v: Array
@@ -92,7 +96,9 @@ class Effect:
 
 
 def interval_means(signal: Array) -> Array:
-    """Return the mean of a signal over every interval between samples, shape (k,), from its k + 1 samples."""
+    """Return the mean of a signal over every interval between samples, shape (k,), from its k + 1
+    samples.
+    """
     means: Array = 0.5 * (signal[1:] + signal[:-1])
     return means
 
@@ -141,7 +147,9 @@ def _sag(scene: Scene) -> Iterator[Shapes]:
 
 
 def _delay(scene: Scene) -> Iterator[Shapes]:
-    for neighbours in DELAY_SAMPLES[scene.fine]:  # between two of them lie the delays that are no whole samples
+    for neighbours in DELAY_SAMPLES[
+        scene.fine
+    ]:  # between two of them lie the delays that are no whole samples
         yield tuple(_delayed(scene.voltage_v, samples) - scene.voltage_v for samples in neighbours)
 
 
@@ -174,7 +182,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'rotor',
             _rotor,
-            "publish the speed in motor/torque's velocity: a rotor turns whose speed is not measured",
+            "publish the speed in motor/torque's velocity: a rotor turns whose speed is not "
+            'measured',
             without_speed=True,
             hides_resistance=True,
         ),
@@ -186,13 +195,15 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'lost_voltage',
             _lost_voltage,
-            '{motor}.brush_drop: {amount:.3g} (brushes or driver take that many volts; while the current keeps its '
+            '{motor}.brush_drop: {amount:.3g} (brushes or driver take that many volts; while the '
+            'current keeps its '
             'sign an offset of the current looks the same)',
         ),
         Effect(
             'dead_zone',
             _dead_zone,
-            'publish the voltage at the terminals instead of the command: the driver takes off {amount:.3g} V',
+            'publish the voltage at the terminals instead of the command: the driver takes off '
+            '{amount:.3g} V',
         ),
         Effect(
             'sag',
@@ -208,14 +219,16 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'current_lag',
             _current_lag,
-            'take the filter off the current, or delay the voltage alike ({motor}.delay: estimate): the sensor lags',
+            'take the filter off the current, or delay the voltage alike ({motor}.delay: '
+            'estimate): the sensor lags',
             credible=LATER,
         ),
         Effect('change', _change, 'call ~/reset: the motor has become another one'),
         Effect(
             'back_emf_constant',
             _back_emf,
-            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]: Kb differs by {amount:.3g} V s/rad',
+            '{motor}.context_nodes: [inductance, resistance, back_emf_constant]: Kb differs by '
+            '{amount:.3g} V s/rad',
             needs_speed=True,
         ),
         Effect(

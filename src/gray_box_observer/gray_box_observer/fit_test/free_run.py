@@ -1,8 +1,9 @@
 """The free run of one motor at given values, and what further effects would add to it.
 
-The free run goes from voltage (and measured speed) alone; no measured current corrects it on the way. Every effect that
-the white box leaves out is a small voltage of a known shape or a small change of the reading. Its influence on the free
-run follows from the same linearised intervals as that of the context nodes.
+The free run goes from voltage (and measured speed) alone; no measured current corrects it on the
+way. Every effect that the white box leaves out is a small voltage of a known shape or a small
+change of the reading. Its influence on the free run follows from the same linearised intervals as
+that of the context nodes.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.normal_equations import robust_std
-from gray_box_observer.context_nodes.trajectory import (
+from gray_box_observer.context_nodes.recursive.normal_equations import robust_std
+from gray_box_observer.context_nodes.recursive.trajectory import (
     Stretch,
     Trajectory,
     find_kicks,
@@ -22,13 +23,15 @@ from gray_box_observer.context_nodes.trajectory import (
     recurrence,
     restart_variance,
 )
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 PASSES = 3
-"""Linearisations at most, each about the run of the one before: the free run of a nonlinear motor is then its own."""
+"""Linearisations at most, each about the run of the one before: the free run of a nonlinear motor
+is then its own."""
 
 NEAR = 0.05
-"""Residual, as a share of the current's spread, up to which the run that is linearised about the readings will do."""
+"""Residual, as a share of the current's spread, up to which the run that is linearised about the
+readings will do."""
 
 MAX_KICKS = 0.05
 """Share of the samples at which the state may jump before the jumps are the model's fault."""
@@ -46,9 +49,11 @@ class FreeRun:
         inductance_h: L of the run.
         current_a: shape (k + 1,): the run.
         residual_a: shape (k + 1,): measured less predicted current.
-        jacobian: shape (k + 1, 1 + coordinate): derivative by the first state and by the coordinates' logarithms.
+        jacobian: shape (k + 1, 1 + coordinate): derivative by the first state and by the
+            coordinates' logarithms.
         decay: shape (k,): what every interval leaves of a deviation.
-        reach_s: shape (k,): time over which a voltage acts in every interval, its decay taken into account.
+        reach_s: shape (k,): time over which a voltage acts in every interval, its decay taken into
+            account.
         weight: shape (k + 1,): what a sample counts; less than one after a restart.
     """
 
@@ -71,7 +76,9 @@ class FreeRun:
             Shape (voltage, k + 1), in A.
         """
         inputs = np.where(self.stretch.restart, 0.0, voltages_v * self.reach_s / self.inductance_h)
-        rows: Array = recurrence(self.decay[None], inputs[:, None], np.zeros((inputs.shape[0], 1)))[:, 0]
+        rows: Array = recurrence(self.decay[None], inputs[:, None], np.zeros((inputs.shape[0], 1)))[
+            :, 0
+        ]
         return rows
 
 
@@ -107,14 +114,20 @@ def free_run(white_box: WhiteBox, p: Array, stretch: Stretch) -> FreeRun:
     rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
     reach = stretch.interval_s[0] * (1.0 - decay) / rate
     weight = 1.0 / (1.0 + loose[0])
-    return FreeRun(stretch, 1.0 / float(p[0, 0]), about[0], residual[0], jacobian, decay, reach, weight)
+    return FreeRun(
+        stretch, 1.0 / float(p[0, 0]), about[0], residual[0], jacobian, decay, reach, weight
+    )
 
 
 def _kicks(path: Trajectory, residual: Array, stretch: Stretch) -> NDArray[np.bool_] | None:
-    """Where the state has jumped against the model, shape (1, k); None where so often that the model is to blame."""
+    """Where the state has jumped against the model, shape (1, k); None where so often that the
+    model is to blame.
+    """
     valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
     change = residual[:, 1:] - path.factor * residual[:, :-1]
-    sharp = np.minimum(robust_std(residual, valid), robust_std(change, ~stretch.restart) / np.sqrt(2.0))
+    sharp = np.minimum(
+        robust_std(residual, valid), robust_std(change, ~stretch.restart) / np.sqrt(2.0)
+    )
     kicks = find_kicks(path, residual, ~stretch.restart, np.maximum(sharp, 1e-12))
     count = int(kicks.sum())
     return kicks if 0 < count <= MAX_KICKS * kicks.size else None

@@ -1,8 +1,9 @@
-"""Follows the fit of every motor of a group while it runs, and lets its estimates say no more than the fit allows.
+"""Follows the fit of every motor of a group while it runs, and lets its estimates say no more than
+the fit allows.
 
-A motor is tested when a parameter would first be called identified, then each time its data have doubled, at last every
-LONGEST_WAIT samples; sooner after a misfit, for a motor that settles is soon another one. All is decided by counts of
-samples, so that every door leads to the same verdicts.
+A motor is tested when a parameter would first be called identified, then each time its data have
+doubled, at last every LONGEST_WAIT samples; sooner after a misfit, for a motor that settles is soon
+another one. All is decided by counts of samples, so that every door leads to the same verdicts.
 """
 
 from __future__ import annotations
@@ -15,11 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.configuration import MotorConfiguration
-from gray_box_observer.context_nodes.base import ContextUpdate
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
-from gray_box_observer.context_nodes.negligible import SIGMAS
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
@@ -34,9 +34,8 @@ from gray_box_observer.fit_test.policy import (
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.suspects import Explanation, explanations, likeliest
-from gray_box_observer.printable import printable
-from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
-from gray_box_observer.saved_state import (
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.saved_state import (
     LARGEST,
     MOST,
     ArrayRule,
@@ -49,9 +48,11 @@ from gray_box_observer.saved_state import (
     positive,
     whole,
 )
+from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
+from gray_box_observer.settings.configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.interface import Array
 
 WINDOW = 4096
 """Newest samples, at most, that a test looks at."""
@@ -70,17 +71,19 @@ MOVED = 0.1
 """Change of a parameter's logarithm by which a motor that did not fit has become another one."""
 
 HELD = 0.01
-"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of the fit."""
+"""Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
+the fit."""
 
 LESS = 0.5
-"""Share of the samples, and of the range of the voltage, that a misfit rests on which can overrule it."""
+"""Share of the samples, and of the range of the voltage, that a misfit rests on which can overrule
+it."""
 
 PASSING = 3
 """Misfits in a row that may be those of a motor that is changing: any good test overrules them."""
 
 CLEARLY, VERY_CLEARLY = 30.0, 300.0
-"""Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a small residual; else
-the free run is asked."""
+"""Log-likelihood by which the voltage balance itself tells what is left out, of a large and of a
+small residual; else the free run is asked."""
 
 MILD = 1.5
 """Residual over noise floor up to which it is small."""
@@ -121,7 +124,9 @@ class _Tested:
     misfits: int
 
     def outweighs(self, count: int, range_v: float) -> bool:
-        """Tell whether a misfit stands against samples that say nothing of one: they tell less than it rests on."""
+        """Tell whether a misfit stands against samples that say nothing of one: they tell less than
+        it rests on.
+        """
         poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
         return self.misfits > PASSING and poorer
 
@@ -134,7 +139,9 @@ class FitMonitor:
         white_boxes: physics of each.
     """
 
-    def __init__(self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]) -> None:
+    def __init__(
+        self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]
+    ) -> None:
         self._motors = motors
         self._white_boxes = white_boxes
         self._tested: list[_Tested | None] = [None] * len(motors)
@@ -149,7 +156,9 @@ class FitMonitor:
         return FitAssessment() if tested is None else tested.assessment
 
     def is_urgent(self, motor: int) -> bool:
-        """Tell whether the estimate at hand waits for a test: nothing is believed of the motor without."""
+        """Tell whether the estimate at hand waits for a test: nothing is believed of the motor
+        without.
+        """
         tested = self._tested[motor]
         return tested is None or tested.assessment.verdict is FitVerdict.MISFIT
 
@@ -167,9 +176,19 @@ class FitMonitor:
         waited = places >= np.where(changed, self._soon[motors], self._due[motors])
         settling = self._limits[motors] & (places >= self._soon[motors])
         rows = np.flatnonzero(waited | settling)
-        rows = rows[np.argsort(self._due[motors[rows]], kind='stable')]  # who has waited longest is first
-        worth = (row for row in rows.tolist() if waited[row] or self._has_moved(estimate, row, motors[row]))
-        chosen = (int(motors[row]) for row in worth if self._is_ripe(estimate, row, motors[row], places[row]))
+        rows = rows[
+            np.argsort(self._due[motors[rows]], kind='stable')
+        ]  # who has waited longest is first
+        worth = (
+            row
+            for row in rows.tolist()
+            if waited[row] or self._has_moved(estimate, row, motors[row])
+        )
+        chosen = (
+            int(motors[row])
+            for row in worth
+            if self._is_ripe(estimate, row, motors[row], places[row])
+        )
         return list(islice(chosen, max(1, len(self._motors) // MANY)))
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
@@ -184,7 +203,9 @@ class FitMonitor:
             return False
         return bool(np.max(np.abs(np.log(estimate.value[row] / tested.theta))) > MOVED)
 
-    def test(self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate) -> None:
+    def test(
+        self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
+    ) -> None:
         """Test one motor.
 
         Args:
@@ -204,8 +225,11 @@ class FitMonitor:
         samples = replay.newest(count, one)
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
         white_box = self._white_boxes[motor]
-        # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a transient counts.
-        tells = before is None and hopeful and (white_box.speed_measured or _knows_inductance(estimate))
+        # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a
+        # transient counts.
+        tells = (
+            before is None and hopeful and (white_box.speed_measured or _knows_inductance(estimate))
+        )
         if _is_held(samples[VOLTAGE, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
@@ -235,7 +259,9 @@ class FitMonitor:
             if _clearest(explained) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             named += self._suspects(analysis, explained, motor)
-        named = [late[0] if late and suspect.effect == 'delay' else suspect for suspect in named] + late
+        named = [
+            late[0] if late and suspect.effect == 'delay' else suspect for suspect in named
+        ] + late
         assessment = FitAssessment(
             judgement.verdict,
             analysis.ratio,
@@ -251,7 +277,9 @@ class FitMonitor:
         else:
             misfits = 1 + (0 if before is None else before.misfits) if misfit else 0
             wait = self._wait(before, judgement.verdict, count)
-            self._tested[motor] = _Tested(assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits)
+            self._tested[motor] = _Tested(
+                assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits
+            )
         self._follow(motor)
 
     def _put_off(self, motor: int, place: int) -> None:
@@ -270,7 +298,9 @@ class FitMonitor:
 
     @staticmethod
     def _wait(before: _Tested | None, verdict: FitVerdict, count: int) -> int:
-        """Samples to the next test: as many as this one had; after a misfit few, then twice as many each time."""
+        """Samples to the next test: as many as this one had; after a misfit few, then twice as many
+        each time.
+        """
         if verdict is not FitVerdict.MISFIT:
             return int(np.clip(count, SHORTEST_WAIT, LONGEST_WAIT))
         again = before is not None and before.assessment.verdict is FitVerdict.MISFIT
@@ -286,12 +316,18 @@ class FitMonitor:
     def _suspects(
         self, analysis: ResidualAnalysis, explained: Mapping[str, Explanation], motor: int
     ) -> list[Suspect]:  # fmt: skip
-        """Name what is likely left out: from the voltage balance where much is wrong, else from the free run."""
+        """Name what is likely left out: from the voltage balance where much is wrong, else from the
+        free run.
+        """
         name = self._motors[motor].name
         scores = {score.effect.name: 0.5 * score.score for score in analysis.scores}
         clearest = _clearest(explained)
         coloured = analysis.whiteness > WHITENESS_DOUBT and analysis.ratio < RATIO_MISFIT
-        if coloured and clearest < CLEARLY and max(scores.values(), default=0.0) < 0.5 * SCORE_DOUBT:
+        if (
+            coloured
+            and clearest < CLEARLY
+            and max(scores.values(), default=0.0) < 0.5 * SCORE_DOUBT
+        ):
             return [Suspect(COLOURED_NOISE, analysis.whiteness, REMEDIES[COLOURED_NOISE])]
         mild = analysis.ratio < MILD and clearest < VERY_CLEARLY
         if scores and (clearest < CLEARLY or mild):
@@ -303,7 +339,9 @@ class FitMonitor:
         torque_constant = float(self._white_boxes[motor].torque_constant)
         return [one.suspect(name, torque_constant) for one in likeliest(explained.values(), scores)]
 
-    def judged(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> Estimate:
+    def judged(
+        self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]
+    ) -> Estimate:
         """Return an estimate as far as the fit lets it be believed.
 
         Args:
@@ -330,7 +368,9 @@ class FitMonitor:
                 frozen = Verdict.FROZEN in verdicts[row]
                 value = estimate.value[row : row + 1]
                 most = _largest_shares(nodes, motor, value[0], tested.judgement)[None]
-                verdicts[row] = nodes.verdict_rules.judge(estimate.parameters, value, std, frozen=frozen, most=most)[0]
+                verdicts[row] = nodes.verdict_rules.judge(
+                    estimate.parameters, value, std, frozen=frozen, most=most
+                )[0]
             if tested.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(_misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
@@ -375,7 +415,9 @@ class FitMonitor:
             self._limits[motor] = True
             return
         assessment = FitAssessment.from_dict(plain['assessment'])
-        judgement = Judgement(assessment.verdict, np.array(plain['factor']), np.array(plain['spread']))
+        judgement = Judgement(
+            assessment.verdict, np.array(plain['factor']), np.array(plain['spread'])
+        )
         self._tested[motor] = _Tested(
             assessment,
             judgement,
@@ -411,10 +453,16 @@ def _check_saved(plain: dict[str, Any], parameters: int) -> None:
     for suspect in suspects:
         number(suspect, 'evidence', -LARGEST, LARGEST)
         if set(suspect) != {'effect', 'evidence', 'remedy'}:
-            raise CheckpointError('a suspect of the fit has other entries than effect, evidence and remedy')
+            raise CheckpointError(
+                'a suspect of the fit has other entries than effect, evidence and remedy'
+            )
         texts = [suspect[name] for name in ('effect', 'remedy')]
-        if not all(isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts):
-            raise CheckpointError('a suspect of the fit has a name or a remedy that nobody can have written')
+        if not all(
+            isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts
+        ):
+            raise CheckpointError(
+                'a suspect of the fit has a name or a remedy that nobody can have written'
+            )
     numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
     check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
     check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
@@ -440,7 +488,9 @@ def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
 
 
 def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
-    """Share of the voltage that each parameter takes at most, shape (parameter,), as much wider as its estimate."""
+    """Share of the voltage that each parameter takes at most, shape (parameter,), as much wider as
+    its estimate.
+    """
     share, reach = nodes.voltage_shares(motor)
     shift = SIGMAS * np.sqrt(np.diagonal(judgement.spread))
     wider: Array = (1.0 + shift) * value * share + reach * judgement.factor
@@ -455,7 +505,10 @@ def _clearest(explained: Mapping[str, Explanation]) -> float:
 def _knows_inductance(estimate: Estimate) -> bool:
     """Tell whether a motor's inductance is identified: its current was seen to rise or fall."""
     known = zip(estimate.parameters, estimate.verdicts[0], strict=True)
-    return any(parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED for parameter, verdict in known)
+    return any(
+        parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED
+        for parameter, verdict in known
+    )
 
 
 def _is_held(voltage_v: Array) -> bool:

@@ -1,8 +1,8 @@
 """What follows from a residual analysis: the verdict, and how much less may be believed.
 
-Low: a warning, and standard deviations as wide as what was found makes them. High: a misfit, of which nothing is
-identified. Thresholds were chosen on one half of the scenarios of ``benchmarks/trust.py`` and are reported on the
-other (docs/METHOD.md, Residual analysis).
+Low: a warning, and standard deviations as wide as what was found makes them. High: a misfit, of
+which nothing is identified. Thresholds were chosen on one half of the scenarios of
+``benchmarks/trust.py`` and are reported on the other (docs/METHOD.md, Residual analysis).
 """
 
 from __future__ import annotations
@@ -14,26 +14,31 @@ import numpy as np
 
 from gray_box_observer.fit_test.assessment import FitVerdict
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 RATIO_MISFIT = 4.5
-"""Residual over noise floor from which the white box does not explain the data, whatever the residual looks like."""
+"""Residual over noise floor from which the white box does not explain the data, whatever the
+residual looks like."""
 
 RATIO_WARNING = 1.25
 
 RATIO_DOUBT = 2.5
-"""The same where an effect that is left out explains a part of it: right motors reach 1.9, wrong ones begin at 2.9."""
+"""The same where an effect that is left out explains a part of it: right motors reach 1.9, wrong
+ones begin at 2.9."""
 
 WHITENESS_WARNING = 3.0
 
 WHITENESS_DOUBT = 25.0
-"""Whiteness from which the residual's correlation counts: into standard deviations, and with an effect as a misfit."""
+"""Whiteness from which the residual's correlation counts: into standard deviations, and with an
+effect as a misfit."""
 
 SCORE_DOUBT = 25.0
-"""Chi-square of one degree of freedom from which an effect explains a part of a residual that is not white."""
+"""Chi-square of one degree of freedom from which an effect explains a part of a residual that is
+not white."""
 
 SCORE_UNMEASURED = 16.0
-"""The same, by itself a misfit, where speed is not measured: a hidden rotor takes R along before it shows otherwise."""
+"""The same, by itself a misfit, where speed is not measured: a hidden rotor takes R along before it
+shows otherwise."""
 
 SCORE_MEASURED = 100.0
 """The same where speed is measured: real motors are not so exact that less would be a fault."""
@@ -54,13 +59,15 @@ UNIFORM_MEAN = math.sqrt(3.0)
 """Mean of a delay that is anything from none to its largest, in standard deviations of it."""
 
 SHORTEST = (0.6, 0.8)
-"""Sample intervals in a time constant L/R: from the second down the instant of a step counts, below the first fully."""
+"""Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
+the first fully."""
 
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
 
 LARGEST_SHIFT = 10.0
-"""Change of a logarithm beyond which nothing is known anyway; shifts are cut before they are squared."""
+"""Change of a logarithm beyond which nothing is known anyway; shifts are cut before they are
+squared."""
 
 LARGEST_FACTOR = 1e3
 
@@ -72,7 +79,8 @@ class Judgement:
     Attributes:
         verdict: of the white box.
         factor: shape (parameter,): by which standard deviations grow.
-        spread: shape (parameter, parameter): covariance of the parameters' logarithms that comes on top.
+        spread: shape (parameter, parameter): covariance of the parameters' logarithms that comes on
+            top.
     """
 
     verdict: FitVerdict
@@ -113,7 +121,11 @@ def judge(
     if doubted:
         limit *= STANDING
     spread = np.zeros((relative_std.size, relative_std.size))
-    strong = [score for score in analysis.scores if score.score > limit and np.max(np.abs(score.shift)) > NOTICEABLE]
+    strong = [
+        score
+        for score in analysis.scores
+        if score.score > limit and np.max(np.abs(score.shift)) > NOTICEABLE
+    ]
     material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
     best = analysis.scores[0].score if analysis.scores else 0.0
     doubtful = best > SCORE_DOUBT and (coloured or analysis.ratio > RATIO_DOUBT)
@@ -129,7 +141,11 @@ def judge(
         spread += np.outer(shift, shift)
     factor = np.ones(relative_std.size)
     if coloured:
-        robust = SAFETY * analysis.robust_std * math.sqrt(analysis.samples / max(samples, analysis.samples))
+        robust = (
+            SAFETY
+            * analysis.robust_std
+            * math.sqrt(analysis.samples / max(samples, analysis.samples))
+        )
         factor = np.clip(robust / np.maximum(relative_std, 1e-12), 1.0, LARGEST_FACTOR)
     late = UNIFORM_MEAN * analysis.jitter
     if not stamps_exact:

@@ -1,8 +1,9 @@
-"""Residual analysis of a free run: its size, its whiteness, and whether what was left out explains it.
+"""Residual analysis of a free run: its size, its whiteness, and whether what was left out explains
+it.
 
-Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a noise floor, the
-Ljung-Box statistic, and a score test of every effect with a covariance that correlated residuals cannot fool
-(Newey and West 1987).
+Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a
+noise floor, the Ljung-Box statistic, and a score test of every effect with a covariance that
+correlated residuals cannot fool (Newey and West 1987).
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.normal_equations import MAD_TO_STD
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch
 from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
-from gray_box_observer.fit_test.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 LAGS = 20
 """Autocorrelations that the Ljung-Box statistic takes in."""
@@ -33,19 +34,23 @@ COLOURED = 3.0
 """Whiteness from which correlated residuals are taken into the covariance of the parameters."""
 
 DISTINCT = 1e-6
-"""Share of an effect's response that must not be explained by the parameters: of less nothing can be told."""
+"""Share of an effect's response that must not be explained by the parameters: of less nothing can
+be told."""
 
 INTEGRATION = 1e-4
-"""Noise floor that is believed at least, as a share of the current's spread: steps of the integration err by less."""
+"""Noise floor that is believed at least, as a share of the current's spread: steps of the
+integration err by less."""
 
 STEEPEST = 0.02
-"""Share of the samples, the steepest ones of the current, in which errors of the stamps would show."""
+"""Share of the samples, the steepest ones of the current, in which errors of the stamps would show.
+"""
 
 FEWEST_STEEP = 20
 """Samples that these are at least."""
 
 SCATTERED = 2.0
-"""Times the other residuals, by their medians, that these must be: in white noise they reach 1.6."""
+"""Times the other residuals, by their medians, that these must be: in white noise they reach 1.6.
+"""
 
 SMALLEST = 1e-12
 """The same in A, where no current flows."""
@@ -76,14 +81,16 @@ class ResidualAnalysis:
         ratio: root mean square of the residual over the noise floor.
         whiteness: Ljung-Box statistic over its degrees of freedom.
         scores: of effects, the largest first.
-        robust_std: shape (parameter,): standard deviations of the logarithms over these samples, under the residual's
-            own correlation; NaN where the residual is white or nothing can be said.
-        delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if the voltage acted
-            one sample interval later than it is stamped.
+        robust_std: shape (parameter,): standard deviations of the logarithms over these samples,
+            under the residual's own correlation; NaN where the residual is white or nothing can be
+            said.
+        delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if
+            the voltage acted one sample interval later than it is stamped.
         intervals: sample intervals in an electrical time constant L/R.
-        jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as large in steep parts of
-            the current as in flat ones.
-        moving_noise_a: standard deviation of white noise in A, where no reading repeats the one before.
+        jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as
+            large in steep parts of the current as in flat ones.
+        moving_noise_a: standard deviation of white noise in A, where no reading repeats the one
+            before.
     """
 
     samples: int
@@ -99,7 +106,8 @@ class ResidualAnalysis:
 
 
 def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(None)) -> float:
-    """Standard deviation of white noise on a smooth signal, from its second differences; robust against jumps.
+    """Standard deviation of white noise on a smooth signal, from its second differences; robust
+    against jumps.
 
     Args:
         signal: shape (n,).
@@ -110,7 +118,9 @@ def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(No
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
-    """Noise of those samples whose reading is neither that before nor that after; 0 where there are too few."""
+    """Noise of those samples whose reading is neither that before nor that after; 0 where there are
+    too few.
+    """
     changes = readings[1:] != readings[:-1]
     moving = changes[1:] & changes[:-1]
     return difference_noise(residual, moving) if np.count_nonzero(moving) >= FEWEST_STEEP else 0.0
@@ -123,12 +133,16 @@ def ljung_box(residual: Array, lags: int = LAGS) -> float:
     power = float(centred @ centred)
     if power <= 0.0:
         return 0.0
-    correlations = np.array([float(centred[lag:] @ centred[:-lag]) for lag in range(1, lags + 1)]) / power
+    correlations = (
+        np.array([float(centred[lag:] @ centred[:-lag]) for lag in range(1, lags + 1)]) / power
+    )
     weights = count * (count + 2.0) / (count - np.arange(1, lags + 1))
     return float(weights @ correlations**2) / lags
 
 
-def analyse(white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = False) -> ResidualAnalysis:
+def analyse(
+    white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = False
+) -> ResidualAnalysis:
     """Analyse the free run of one motor.
 
     Args:
@@ -171,7 +185,9 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
     """Return what effects are made of, along a free run."""
     speed = run.stretch.speed_rad_s[0] if white_box.speed_measured else None
     return Scene(
-        run.stretch.voltage_v[0], interval_means(run.current_a), None if speed is None else interval_means(speed)
+        run.stretch.voltage_v[0],
+        interval_means(run.current_a),
+        None if speed is None else interval_means(speed),
     )
 
 
@@ -182,7 +198,9 @@ def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
-    """Return by how much stamps scatter, in sample intervals: errors in time show where the current is steep."""
+    """Return by how much stamps scatter, in sample intervals: errors in time show where the current
+    is steep.
+    """
     slope = np.abs(np.gradient(run.current_a))
     count = max(FEWEST_STEEP, int(STEEPEST * slope.size))
     if 4 * count >= slope.size:  # there is no rest to compare with
@@ -233,15 +251,21 @@ class _Projection:
         return left
 
     def shift(self, signal: Array) -> Array:
-        """Return how the logarithms of the parameters answer a signal that is taken for theirs, shape (parameter,)."""
+        """Return how the logarithms of the parameters answer a signal that is taken for theirs,
+        shape (parameter,).
+        """
         moved = self._solved(self._q.T @ signal) / self._scale
         return _of_parameters(moved[1 : self._unknowns])
 
     def robust_std(self) -> Array:
-        """Standard deviations of the logarithms of the parameters, shape (parameter,), whatever the correlation."""
+        """Standard deviations of the logarithms of the parameters, shape (parameter,), whatever the
+        correlation.
+        """
         reached = self._q * self.remainder[:, None]
         spread = self._solved(long_run_covariance(reached)) / self._scale[:, None]
-        spread = (self._solved(spread.T) / self._scale[:, None])[1 : self._unknowns, 1 : self._unknowns]
+        spread = (self._solved(spread.T) / self._scale[:, None])[
+            1 : self._unknowns, 1 : self._unknowns
+        ]
         moved = _of_parameters(_of_parameters(spread).T)
         std: Array = np.sqrt(np.maximum(np.diagonal(moved), 0.0))
         return std
@@ -254,7 +278,9 @@ class _Projection:
 
 
 def _of_parameters(coordinates: Array) -> Array:
-    """Turn changes of the coordinates' logarithms, shape (coordinate, ...), into those of the parameters."""
+    """Turn changes of the coordinates' logarithms, shape (coordinate, ...), into those of the
+    parameters.
+    """
     moved = coordinates - coordinates[:1]
     moved[0] = -coordinates[0]
     return moved
@@ -279,8 +305,14 @@ def long_run_covariance(terms: Array) -> Array:
 def _scores(
     run: FreeRun, projection: _Projection, scene: Scene, weight: Array, least_a: float
 ) -> tuple[EffectScore, ...]:
-    """Test every effect; those that white residuals, of ``least_a`` at least, already rule out are left out."""
-    listed = [(effect, shapes) for effect, alternatives in possible_effects(scene) for shapes in alternatives]
+    """Test every effect; those that white residuals, of ``least_a`` at least, already rule out are
+    left out.
+    """
+    listed = [
+        (effect, shapes)
+        for effect, alternatives in possible_effects(scene)
+        for shapes in alternatives
+    ]
     voltages = np.stack([shape for _, shapes in listed for shape in shapes])
     response = run.response(voltages).T * weight[:, None]
     distinct = projection.without(response)
@@ -304,7 +336,9 @@ def _scores(
 
 
 def _score(distinct: Array, remainder: Array, least_a: float) -> tuple[float, Array] | None:
-    """Robust score of one alternative and how much of it there is; None where white residuals rule it out."""
+    """Robust score of one alternative and how much of it there is; None where white residuals rule
+    it out.
+    """
     gram = distinct.T @ distinct
     reached = distinct.T @ remainder
     amount: Array = np.asarray(np.linalg.lstsq(gram, reached, rcond=1e-10)[0], dtype=float)

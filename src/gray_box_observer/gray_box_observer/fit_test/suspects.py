@@ -1,8 +1,9 @@
 """What is likely left out where the white box does not explain the data.
 
-The published values of a misfit may be absurd, and a free run from them tells little. The voltage balance in weak form
-is linear whatever they are: multiplied by a triangle over a few samples and integrated, it needs no derivative of the
-current. Every effect is tried beside the parameters by least squares, and the likeliest comes first.
+The published values of a misfit may be absurd, and a free run from them tells little. The voltage
+balance in weak form is linear whatever they are: multiplied by a triangle over a few samples and
+integrated, it needs no derivative of the current. Every effect is tried beside the parameters by
+least squares, and the likeliest comes first.
 """
 
 from __future__ import annotations
@@ -13,11 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gray_box_observer.context_nodes.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch
 from gray_box_observer.fit_test.assessment import Suspect
-from gray_box_observer.fit_test.effects import Effect, Scene, Shapes, interval_means, possible_effects
+from gray_box_observer.fit_test.effects import (
+    Effect,
+    Scene,
+    Shapes,
+    interval_means,
+    possible_effects,
+)
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 WINDOW = 8
 """Samples over which the triangle rises, and as many over which it falls."""
@@ -62,7 +69,9 @@ class Explanation:
     def is_credible(self) -> bool:
         """Whether such an effect can be as large as that, beside this resistance."""
         lowest, highest = self.effect.credible
-        return lowest <= self.total <= highest and (self.resistance > 0.0 or self.effect.hides_resistance)
+        return lowest <= self.total <= highest and (
+            self.resistance > 0.0 or self.effect.hides_resistance
+        )
 
     @property
     def rank(self) -> tuple[bool, float]:
@@ -82,7 +91,8 @@ class Explanation:
 
 
 def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explanation]:
-    """Fit every effect beside the parameters; return the best alternative of each, by the effect's name.
+    """Fit every effect beside the parameters; return the best alternative of each, by the effect's
+    name.
 
     Args:
         white_box: of one motor.
@@ -103,7 +113,9 @@ def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explan
         left, weights = _fit([*regressors, *further], target)
         gain = 0.5 * target.size / STRIDE * math.log(unexplained / left)
         evidence = gain - 0.5 * len(shapes) * math.log(target.size)
-        resistance = float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
+        resistance = (
+            float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
+        )
         own = weights[len(names) :]
         found = Explanation(effect, evidence, float(own[0]), float(own.sum()), resistance)
         if effect.name not in best or found.rank > best[effect.name].rank:
@@ -114,8 +126,8 @@ def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explan
 def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list[Explanation]:
     """Return explanations that bring enough, the best first.
 
-    An offset and a lost voltage are the same while the current keeps its sign; one that takes voltage is more often a
-    loss, one that gives it an offset.
+    An offset and a lost voltage are the same while the current keeps its sign; one that takes
+    voltage is more often a loss, one that gives it an offset.
 
     Args:
         found: what might be.
@@ -125,7 +137,11 @@ def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list
     ranked = sorted(clear, key=lambda one: -one.evidence)
     if ranked and {one.effect.name for one in ranked[:2]} == set(LATE):
         ranked[:2] = sorted(ranked[:2], key=lambda one: -scores.get(one.effect.name, 0.0))
-    tied = [one for one in ranked if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED]
+    tied = [
+        one
+        for one in ranked
+        if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED
+    ]
     if ranked and len(tied) > 1 and ranked[0] in tied:
         wanted = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
         tied.sort(key=lambda one: one.effect.name != wanted)
@@ -133,25 +149,39 @@ def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list
     return ranked
 
 
-def _balance(white_box: MotorWhiteBox, stretch: Stretch) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
-    """Voltage balance in weak form: rows of parameters, of the voltage, and of every effect's shapes."""
+def _balance(
+    white_box: MotorWhiteBox, stretch: Stretch
+) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
+    """Voltage balance in weak form: rows of parameters, of the voltage, and of every effect's
+    shapes.
+    """
     current_a, interval_s = stretch.state[0], stretch.interval_s[0]
     speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
-    taken_off = np.broadcast_to(white_box.drive(0.0 * stretch.state, stretch.state, speed), speed.shape)
+    taken_off = np.broadcast_to(
+        white_box.drive(0.0 * stretch.state, stretch.state, speed), speed.shape
+    )
     drive_v = stretch.voltage_v[0] + interval_means(taken_off[0])
-    bases = [np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)]
+    bases = [
+        np.broadcast_to(value, speed.shape)[0] for value in white_box.basis(stretch.state, speed)
+    ]
     measured = interval_means(speed[0]) if white_box.speed_measured else None
     scene = Scene(stretch.voltage_v[0], interval_means(current_a), measured, fine=True)
     listed = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
-    signals = [np.diff(current_a), *(interval_means(base) * interval_s for base in bases), drive_v * interval_s]
+    signals = [
+        np.diff(current_a),
+        *(interval_means(base) * interval_s for base in bases),
+        drive_v * interval_s,
+    ]
     signals += [-shape * interval_s for _, shapes in listed for shape in shapes]
     rows = _windowed(np.where(whole, np.stack(signals), 0.0), whole)
     return rows, [parameter.name for parameter in white_box.parameters], listed
 
 
 def _windowed(signals: Array, whole: Array) -> Array:
-    """Integrals over triangles of some samples, shape (signal, row); none spans a new signal history."""
+    """Integrals over triangles of some samples, shape (signal, row); none spans a new signal
+    history.
+    """
     count = signals.shape[1]
     triangle = np.concatenate([np.arange(1, WINDOW + 1), np.arange(WINDOW - 1, 0, -1)]) / WINDOW
     if count < triangle.size:

@@ -1,4 +1,6 @@
-"""The white box run freely over a whole record at given values, and how well it fits: for reports and validation."""
+"""The white box run freely over a whole record at given values, and how well it fits: for reports
+and validation.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +8,14 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.trajectory import Stretch, follow, linearise
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch, follow, linearise
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.base import Array
 from gray_box_observer.white_box.flow import to_coordinates
+from gray_box_observer.white_box.interface import Array
 
 CHUNK = 20_000
-"""Samples that are run at a time: the linearised intervals of so many fit into memory beside all else."""
+"""Samples that are run at a time: the linearised intervals of so many fit into memory beside all
+else."""
 
 PASSES = 6
 """Linearisations at most, each about the run of the one before."""
@@ -34,9 +37,15 @@ BAND = 2.576
 
 
 def white_box_torque(
-    white_box: MotorWhiteBox, theta: Array, interval_s: Array, voltage_v: Array, torque_nm: Array, speed_rad_s: Array
+    white_box: MotorWhiteBox,
+    theta: Array,
+    interval_s: Array,
+    voltage_v: Array,
+    torque_nm: Array,
+    speed_rad_s: Array,
 ) -> Array:
-    """Run the white box freely; it is set to the measured torque where a history begins, and nowhere else.
+    """Run the white box freely; it is set to the measured torque where a history begins, and
+    nowhere else.
 
     Args:
         white_box: of one motor.
@@ -76,7 +85,12 @@ def _run(white_box: MotorWhiteBox, coordinates: Array, stretch: Stretch, start: 
     about = stretch.state
     with np.errstate(all='ignore'):
         for _ in range(PASSES):
-            maps = linearise(white_box, coordinates, stretch, np.clip(about, -CREDIBLE * largest, CREDIBLE * largest))
+            maps = linearise(
+                white_box,
+                coordinates,
+                stretch,
+                np.clip(about, -CREDIBLE * largest, CREDIBLE * largest),
+            )
             path = follow(maps, stretch, np.array([start]), np.zeros_like(stretch.state)).state
             change = float(np.max(np.abs(path - about)))
             about = path
@@ -87,9 +101,11 @@ def _run(white_box: MotorWhiteBox, coordinates: Array, stretch: Stretch, start: 
 
 
 def fit_percent(measured: Array, predicted: Array) -> float | None:
-    """Return how much of the variation is explained, ``100 (1 - |y - yhat| / |y - mean y|)`` (NRMSE), in per cent.
+    """Return how much of the variation is explained, ``100 (1 - |y - yhat| / |y - mean y|)``
+    (NRMSE), in per cent.
 
-    100 is perfect, 0 no better than the mean, and there is no lower limit. None where nothing varies or is predicted.
+    100 is perfect, 0 no better than the mean, and there is no lower limit. None where nothing
+    varies or is predicted.
     """
     both = np.isfinite(measured) & np.isfinite(predicted)
     if np.count_nonzero(both) < 2:
@@ -101,10 +117,12 @@ def fit_percent(measured: Array, predicted: Array) -> float | None:
 
 
 def autocorrelation(residual: Array) -> tuple[Array, float] | None:
-    """Return the residual's autocorrelation at lags 1 to LAGS, and the band that holds 99 % of those of white noise.
+    """Return the residual's autocorrelation at lags 1 to LAGS, and the band that holds 99 % of
+    those of white noise.
 
     Args:
-        residual: shape (n,), in order; its newest NEWEST samples count, those that are not finite left out.
+        residual: shape (n,), in order; its newest NEWEST samples count, those that are not finite
+            left out.
     """
     newest = residual[np.isfinite(residual)][-NEWEST:]
     newest = newest - np.mean(newest) if newest.size else newest

@@ -1,11 +1,17 @@
-"""The LSTM that forecasts torque from voltage and the context nodes, and its training (thesis 4.3, 5.1)."""
+"""The LSTM that forecasts torque from voltage and the context nodes, and its training (thesis 4.3,
+5.1).
+"""
 
 from gray_box_observer.predictor.alarm import AlarmRules, ResidualAlarm
-from gray_box_observer.predictor.inputs import Variant
+from gray_box_observer.predictor.network_inputs import Variant
 from gray_box_observer.predictor.predictor import Prediction, Predictor
-from gray_box_observer.predictor.rules import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingRules
 from gray_box_observer.predictor.scores import Skill
-from gray_box_observer.predictor.training import InlineTraining, ProcessTraining, Training
+from gray_box_observer.predictor.training.training_backend import (
+    InlineTraining,
+    ProcessTraining,
+    Training,
+)
 
 __all__ = [
     'AlarmRules',

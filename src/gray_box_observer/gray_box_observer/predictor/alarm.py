@@ -1,9 +1,9 @@
 """An alarm on the prediction's residual, with a stated rate of false ones: has something broken?
 
-Two cumulative sums (Page 1954), one for each sign, of the residual in units of its own standard deviation. The
-threshold is what Siegmund's approximation gives for the rate of false alarms that is accepted, so that it follows the
-sample rate by itself. Residuals that hang together (ripple, cogging, a filter in the sensor) count for as many fewer
-independent ones as their correlation says.
+Two cumulative sums (Page 1954), one for each sign, of the residual in units of its own standard
+deviation. The threshold is what Siegmund's approximation gives for the rate of false alarms that is
+accepted, so that it follows the sample rate by itself. Residuals that hang together (ripple,
+cogging, a filter in the sensor) count for as many fewer independent ones as their correlation says.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
-from gray_box_observer.saved_state import LARGEST, ArrayRule, check_arrays, counts, flags
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.safe_io.saved_state import LARGEST, ArrayRule, check_arrays, counts, flags
+from gray_box_observer.white_box.interface import Array
 
 REFERENCE = 0.5
 """Half of the shift, in standard deviations, that the sums are quickest to find."""
@@ -57,7 +57,9 @@ class AlarmRules:
 
     def __post_init__(self) -> None:
         if not self.false_a_day > 0.0 or self.memory < 2 or self.learn < 2:
-            raise ConfigurationError(f'the alarm needs false_a_day > 0, memory >= 2 and learn >= 2, got {self}')
+            raise ConfigurationError(
+                f'the alarm needs false_a_day > 0, memory >= 2 and learn >= 2, got {self}'
+            )
 
 
 class ResidualAlarm:
@@ -114,17 +116,22 @@ class ResidualAlarm:
 
     @property
     def level(self) -> Array:
-        """How far the larger sum has come to the threshold, shape (motor,); at 1 the alarm is raised."""
+        """How far the larger sum has come to the threshold, shape (motor,); at 1 the alarm is
+        raised.
+        """
         return self._axis.give(self._axis.ops.maximum(self._up, self._down) / self._threshold)
 
-    def take(self, residual_nm: Array, interval_s: Array, identified: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def take(
+        self, residual_nm: Array, interval_s: Array, identified: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
         """Take one sample's residuals; return for which motors the alarm stands.
 
-        A raised alarm stands until the residual has come back, which the sums forget by at its own pace. While
-        parameters are not identified nothing is judged.
+        A raised alarm stands until the residual has come back, which the sums forget by at its own
+        pace. While parameters are not identified nothing is judged.
 
         Args:
-            residual_nm: shape (motor,): measured less predicted torque; NaN where nothing was predicted.
+            residual_nm: shape (motor,): measured less predicted torque; NaN where nothing was
+                predicted.
             interval_s: shape (motor,).
             identified: shape (motor,): whether every parameter was identified before the sample.
         """
@@ -136,8 +143,12 @@ class ResidualAlarm:
         judged = usable & (self._learnt >= self.rules.learn) & (known | before)
         scaled = self._between(residual * self._scale, -CLIP, CLIP)
         # capped, so that the sums come down again when the fault has gone
-        self._up = ops.where(judged, self._between(self._up + scaled - REFERENCE, 0.0, 2.0 * threshold), self._up)
-        self._down = ops.where(judged, self._between(self._down - scaled - REFERENCE, 0.0, 2.0 * threshold), self._down)
+        self._up = ops.where(
+            judged, self._between(self._up + scaled - REFERENCE, 0.0, 2.0 * threshold), self._up
+        )
+        self._down = ops.where(
+            judged, self._between(self._down - scaled - REFERENCE, 0.0, 2.0 * threshold), self._down
+        )
         over = ops.maximum(self._up, self._down)
         self._raised = (over >= threshold) | (before & (over > 0.0))
         calm = ops.logical_not(self._raised)
@@ -161,8 +172,14 @@ class ResidualAlarm:
         self._previous = ops.where(which, kept, 0.0)
 
     def _refresh(self, identified: Any) -> None:
-        """Work out again what changes slowly; forget what was summed up before the parameters were identified."""
-        ops, armed, counts = self._axis.ops, self._learnt >= self.rules.learn, identified | self._raised
+        """Work out again what changes slowly; forget what was summed up before the parameters were
+        identified.
+        """
+        ops, armed, counts = (
+            self._axis.ops,
+            self._learnt >= self.rules.learn,
+            identified | self._raised,
+        )
         correlation = ops.clip(self._product / ops.maximum(self._variance, 1e-300), 0.0, 0.99)
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
         self._scale = 1.0 / ops.sqrt(ops.maximum(self._variance * inflation, 1e-300))
@@ -222,7 +239,9 @@ _SAVED = {
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:
-    """Mean number of samples between false alarms of two cumulative sums in white noise (Siegmund 1985, 2.5)."""
+    """Mean number of samples between false alarms of two cumulative sums in white noise (Siegmund
+    1985, 2.5).
+    """
     return float(_run_lengths(threshold, math.exp, reference))
 
 
@@ -233,7 +252,9 @@ def _run_lengths(threshold: Any, exp: Any, reference: float = REFERENCE) -> Any:
 
 
 def threshold_for(samples: float) -> float:
-    """Threshold whose mean run length is so many samples, at least 3 (no sum of one or two residuals is a fault)."""
+    """Threshold whose mean run length is so many samples, at least 3 (no sum of one or two
+    residuals is a fault).
+    """
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -1,4 +1,5 @@
-"""The few functions that relaxation and alarm need, for plain floats; numpy and torch offer the same names for arrays.
+"""The few functions that relaxation and alarm need, for plain floats; numpy and torch offer the
+same names for arrays.
 
 A single motor streams in plain floats: an array of one costs ten times as much an operation.
 """
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.interface import Array, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 
@@ -46,7 +47,8 @@ class Floats:
 
 
 class Axis:
-    """The motor axis inside the predictor: one motor becomes plain floats, several stay arrays or become tensors.
+    """The motor axis inside the predictor: one motor becomes plain floats, several stay arrays or
+    become tensors.
 
     Args:
         motors: number of motors.
@@ -55,7 +57,8 @@ class Axis:
     Attributes:
         motors: as given.
         single: whether it is one.
-        arrays: the functions to use of whole arrays: numpy, or :class:`~gray_box_observer.torch_ops.TorchOps`.
+        arrays: the functions to use of whole arrays: numpy, or
+            :class:`~gray_box_observer.white_box.torch_ops.TorchOps`.
         ops: those to use of signals: the same, or :class:`Floats`.
     """
 
@@ -65,7 +68,7 @@ class Axis:
         self.arrays: Any = np
         self._on_device = device is not None and not self.single
         if self._on_device:
-            from gray_box_observer.torch_ops import TorchOps
+            from gray_box_observer.white_box.torch_ops import TorchOps
 
             self.arrays = TorchOps(str(device))
         self.ops: Any = Floats if self.single else self.arrays
@@ -83,8 +86,14 @@ class Axis:
         if not self._on_device or not isinstance(white_box, MotorWhiteBox):
             return white_box
         constants = white_box.torque_constant, *white_box.known.values()
-        torque_constant, *known = (self.array(np.broadcast_to(constant, self.motors)) for constant in constants)
-        return replace(white_box, torque_constant=torque_constant, known=dict(zip(white_box.known, known, strict=True)))
+        torque_constant, *known = (
+            self.array(np.broadcast_to(constant, self.motors)) for constant in constants
+        )
+        return replace(
+            white_box,
+            torque_constant=torque_constant,
+            known=dict(zip(white_box.known, known, strict=True)),
+        )
 
     def give(self, value: Any) -> NDArray[Any]:
         """Turn it back into shape (motor,)."""

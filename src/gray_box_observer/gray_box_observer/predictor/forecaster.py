@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from gray_box_observer.predictor.network import Mask, Memory
-from gray_box_observer.predictor.relaxation import Course
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.predictor.steady_state import Course
+from gray_box_observer.white_box.interface import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,10 +17,11 @@ class Question:
     Attributes:
         interval_s, voltage_v, speed_rad_s: shape (motor,): its length, and what is held over it.
         theta: shape (motor, parameter).
-        way: where it leads, in the form that :class:`~gray_box_observer.predictor.elementwise.Axis` gives signals.
+        way: where it leads, in the form that :class:`~gray_box_observer.predictor.elementwise.Axis`
+            gives signals.
         usable: whether the interval goes on from a known start, in the same form.
-        origin: forecast torque, shape (motor,), and memory to go on from; None: those of the last sample. Only variant
-            ``physics`` looks so far ahead.
+        origin: forecast torque, shape (motor,), and memory to go on from; None: those of the last
+            sample. Only variant ``physics`` looks so far ahead.
     """
 
     interval_s: Array
@@ -36,13 +37,19 @@ class Forecaster(Protocol):
     """Streams one network over the samples of a group of motors."""
 
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
-        """Return the torque at the end of an interval, shape (motor,), NaN where it cannot tell; changes nothing.
+        """Return the torque at the end of an interval, shape (motor,), NaN where it cannot tell;
+        changes nothing.
 
         The memory is what :meth:`remember` takes if the sample comes.
         """
 
     def remember(
-        self, torque_nm: Array, measured_nm: Array, anew: Mask, memory: Memory | None, present: Mask | None = None
+        self,
+        torque_nm: Array,
+        measured_nm: Array,
+        anew: Mask,
+        memory: Memory | None,
+        present: Mask | None = None,
     ) -> None:
         """Go on to the next sample.
 

@@ -1,9 +1,11 @@
-"""The linear part of a correction: a weighted sum of the signals and of their traces, bent where data ask for it.
+"""The linear part of a correction: a weighted sum of the signals and of their traces, bent where
+data ask for it.
 
-It is learnt in closed form, from few samples, and a linear map that holds between two levels of the voltage holds
-between any others too, so it needs no sample of every place between them. Dry friction makes a motor another one
-where it sticks than where it turns; there the line over the voltage may bend. Beyond all that it was taught it fades,
-unless samples that did not teach bear out that it goes on.
+It is learnt in closed form, from few samples, and a linear map that holds between two levels of the
+voltage holds between any others too, so it needs no sample of every place between them. Dry
+friction makes a motor another one where it sticks than where it turns; there the line over the
+voltage may bend. Beyond all that it was taught it fades, unless samples that did not teach bear out
+that it goes on.
 """
 
 from __future__ import annotations
@@ -13,45 +15,52 @@ from typing import Any
 
 import numpy as np
 
-from gray_box_observer.predictor.evidence import PARTS, SIGNIFICANT, borne_out
-from gray_box_observer.predictor.traces import LADDER, SIGNALS
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.predictor.lag_features import LADDER, SIGNALS
+from gray_box_observer.predictor.significance import PARTS, SIGNIFICANT, borne_out
+from gray_box_observer.white_box.interface import Array
 
 NOW = 4
-"""Voltage, predicted current, the current where it is going, speed. No constant: what is known of rest and of one level
-of the voltage shall hold between them."""
+"""Voltage, predicted current, the current where it is going, speed. No constant: what is known of
+rest and of one level of the voltage shall hold between them."""
 
 FEATURES = NOW + SIGNALS * LADDER.size
 """Those of now; then the traces of voltage and of speed."""
 
 BENDS: Array = 2.0 ** np.arange(-4.0, 0.0, dtype=np.float64)
-"""Voltages at which the line may bend, alike in both directions, as fractions of the largest one taught."""
+"""Voltages at which the line may bend, alike in both directions, as fractions of the largest one
+taught."""
 
 LEVELS = tuple((rungs, bent) for rungs in (0, 3, 5, LADDER.size) for bent in (False, True))
-"""How many rungs of the ladder may be climbed, and whether the line may bend: as far as samples bear out that did not
-teach."""
+"""How many rungs of the ladder may be climbed, and whether the line may bend: as far as samples
+bear out that did not teach."""
 
 CHOSEN = 1.0
-"""Least gain of a level over what was chosen before, in its standard errors (Breiman et al. 1984): of two that do alike
-the one that remembers less. Other samples judge the correction again. What goes on where nothing was seen, a bent line
-and a longer reach, has to stand out as clearly as the correction itself."""
+"""Least gain of a level over what was chosen before, in its standard errors (Breiman et al. 1984):
+of two that do alike the one that remembers less. Other samples judge the correction again. What
+goes on where nothing was seen, a bent line and a longer reach, has to stand out as clearly as the
+correction itself."""
 
 RIDGE = 1e-6
 """Pull of the weights towards zero, as a fraction of the mean square of each feature."""
 
 STRAIGHT = 1e-3
-"""Likewise of the bends: where one level of the voltage is all that was seen, the line between is a straight one."""
+"""Likewise of the bends: where one level of the voltage is all that was seen, the line between is a
+straight one."""
 
 TRUSTED, STRANGE = 1.25, 2.0
-"""Size of a feature, in units of the largest one taught: up to the one all is used, from the other on nothing."""
+"""Size of a feature, in units of the largest one taught: up to the one all is used, from the other
+on nothing."""
 
 FURTHER = (2.0, 1.6)
-"""Size up to which all is used where that is borne out: where the small features teach, down to one part in so many of
-the largest, what they say of the others is better than nothing."""
+"""Size up to which all is used where that is borne out: where the small features teach, down to one
+part in so many of the largest, what they say of the others is better than nothing."""
 
 
-def features(voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array, traces: Array) -> Array:
-    """Return what is weighted, of the shape of the signals with an axis of FEATURES behind; in SI units.
+def features(
+    voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array, traces: Array
+) -> Array:
+    """Return what is weighted, of the shape of the signals with an axis of FEATURES behind; in SI
+    units.
 
     Args:
         voltage_v: held voltage.
@@ -73,8 +82,8 @@ class LinearPart:
 
     Attributes:
         weight: shape (FEATURES,).
-        reach: shape (FEATURES,): largest magnitude of each feature that was taught, or more where what lies beyond was
-            borne out; infinite where it has no part.
+        reach: shape (FEATURES,): largest magnitude of each feature that was taught, or more where
+            what lies beyond was borne out; infinite where it has no part.
         bent: shape (BENDS.size,): weights of the voltage, held at where it bends.
         bend_v: shape (BENDS.size,): voltages there.
     """
@@ -93,8 +102,9 @@ class LinearPart:
     def learnt(cls, seen: Array, wanted: Array) -> LinearPart:
         """Learn as far up the ladder, and as bent, as pays, and nothing where nothing does.
 
-        Every part of the time is judged by what the others teach (cross-validation by blocks, Burman, Chow and Nolan
-        1994): slow traces go along with anything that wanders, between two samples that teach, but not beyond them.
+        Every part of the time is judged by what the others teach (cross-validation by blocks,
+        Burman, Chow and Nolan 1994): slow traces go along with anything that wanders, between two
+        samples that teach, but not beyond them.
 
         Args:
             seen: shape (motor, time, FEATURES).
@@ -106,7 +116,9 @@ class LinearPart:
             said = np.empty_like(wanted)
             for k in range(PARTS):
                 others = part != k
-                said[:, ~others] = cls.fitted(seen[:, others], wanted[:, others], *level).say(seen[:, ~others])
+                said[:, ~others] = cls.fitted(seen[:, others], wanted[:, others], *level).say(
+                    seen[:, ~others]
+                )
             left = np.abs(wanted - said)
             if borne_out(*_gains(least, left), SIGNIFICANT if level[1] else CHOSEN):
                 chosen, least = level, left
@@ -114,7 +126,9 @@ class LinearPart:
 
     @classmethod
     def _as_far_as_it_holds(cls, seen: Array, wanted: Array, rungs: int, bent: bool) -> LinearPart:
-        """Fit to all, and let it reach as far beyond as a fit to the smaller features does, by what the others say."""
+        """Fit to all, and let it reach as far beyond as a fit to the smaller features does, by what
+        the others say.
+        """
         whole = cls.fitted(seen, wanted, rungs, bent)
         size = (np.abs(seen) / np.maximum(whole.reach, 1e-12)).max(axis=(0, 2))
         for further in FURTHER:
@@ -122,14 +136,19 @@ class LinearPart:
             if min(inner.sum(), (~inner).sum()) < FEATURES:
                 continue
             part = cls.fitted(seen[:, inner], wanted[:, inner], rungs, bent)
-            left = np.abs(wanted - replace(part, reach=np.full(FEATURES, np.inf)).say(seen))[:, ~inner]
+            left = np.abs(wanted - replace(part, reach=np.full(FEATURES, np.inf)).say(seen))[
+                :, ~inner
+            ]
             if borne_out(*_gains(np.abs(wanted[:, ~inner]), left)):
                 return replace(whole, reach=whole.reach * further / TRUSTED)
         return whole
 
     @classmethod
-    def fitted(cls, seen: Array, wanted: Array, rungs: int = LADDER.size, bent: bool = False) -> LinearPart:
-        """Fit by regularised least squares (Hoerl and Kennard 1970) of features in units of their size.
+    def fitted(
+        cls, seen: Array, wanted: Array, rungs: int = LADDER.size, bent: bool = False
+    ) -> LinearPart:
+        """Fit by regularised least squares (Hoerl and Kennard 1970) of features in units of their
+        size.
 
         Args:
             seen: shape (..., FEATURES).
@@ -137,14 +156,20 @@ class LinearPart:
             rungs: how many of the ladder's have a part.
             bent: whether the line over the voltage may bend.
         """
-        used = np.concatenate([np.full(NOW, True), np.tile(np.arange(LADDER.size) < rungs, SIGNALS)])
+        used = np.concatenate(
+            [np.full(NOW, True), np.tile(np.arange(LADDER.size) < rungs, SIGNALS)]
+        )
         bend_v = BENDS * float(np.abs(seen[..., 0]).max()) if bent else np.zeros(0)
-        chosen = np.concatenate([seen[..., used], _held(seen, bend_v)], axis=-1).reshape(wanted.size, -1)
+        chosen = np.concatenate([seen[..., used], _held(seen, bend_v)], axis=-1).reshape(
+            wanted.size, -1
+        )
         size = np.sqrt(np.mean(chosen**2, axis=0)) + 1e-12
         scaled = chosen / size
         count = int(used.sum())
         pull = np.where(np.arange(size.size) < count, RIDGE, STRAIGHT)
-        solved = np.linalg.solve(scaled.T @ scaled / wanted.size + np.diag(pull), scaled.T @ wanted.ravel())
+        solved = np.linalg.solve(
+            scaled.T @ scaled / wanted.size + np.diag(pull), scaled.T @ wanted.ravel()
+        )
         solved /= wanted.size * size
         weight, reach = np.zeros(FEATURES), np.full(FEATURES, np.inf)
         weight[used], reach[used] = solved[:count], np.abs(chosen[:, :count]).max(axis=0)
@@ -159,7 +184,9 @@ class LinearPart:
 
 
 def _held(seen: Array, bend_v: Array) -> Array:
-    """Voltages, none of them beyond where it bends, of the shape of the features but for their last axis."""
+    """Voltages, none of them beyond where it bends, of the shape of the features but for their last
+    axis.
+    """
     held: Array = np.minimum(np.maximum(seen[..., :1], -bend_v), bend_v)
     return held
 
@@ -170,7 +197,11 @@ def _parts(count: int) -> Any:
 
 
 def _gains(had: Array, left: Array) -> tuple[Array, Array]:
-    """Mean errors of every part in time, and how much smaller others are; of shape (motor, time) each."""
+    """Mean errors of every part in time, and how much smaller others are; of shape (motor, time)
+    each.
+    """
     part = _parts(had.shape[1])
-    means, gains = (np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left))
+    means, gains = (
+        np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left)
+    )
     return means, gains

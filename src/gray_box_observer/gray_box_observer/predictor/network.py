@@ -1,6 +1,7 @@
 """The predictor's network: one LSTM layer and a linear output, as plain arrays (thesis 4.3, 5.1.2).
 
-Streaming inference needs no torch: one step is two small matrix products. Training lives in the trainer.
+Streaming inference needs no torch: one step is two small matrix products. Training lives in the
+trainer.
 """
 
 from __future__ import annotations
@@ -14,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.saved_state import LARGEST_WEIGHT, SINGLE, ArrayRule, check_array, check_arrays
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST_WEIGHT,
+    SINGLE,
+    ArrayRule,
+    check_array,
+    check_arrays,
+)
+from gray_box_observer.white_box.interface import Array
 
 Mask = NDArray[np.bool_]
 """Which motors, shape (motor,)."""
@@ -41,7 +48,9 @@ class Weights:
 
     @classmethod
     def initial(cls, inputs: int, hidden: int, seed: int) -> Weights:
-        """Draw a fresh network: uniform within one over the root of the hidden size, forget gates open."""
+        """Draw a fresh network: uniform within one over the root of the hidden size, forget gates
+        open.
+        """
         random = np.random.default_rng(seed)
         bound = hidden**-0.5
         bias = random.uniform(-bound, bound, 4 * hidden)
@@ -55,7 +64,9 @@ class Weights:
         )
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Any], hidden: int | None = None, inputs: int | None = None) -> Weights:
+    def of(
+        cls, arrays: Mapping[str, Any], hidden: int | None = None, inputs: int | None = None
+    ) -> Weights:
         """Take the network's arrays out of others.
 
         Raises:
@@ -64,7 +75,8 @@ class Weights:
         weights = cls(**{f.name: arrays[f.name] for f in fields(cls)})
         if hidden is not None and weights.input.shape != (4 * hidden, inputs):
             raise ConfigurationError(
-                f'the checkpoint holds a network of {weights.hidden} hidden units and {weights.input.shape[1]} inputs, '
+                f'the checkpoint holds a network of {weights.hidden} hidden units and '
+                f'{weights.input.shape[1]} inputs, '
                 f'expected {hidden} and {inputs}'
             )
         return weights
@@ -76,10 +88,12 @@ class Weights:
 
     @cached_property
     def matrices(self) -> tuple[Array, ...]:
-        """What :func:`advance` needs: two for the gates, of all but the cell half of the weights; two for the output.
+        """What :func:`advance` needs: two for the gates, of all but the cell half of the weights;
+        two for the output.
 
-        The first makes gates of inputs and hidden units below each other, the second is their bias, a column.
-        The logistic function of a gate is ``(1 + tanh(gate / 2)) / 2``: so one call squashes all of them.
+        The first makes gates of inputs and hidden units below each other, the second is their bias,
+        a column. The logistic function of a gate is ``(1 + tanh(gate / 2)) / 2``: so one call
+        squashes all of them.
         """
         factor = np.full((4 * self.hidden, 1), 0.5)
         factor[2 * self.hidden : 3 * self.hidden] = 1.0
@@ -100,13 +114,16 @@ MOST_HIDDEN = 4096
 """Hidden units of a saved network, at most."""
 
 LONGEST_STEP = 8.0
-"""Mean of the gradient that Adam remembers, in units of the root of its mean square, at most: 7.3 by its two paces."""
+"""Mean of the gradient that Adam remembers, in units of the root of its mean square, at most: 7.3
+by its two paces."""
 
 _UNDERFLOW = 1e-12
 """Of a mean whose square single precision cannot hold."""
 
 
-def check_weights(arrays: Mapping[str, Any], inputs: int | None = None, prefix: str = '') -> tuple[int, int]:
+def check_weights(
+    arrays: Mapping[str, Any], inputs: int | None = None, prefix: str = ''
+) -> tuple[int, int]:
     """Refuse arrays that are no network.
 
     Args:
@@ -124,12 +141,17 @@ def check_weights(arrays: Mapping[str, Any], inputs: int | None = None, prefix: 
     check_array(f'{prefix}input', arrays.get(f'{prefix}input'), every)
     rows, width = arrays[f'{prefix}input'].shape
     hidden = min(max(1, rows // 4), MOST_HIDDEN)
-    check_arrays(arrays, {name: replace(every, shape=shape) for name, shape in _shapes(hidden, width).items()}, prefix)
+    check_arrays(
+        arrays,
+        {name: replace(every, shape=shape) for name, shape in _shapes(hidden, width).items()},
+        prefix,
+    )
     return hidden, width
 
 
 def check_moments(arrays: Mapping[str, Any], hidden: int, inputs: int, prefix: str = '') -> None:
-    """Refuse arrays that are not what Adam remembers of every weight of a network that it has taught.
+    """Refuse arrays that are not what Adam remembers of every weight of a network that it has
+    taught.
 
     Args:
         arrays: its arrays among others, by ``adam_<place>_<name>``.
@@ -153,10 +175,14 @@ def check_moments(arrays: Mapping[str, Any], hidden: int, inputs: int, prefix: s
         if (np.abs(arrays[f'{own}exp_avg']) > LONGEST_STEP * size + _UNDERFLOW).any():
             raise CheckpointError(f'{own}exp_avg is larger than any mean of gradients of that size')
     places = {
-        name.removeprefix(f'{prefix}adam_').partition('_')[0] for name in arrays if name.startswith(f'{prefix}adam_')
+        name.removeprefix(f'{prefix}adam_').partition('_')[0]
+        for name in arrays
+        if name.startswith(f'{prefix}adam_')
     }
     if len(places) != len(of_torch):
-        raise CheckpointError(f'{prefix}adam_ is of {len(places)} weights, expected {len(of_torch)}')
+        raise CheckpointError(
+            f'{prefix}adam_ is of {len(places)} weights, expected {len(of_torch)}'
+        )
 
 
 def _shapes(hidden: int, inputs: int) -> dict[str, tuple[int, ...]]:
@@ -171,7 +197,9 @@ def _shapes(hidden: int, inputs: int) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What the network remembers: hidden and cell state, each of shape (motor, hidden), in either order of memory."""
+    """What the network remembers: hidden and cell state, each of shape (motor, hidden), in either
+    order of memory.
+    """
 
     hidden: Array
     cell: Array
@@ -182,9 +210,13 @@ class Memory:
         return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
 
     def where(self, motors: Mask, other: Memory, ops: Any = np) -> Memory:
-        """Return this memory for the motors that a mask of shape (motor,) marks, another for the rest."""
+        """Return this memory for the motors that a mask of shape (motor,) marks, another for the
+        rest.
+        """
         chosen = motors[:, None]
-        return Memory(ops.where(chosen, self.hidden, other.hidden), ops.where(chosen, self.cell, other.cell))
+        return Memory(
+            ops.where(chosen, self.hidden, other.hidden), ops.where(chosen, self.cell, other.cell)
+        )
 
     def cleared(self, motors: Mask, ops: Any = np) -> Memory:
         """Return this memory, blank for the motors that a mask of shape (motor,) marks."""
@@ -208,10 +240,12 @@ def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory
 
 
 def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> tuple[Any, Memory]:
-    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices` are in its form.
+    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices`
+    are in its form.
 
-    Motors stand beside each other here, gates below each other: so that every gate of all motors is one piece of
-    memory. What need not be kept is overwritten, for new memory costs more than arithmetic where motors are many.
+    Motors stand beside each other here, gates below each other: so that every gate of all motors is
+    one piece of memory. What need not be kept is overwritten, for new memory costs more than
+    arithmetic where motors are many.
     """
     weights, bias, output, output_bias = matrices
     n = output.shape[0]

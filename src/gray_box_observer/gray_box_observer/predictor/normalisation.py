@@ -1,4 +1,6 @@
-"""Data scaled to 0..1 for the network and back (thesis 4.3.3), with a range that may grow while the motor runs."""
+"""Data scaled to 0..1 for the network and back (thesis 4.3.3), with a range that may grow while the
+motor runs.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,8 @@ import numpy as np
 
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.saved_state import ArrayRule, check_arrays
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
+from gray_box_observer.white_box.interface import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,10 @@ class Range:
             return self
         low, high = float(finite.min()), float(finite.max())
         extra = margin * max(high - low, 1e-12, 1e-6 * max(abs(low), abs(high)))
-        return Range(self.low if low >= self.low else low - extra, self.high if high <= self.high else high + extra)
+        return Range(
+            self.low if low >= self.low else low - extra,
+            self.high if high <= self.high else high + extra,
+        )
 
     @classmethod
     def of(cls, values: Array) -> Range:
@@ -56,7 +61,9 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Normalisation:
-    """Ranges of everything the network sees and says; theta enters as the logarithm of its ratio to a reference."""
+    """Ranges of everything the network sees and says; theta enters as the logarithm of its ratio to
+    a reference.
+    """
 
     voltage: Range
     torque: Range
@@ -113,10 +120,11 @@ def saved_ranges(arrays: Mapping[str, Any], prefix: str, *, speed: bool) -> dict
 
 
 def moved(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:
-    """Return the weights that compute under the new ranges exactly what the given ones did under the old ranges.
+    """Return the weights that compute under the new ranges exactly what the given ones did under
+    the old ranges.
 
-    Both scalings are affine and the network is affine in its inputs and output, so nothing learnt is lost when data
-    leave the range they were scaled by.
+    Both scalings are affine and the network is affine in its inputs and output, so nothing learnt
+    is lost when data leave the range they were scaled by.
     """
     if old == new:
         return weights
@@ -128,5 +136,13 @@ def moved(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:
         bias += weights.input[:, column] * (after.low - before.low) / before.span
         input_weights[:, column] *= after.span / before.span
     ratio = old.torque.span / new.torque.span
-    output_bias = (weights.output_bias * old.torque.span + old.torque.low - new.torque.low) / new.torque.span
-    return replace(weights, input=input_weights, bias=bias, output=weights.output * ratio, output_bias=output_bias)
+    output_bias = (
+        weights.output_bias * old.torque.span + old.torque.low - new.torque.low
+    ) / new.torque.span
+    return replace(
+        weights,
+        input=input_weights,
+        bias=bias,
+        output=weights.output * ratio,
+        output_bias=output_bias,
+    )

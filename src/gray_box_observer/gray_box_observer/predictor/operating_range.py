@@ -1,4 +1,6 @@
-"""Where a motor has been seen to run; it only grows, so that nothing learnt of one regime is given up for another."""
+"""Where a motor has been seen to run; it only grows, so that nothing learnt of one regime is given
+up for another.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.errors import CheckpointError
-from gray_box_observer.saved_state import LARGEST_SIGNAL, SMALLEST, ArrayRule, check_array
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, SMALLEST, ArrayRule, check_array
+from gray_box_observer.white_box.interface import Array
 
 Bounds = tuple[float, float]
 
@@ -22,7 +24,8 @@ class OperatingRange:
     """Smallest and largest value seen of what drives a motor.
 
     Attributes:
-        voltage_v, interval_s, speed_rad_s: bounds; the lower above the upper where nothing was seen.
+        voltage_v, interval_s, speed_rad_s: bounds; the lower above the upper where nothing was
+            seen.
     """
 
     voltage_v: Bounds = NOTHING
@@ -30,7 +33,9 @@ class OperatingRange:
     speed_rad_s: Bounds = NOTHING
 
     def grown(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
-        """Return the range with these samples in it; those that begin a history anew tell no voltage."""
+        """Return the range with these samples in it; those that begin a history anew tell no
+        voltage.
+        """
         goes_on = interval_s > 0.0
         return OperatingRange(
             _grown(self.voltage_v, voltage_v[goes_on]),
@@ -49,7 +54,9 @@ class OperatingRange:
         return self.interval_s[0] <= self.interval_s[1] and speed
 
     def voltages(self, declared_v: Sequence[float], margin: float = 0.2) -> Bounds:
-        """Voltages to be ready for: those declared, or what was seen and a margin of the largest magnitude seen."""
+        """Voltages to be ready for: those declared, or what was seen and a margin of the largest
+        magnitude seen.
+        """
         low, high = declared_v
         if low < high:
             return min(low, self.voltage_v[0]), max(high, self.voltage_v[1])
@@ -69,7 +76,8 @@ class OperatingRange:
 
 
 def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
-    """Take a range, as :meth:`OperatingRange.to_dict` gives it, out of saved arrays; empty where none was saved.
+    """Take a range, as :meth:`OperatingRange.to_dict` gives it, out of saved arrays; empty where
+    none was saved.
 
     Args:
         arrays: two bounds each, among others.
@@ -84,7 +92,9 @@ def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
     bounds = {}
     for name, low in lowest.items():
         check_array(
-            f'{prefix}_{name}', arrays.get(f'{prefix}_{name}'), ArrayRule((2,), low, LARGEST_SIGNAL, endless=True)
+            f'{prefix}_{name}',
+            arrays.get(f'{prefix}_{name}'),
+            ArrayRule((2,), low, LARGEST_SIGNAL, endless=True),
         )
         first, last = arrays[f'{prefix}_{name}'].tolist()
         if (first, last) != NOTHING and not -np.inf < first <= last < np.inf:

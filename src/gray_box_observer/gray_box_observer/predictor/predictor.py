@@ -1,4 +1,5 @@
-"""The predictor: forecasts each torque before it is measured, and has itself trained in the background.
+"""The predictor: forecasts each torque before it is measured, and has itself trained in the
+background.
 
 Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what it said.
 """
@@ -12,24 +13,28 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from gray_box_observer.device import DEVICE_FROM, watched
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Forecaster, Question
-from gray_box_observer.predictor.inputs import InputLayout, Variant
+from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.network import Memory
-from gray_box_observer.predictor.online_training import OnlineTraining
-from gray_box_observer.predictor.relaxation import Course, course, flow, flow_each
-from gray_box_observer.predictor.relaxing_forecaster import RelaxingForecaster
-from gray_box_observer.predictor.residual import Recollection, ResidualForecaster, check_correction
-from gray_box_observer.predictor.rules import TrainingRules
+from gray_box_observer.predictor.network_inputs import InputLayout, Variant
+from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.residual_model import (
+    Recollection,
+    ResidualForecaster,
+    check_correction,
+)
 from gray_box_observer.predictor.scores import Scores
-from gray_box_observer.predictor.start import first_network
-from gray_box_observer.predictor.training import Training
-from gray_box_observer.predictor.window_forecaster import WindowForecaster
+from gray_box_observer.predictor.steady_state import Course, course, flow, flow_each
+from gray_box_observer.predictor.steady_state_forecaster import RelaxingForecaster
+from gray_box_observer.predictor.thesis.window_forecaster import WindowForecaster
+from gray_box_observer.predictor.training.online_training import OnlineTraining
+from gray_box_observer.predictor.training.training_backend import Training
+from gray_box_observer.safe_io.saved_state import check_array, positive
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.saved_state import check_array, positive
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.settings.device import DEVICE_FROM, watched
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
 @dataclass(frozen=True)
@@ -37,13 +42,15 @@ class Prediction:
     """What is expected of the next torque sample, with what has to be remembered if it comes.
 
     Attributes:
-        torque_nm: shape (motor,): the predictor's forecast; NaN where it cannot tell: at the first sample of a history,
-            for the thesis's variants also before the first training and while the network warms up.
-        rollout: works out :attr:`white_box_torque_nm`, when it is asked for: only scores need it, which can wait until
-            the forecast has gone out.
+        torque_nm: shape (motor,): the predictor's forecast; NaN where it cannot tell: at the first
+            sample of a history, for the thesis's variants also before the first training and while
+            the network warms up.
+        rollout: works out :attr:`white_box_torque_nm`, when it is asked for: only scores need it,
+            which can wait until the forecast has gone out.
         memory: the network's memory after this step; None where it made none.
         way: where voltage and speed lead; None at the first sample of a history.
-        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where nothing was added.
+        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where
+            nothing was added.
         residual_memory: what the correction remembers after this step.
     """
 
@@ -71,7 +78,8 @@ class Predictor:
         training: where jobs run.
         speed_measured: whether speed is a signal.
         seed: of a fresh network.
-        device: torch's, on which very many motors are predicted (variant ``physics``); None: by numpy.
+        device: torch's, on which very many motors are predicted (variant ``physics``); None: by
+            numpy.
 
     Attributes:
         residual: the correction of what the physics says.
@@ -97,11 +105,15 @@ class Predictor:
             self._axis = Axis(motors, device)
             self._white_box = self._axis.white_box(white_box)
             if is_physics:
-                self._forecaster = RelaxingForecaster(white_box, motors, first_network(rules, seed), device)
+                self._forecaster = RelaxingForecaster(
+                    white_box, motors, first_network(rules, seed), device
+                )
             else:
                 layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
                 self._forecaster = WindowForecaster(motors, layout, rules)
-        if device is not None:  # here, not where they are defined: one motor by numpy must not pay for it
+        if (
+            device is not None
+        ):  # here, not where they are defined: one motor by numpy must not pay for it
             for name in ('predict', '_rollout', 'forecast', 'follow', 'study', 'restore'):
                 setattr(self, name, watched(device)(getattr(self, name)))
         self.residual = ResidualForecaster(white_box, motors)
@@ -132,10 +144,14 @@ class Predictor:
         correction_nm, learnt = self.residual.correct(question, torque_nm)
         if correction_nm is None:
             return Prediction(torque_nm, rollout, memory, question.way)
-        return Prediction(torque_nm + correction_nm, rollout, memory, question.way, torque_nm, learnt)
+        return Prediction(
+            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, learnt
+        )
 
     def _rollout(self, question: Question, from_nm: Array) -> Array:
-        """Torque of the white box alone at the end of an interval, shape (motor,); NaN where none goes on."""
+        """Torque of the white box alone at the end of an interval, shape (motor,); NaN where none
+        goes on.
+        """
         axis, ops = self._axis, self._axis.ops
         start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
         length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
@@ -143,30 +159,38 @@ class Predictor:
             end = flow(ops, self._white_box, question.way, start, length_s)
         else:
             end = flow_each(ops, self._white_box, question.way, start, length_s)
-        rollout_nm: Array = axis.give(self._white_box.output(ops.where(question.usable, end, np.nan)))
+        rollout_nm: Array = axis.give(
+            self._white_box.output(ops.where(question.usable, end, np.nan))
+        )
         return rollout_nm
 
-    def forecast(self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None) -> Array:
+    def forecast(
+        self, horizon_s: float, voltage_v: Array, theta: Array, since: Prediction | None = None
+    ) -> Array:
         """Forecast the torque after a planned voltage has been held for a while; changes nothing.
 
-        The physics goes there in one step; what was learnt beside it follows at the pace at which it was learnt, in a
-        bounded number of steps however long the horizon is (:meth:`Correction.instants_s`).
+        The physics goes there in one step; what was learnt beside it follows at the pace at which
+        it was learnt, in a bounded number of steps however long the horizon is
+        (:meth:`Correction.instants_s`).
 
         Args:
             horizon_s: how long, counted from the last sample or from what ``since`` tells.
             voltage_v: shape (motor,): voltage that will be held.
             theta: shape (motor, parameter): context nodes.
-            since: what was predicted of the next sample, to go on from there; None: go on from the last sample.
+            since: what was predicted of the next sample, to go on from there; None: go on from the
+                last sample.
 
         Returns:
             Shape (motor,), in N m; NaN for a motor whose signal history has not begun.
 
         Raises:
-            ConfigurationError: the network is one of the thesis, which goes from sample to sample only.
+            ConfigurationError: the network is one of the thesis, which goes from sample to sample
+                only.
         """
         if not isinstance(self._forecaster, RelaxingForecaster):
             raise ConfigurationError(
-                f'variant {self._rules.variant.value} forecasts the next sample only; for a horizon use variant physics'
+                f'variant {self._rules.variant.value} forecasts the next sample only; for a '
+                'horizon use variant physics'
             )
         question = self._question(np.full(self._motors, horizon_s), voltage_v, theta)
         if question is None or (since is not None and since.memory is None):
@@ -178,9 +202,13 @@ class Predictor:
         if learnt is None or not self.residual.speaks:
             return torque_nm
         path_nm = self._forecaster.path(question, learnt.instants_s(horizon_s))
-        return torque_nm + self.residual.along(question, path_nm, None if since is None else since.residual_memory)
+        return torque_nm + self.residual.along(
+            question, path_nm, None if since is None else since.residual_memory
+        )
 
-    def learn(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
+    def learn(
+        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
+    ) -> None:
         """Go on from a sample and learn it: :meth:`follow` and :meth:`study`."""
         self.follow(sample, prediction)
         self.study(sample, prediction, theta, covariance)
@@ -194,27 +222,35 @@ class Predictor:
         """
         anew = sample.interval_s <= 0.0
         physics_nm = _physics_of(prediction)
-        self._forecaster.remember(physics_nm, sample.torque_nm, anew, prediction.memory, sample.present)
+        self._forecaster.remember(
+            physics_nm, sample.torque_nm, anew, prediction.memory, sample.present
+        )
         added_nm = None if prediction.physics_nm is None else prediction.torque_nm - physics_nm
         self.residual.remember(added_nm, anew, prediction.residual_memory)
         started = np.isfinite(prediction.white_box_torque_nm) & ~anew
         rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
         self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
-        # a torque message without its speed must not put NaN into the network's memory or into a training window
-        self._previous_speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed)
+        # a torque message without its speed must not put NaN into the network's memory or into a
+        # training window
+        self._previous_speed = np.where(
+            np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed
+        )
 
-    def study(self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None) -> None:
+    def study(
+        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
+    ) -> None:
         """Score what was predicted, and let the sample be trained on.
 
-        Comes after :meth:`follow` and before the next sample is followed; where :attr:`training` is ``due_next``, also
-        before it is predicted, for a trained network may take over.
+        Comes after :meth:`follow` and before the next sample is followed; where :attr:`training` is
+        ``due_next``, also before it is predicted, for a trained network may take over.
 
         Args:
             sample: what came.
             prediction: what had been expected of it.
             theta: shape (motor, parameter): context nodes before the sample is learnt.
-            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at all.
+            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at
+                all.
         """
         rivals = {
             'predictor': prediction.torque_nm,
@@ -226,7 +262,9 @@ class Predictor:
         self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """The network, what was learnt beside it, and what its training depends on, of one motor, as arrays."""
+        """The network, what was learnt beside it, and what its training depends on, of one motor,
+        as arrays.
+        """
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
         return {**self._forecaster.state(), **learnt, **self.training.state(motor)}
 
@@ -247,10 +285,16 @@ class Predictor:
         self.training.restore(arrays, motor)
 
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
-        """Say where an interval leads; None where no motor goes on from a known start under a known voltage."""
+        """Say where an interval leads; None where no motor goes on from a known start under a known
+        voltage.
+        """
         axis, ops = self._axis, self._axis.ops
         voltage, speed = axis.take(voltage_v), 0.0
-        usable = (axis.take(interval_s) > 0.0) & ops.isfinite(axis.take(self._rollout_nm)) & ops.isfinite(voltage)
+        usable = (
+            (axis.take(interval_s) > 0.0)
+            & ops.isfinite(axis.take(self._rollout_nm))
+            & ops.isfinite(voltage)
+        )
         if self._speed_measured:
             speed = axis.take(self._previous_speed)
             usable = usable & ops.isfinite(speed)
@@ -264,7 +308,9 @@ class Predictor:
             and axis.same(way.speed_rad_s, speed)
             and axis.same(way.theta, columns)
         ):
-            way = course(ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a)
+            way = course(
+                ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a
+            )
         return Question(interval_s, axis.give(voltage), axis.give(speed), theta, way, usable)
 
 

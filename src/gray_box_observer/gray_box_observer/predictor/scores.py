@@ -1,4 +1,6 @@
-"""Skill of the prediction: errors made before the truth was revealed, against rivals that cost nothing."""
+"""Skill of the prediction: errors made before the truth was revealed, against rivals that cost
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 RIVALS = ('predictor', 'persistence', 'white_box')
 
@@ -20,8 +22,9 @@ class Skill:
         samples: predictions scored.
         nmae: mean absolute error as a fraction of the standard deviation of the remembered torque.
         skill_vs_persistence: ``1 - MAE / MAE of "torque stays what it was"``; above 0 is better.
-        skill_vs_white_box: the same against the white box's own rollout with the present parameters, which sees
-            voltages only, like the predictor. With perfect physics that rollout is the limit.
+        skill_vs_white_box: the same against the white box's own rollout with the present
+            parameters, which sees voltages only, like the predictor. With perfect physics that
+            rollout is the limit.
     """
 
     samples: int
@@ -50,7 +53,9 @@ class Scores:
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
-        """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN is not scored."""
+        """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN
+        is not scored.
+        """
         row = self._count % self._window
         for rival, said in self._said.items():
             said[row] = predictions[rival]
@@ -61,7 +66,9 @@ class Scores:
         """Return the scores of one motor over the samples that every rival predicted."""
         rows = slice(min(self._count, self._window))
         torque_nm = self._torque[rows, motor].copy()
-        errors = {rival: np.abs(said[rows, motor] - torque_nm) for rival, said in self._said.items()}
+        errors = {
+            rival: np.abs(said[rows, motor] - torque_nm) for rival, said in self._said.items()
+        }
         scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
         count = int(scored.sum())
         if count < 2:

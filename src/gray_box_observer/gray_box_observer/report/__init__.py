@@ -1,10 +1,10 @@
 """The HTML reports, of a run and of an archive of runs: one file each, no network."""
 
-from gray_box_observer.report.errors import ReportError
-from gray_box_observer.report.history import MotorHistory, ParameterHistory, RunHistory
-from gray_box_observer.report.page import render, require_plotly, write_report
-from gray_box_observer.report.trend import ArchiveHistory, MotorTrend, ParameterTrend
-from gray_box_observer.report.trend_page import render_trends, write_trend_report
+from gray_box_observer.report.report_errors import ReportError
+from gray_box_observer.report.run.history import MotorHistory, ParameterHistory, RunHistory
+from gray_box_observer.report.run.page import render, require_plotly, write_report
+from gray_box_observer.report.trend.trend import ArchiveHistory, MotorTrend, ParameterTrend
+from gray_box_observer.report.trend.trend_page import render_trends, write_trend_report
 
 __all__ = [
     'ArchiveHistory',

@@ -1,7 +1,7 @@
 """Fewer points for the eye, the same picture.
 
-A screen shows about a thousand columns. A long series is cut into more time buckets than that, and the
-lowest and the highest sample of every bucket stay, so no peak disappears however short it was.
+A screen shows about a thousand columns. A long series is cut into more time buckets than that, and
+the lowest and the highest sample of every bucket stay, so no peak disappears however short it was.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gray_box_observer.report.history import FloatArray
+from gray_box_observer.report.run.history import FloatArray
 
 DRAWN_WHOLE = 20_000
 """Series up to this length are drawn as they are."""
 
 BUCKETS = 4_000
-"""Time buckets of a longer one: several for each column of a screen, so that zooming in shows more."""
+"""Time buckets of a longer one: several for each column of a screen, so that zooming in shows more.
+"""
 
 
 @dataclass(frozen=True)
@@ -42,16 +43,18 @@ def thinned(
         buckets: buckets of equal time for a longer one.
 
     Returns:
-        Rising indices: all of a short series; otherwise the first and the last sample, the lowest and the
-        highest finite one of every bucket, and one sample of a bucket that holds no finite one (the gap
-        in the line stays visible).
+        Rising indices: all of a short series; otherwise the first and the last sample, the lowest
+        and the highest finite one of every bucket, and one sample of a bucket that holds no finite
+        one (the gap in the line stays visible).
     """
     count = len(time_s)
     if count <= drawn_whole:
         return np.arange(count)
     span_s = float(time_s[-1] - time_s[0])
     if span_s > 0.0:
-        bucket = np.minimum(((time_s - time_s[0]) * (buckets / span_s)).astype(np.intp), buckets - 1)
+        bucket = np.minimum(
+            ((time_s - time_s[0]) * (buckets / span_s)).astype(np.intp), buckets - 1
+        )
     else:
         bucket = np.arange(count) * buckets // count
     kept = [np.array([0, count - 1])]

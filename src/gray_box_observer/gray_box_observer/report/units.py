@@ -35,11 +35,16 @@ def printed_unit(unit: str) -> str:
 def scale_for(magnitude: float, unit: str) -> Scale:
     """Choose the SI prefix that brings `magnitude` between 0.8 and 800.
 
-    Not between 1 and 1000: a resistance that settles at 0.999 ohm reads better as such than as 999 milliohm.
-    Bare numbers and units that already carry a prefix (`kg`) stay as they are.
+    Not between 1 and 1000: a resistance that settles at 0.999 ohm reads better as such than as 999
+    milliohm. Bare numbers and units that already carry a prefix (`kg`) stay as they are.
     """
     label = printed_unit(unit)
-    if not label or label.startswith(('kg', '1', '%')) or not math.isfinite(magnitude) or magnitude == 0.0:
+    if (
+        not label
+        or label.startswith(('kg', '1', '%'))
+        or not math.isfinite(magnitude)
+        or magnitude == 0.0
+    ):
         return Scale(1.0, label)
     exponent = 3 * math.floor(math.log10(abs(magnitude) / 0.8) / 3.0)
     exponent = min(max(exponent, min(_PREFIXES)), max(_PREFIXES))

@@ -9,9 +9,9 @@ from __future__ import annotations
 from itertools import count
 from pathlib import Path
 
-from gray_box_observer.bounded_yaml import read_yaml
 from gray_box_observer.errors import ConfigurationError, InputError, brief
-from gray_box_observer.plain_number import NumberError, parse_float
+from gray_box_observer.safe_io.bounded_yaml import read_yaml
+from gray_box_observer.safe_io.plain_number import NumberError, parse_float
 
 
 def parameter_files(name: str, text: str) -> list[str]:
@@ -64,7 +64,9 @@ def new_folder(name: str, text: str, default: str) -> str:
         names = (default if k == 1 else f'{default}_{k}' for k in count(1))
         return next(free for free in names if not _exists(free))
     if _exists(text):
-        raise ConfigurationError(f'{name}: {text} is there already; expected a new folder, or no word of {name}')
+        raise ConfigurationError(
+            f'{name}: {text} is there already; expected a new folder, or no word of {name}'
+        )
     return text
 
 

@@ -13,13 +13,17 @@ from rclpy.service import Service
 def survive_impossible_transitions(node: LifecycleNode) -> None:
     """Answer no to a transition that the present state does not have, as rclcpp does.
 
-    rclpy 7.1 raises instead, in the service's callback: the caller waits for ever and the node dies, of nothing worse
-    than ``ros2 lifecycle set`` at the wrong moment.
+    rclpy 7.1 raises instead, in the service's callback: the caller waits for ever and the node
+    dies, of nothing worse than ``ros2 lifecycle set`` at the wrong moment.
     """
     service: Service = node._service_change_state
-    change: Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response] = service.callback
+    change: Callable[[ChangeState.Request, ChangeState.Response], ChangeState.Response] = (
+        service.callback
+    )
 
-    def guarded(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+    def guarded(
+        request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
         try:
             return change(request, response)
         except rclpy_implementation.RCLError as error:

@@ -1,4 +1,6 @@
-"""Parameters of a node that are declared as a list: on the node, read-only, and in the text of its ``--help``."""
+"""Parameters of a node that are declared as a list: on the node, read-only, and in the text of its
+``--help``.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,14 @@ from typing import Any
 
 from rclpy.node import Node
 
-from gray_box_observer.parameters import ParameterSpec
-from gray_box_observer.ros.parameters import describe
+from gray_box_observer.ros.node_parameters import describe
 from gray_box_observer.ros.unknown_parameters import settle
+from gray_box_observer.settings.parameters import ParameterSpec
 
 
-def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def declare(
+    node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Declare every parameter and return the values by name.
 
     Args:
@@ -23,9 +27,13 @@ def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, 
         preceding: Values that precede the given ones, such as those of the command line.
 
     Raises:
-        ConfigurationError: a value of the wrong type or out of its range, or a name that nobody declared.
+        ConfigurationError: a value of the wrong type or out of its range, or a name that nobody
+            declared.
     """
-    given = {name: parameter.value for name, parameter in getattr(node, '_parameter_overrides', {}).items()}
+    given = {
+        name: parameter.value
+        for name, parameter in getattr(node, '_parameter_overrides', {}).items()
+    }
     given.update(preceding or {})
     values = {spec.name: spec.check(given.get(spec.name, spec.default)) for spec in specs}
     for spec in specs:  # rclpy refuses 1 for 1.0, so what was checked is declared
@@ -35,7 +43,9 @@ def declare(node: Node, specs: Sequence[ParameterSpec], preceding: Mapping[str, 
     return values
 
 
-def help_text(specs: Sequence[ParameterSpec], heading: str = 'parameters (--ros-args -p NAME:=VALUE)') -> str:
+def help_text(
+    specs: Sequence[ParameterSpec], heading: str = 'parameters (--ros-args -p NAME:=VALUE)'
+) -> str:
     """What ``--help`` says of the parameters, their defaults as YAML takes them."""
     width = max(len(spec.name) for spec in specs) + 4
     lines = [

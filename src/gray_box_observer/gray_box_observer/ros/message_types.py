@@ -8,12 +8,16 @@ from collections.abc import Sequence
 from typing import Any
 
 _TYPE_NAME = re.compile(r'([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)\Z')
-_ARRAY = re.compile(r'sequence<(?P<held>[^,>]+)(?:, *(?P<most>\d+))?>|(?P<kind>[^<\[]+)\[(?P<count>\d+)\]')
+_ARRAY = re.compile(
+    r'sequence<(?P<held>[^,>]+)(?:, *(?P<most>\d+))?>|(?P<kind>[^<\[]+)\[(?P<count>\d+)\]'
+)
 _TEXT = re.compile(r'w?string(<\d+>)?')
 
 
 def message_class(type_name: str) -> Any | None:
-    """Return the Python class of ``package/msg/Name``; None where this environment does not have it."""
+    """Return the Python class of ``package/msg/Name``; None where this environment does not have
+    it.
+    """
     found = _TYPE_NAME.match(type_name)
     if found is None:
         return None

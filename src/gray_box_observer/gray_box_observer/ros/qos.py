@@ -1,6 +1,8 @@
-"""Endpoints whose quality of service a user may override, topic by topic, as rclcpp and rclpy name it.
+"""Endpoints whose quality of service a user may override, topic by topic, as rclcpp and rclpy name
+it.
 
-``qos_overrides./motor/voltage.subscription.reliability: best_effort`` and the like; see :data:`POLICIES`.
+``qos_overrides./motor/voltage.subscription.reliability: best_effort`` and the like; see
+:data:`POLICIES`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,12 @@ from rclpy.subscription import Subscription
 
 from gray_box_observer.errors import ConfigurationError
 
-POLICIES = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY)
+POLICIES = (
+    QoSPolicyKind.HISTORY,
+    QoSPolicyKind.DEPTH,
+    QoSPolicyKind.RELIABILITY,
+    QoSPolicyKind.DURABILITY,
+)
 """What may be overridden of every topic."""
 
 PREFIX = 'qos_overrides.'
@@ -57,7 +64,8 @@ def subscribe(
         qos: unless overridden.
         events: what else is told of.
         raw: give the callback serialised messages.
-        overridden: whether parameters may override the quality of service; False: it is had as it is.
+        overridden: whether parameters may override the quality of service; False: it is had as it
+            is.
 
     Raises:
         ConfigurationError: an override that cannot be used.
@@ -77,7 +85,9 @@ def subscribe(
     )
 
 
-def advertise(create: Callable[..., Publisher], kind: Any, topic: str, qos: QoSProfile) -> Publisher:
+def advertise(
+    create: Callable[..., Publisher], kind: Any, topic: str, qos: QoSProfile
+) -> Publisher:
     """Create a publisher.
 
     Args:
@@ -90,7 +100,9 @@ def advertise(create: Callable[..., Publisher], kind: Any, topic: str, qos: QoSP
         ConfigurationError: an override that cannot be used.
     """
     return _with_overrides(
-        lambda own: create(kind, topic, own, qos_overriding_options=QoSOverridingOptions(POLICIES)), topic, qos
+        lambda own: create(kind, topic, own, qos_overriding_options=QoSOverridingOptions(POLICIES)),
+        topic,
+        qos,
     )
 
 
@@ -98,10 +110,14 @@ def _with_overrides(create: Callable[[QoSProfile], Any], topic: str, qos: QoSPro
     try:
         return create(copy.copy(qos))  # rclpy writes the overrides into the profile
     except _REFUSALS as error:
-        raise ConfigurationError(f'quality of service of {topic}: {error}; see the parameters {PREFIX}...') from error
+        raise ConfigurationError(
+            f'quality of service of {topic}: {error}; see the parameters {PREFIX}...'
+        ) from error
 
 
 def unused_overrides(node: Node) -> list[str]:
     """Name the overrides that were given for topics that the node does not have."""
     given = getattr(node, '_parameter_overrides', {})
-    return sorted(name for name in given if name.startswith(PREFIX) and not node.has_parameter(name))
+    return sorted(
+        name for name in given if name.startswith(PREFIX) and not node.has_parameter(name)
+    )

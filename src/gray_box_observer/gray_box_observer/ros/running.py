@@ -1,8 +1,9 @@
-"""Starting, spinning and ending a node the same way everywhere: signals, exit codes, one-line errors.
+"""Starting, spinning and ending a node the same way everywhere: signals, exit codes, one-line
+errors.
 
-An executable of this package ends with 0 when it finished or was asked to end (SIGINT, SIGTERM, SIGHUP),
-and with 2 and one line on stderr when the user must change something. All else is a defect and shows its
-traceback.
+An executable of this package ends with 0 when it finished or was asked to end (SIGINT, SIGTERM,
+SIGHUP), and with 2 and one line on stderr when the user must change something. All else is a defect
+and shows its traceback.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from gray_box_observer.bounded_yaml import read_yaml
 from gray_box_observer.errors import GrayBoxError
-from gray_box_observer.printable import printable
 from gray_box_observer.ros import discovery
+from gray_box_observer.safe_io.bounded_yaml import read_yaml
+from gray_box_observer.safe_io.printable import printable
 
 EXIT_DONE = 0
 EXIT_USER_ERROR = 2
@@ -48,7 +49,8 @@ _STARTUP_ERRORS = (
 _SLICE_S = 1.0
 _SWITCH_S = 0.0005
 _PATIENCE_S = 1.0
-"""A second interrupt this long after the first means that the user will not wait for a clean end."""
+"""A second interrupt this long after the first means that the user will not wait for a clean end.
+"""
 
 
 class Stop:
@@ -78,7 +80,9 @@ class Stop:
         return self._requested
 
     def future(self) -> Future:
-        """A fresh future that completes when the end is asked for; it replaces the one handed out before."""
+        """A fresh future that completes when the end is asked for; it replaces the one handed out
+        before.
+        """
         with self._lock:
             self._waiting = Future()
             if self._requested:
@@ -86,11 +90,14 @@ class Stop:
             return self._waiting
 
 
-def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None) -> argparse.Namespace:
+def parse_arguments(
+    parser: argparse.ArgumentParser, args: Sequence[str] | None
+) -> argparse.Namespace:
     """Parse what is left of the command line once ROS has taken its own (``--ros-args ...``).
 
     Args:
-        parser: Knows the command's own arguments; answers ``--help``, refuses unknown ones with code 2.
+        parser: Knows the command's own arguments; answers ``--help``, refuses unknown ones with
+            code 2.
         args: The whole command line, the program's name first; None means ``sys.argv``.
     """
     try:
@@ -102,7 +109,9 @@ def parse_arguments(parser: argparse.ArgumentParser, args: Sequence[str] | None)
 
 
 def make_executor() -> Executor:
-    """The fastest single-threaded executor of this rclpy: the events executor carries twice the rate."""
+    """The fastest single-threaded executor of this rclpy: the events executor carries twice the
+    rate.
+    """
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -119,10 +128,10 @@ def run_node(
 ) -> int:
     """Run one node until it is asked to end; the result is the exit code of the process.
 
-    A node that has a ``close()`` method gets it called before it is destroyed, while it can still publish;
-    this is where files are finished. Errors of this package and whatever ROS refuses at the start
-    (parameters, names, arguments) become one line. A callback should call ``stop(error)`` rather than raise:
-    the events executor logs a traceback of whatever a callback raises.
+    A node that has a ``close()`` method gets it called before it is destroyed, while it can still
+    publish; this is where files are finished. Errors of this package and whatever ROS refuses at
+    the start (parameters, names, arguments) become one line. A callback should call ``stop(error)``
+    rather than raise: the events executor logs a traceback of whatever a callback raises.
 
     Args:
         make_node: Makes the node; gets the `Stop` with which the node can end itself.
@@ -138,7 +147,10 @@ def run_node(
     os.environ.update(kept_here)
     with _signals_to(stop):
         try:
-            rclpy.init(args=list(args) if args is not None else None, signal_handler_options=SignalHandlerOptions.NO)
+            rclpy.init(
+                args=list(args) if args is not None else None,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
             node = make_node(stop)
             if kept_here:
                 node.get_logger().info(discovery.OPENED_BY)
@@ -156,7 +168,8 @@ def run_node(
 
 
 def _check_parameter_files(args: Sequence[str]) -> None:
-    """Read the parameter files of the command line before rcl does, which waits for pipes and lets keys stand twice.
+    """Read the parameter files of the command line before rcl does, which waits for pipes and lets
+    keys stand twice.
 
     Raises:
         InputError: One of them cannot be read, or is no plain YAML.
@@ -170,14 +183,16 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> N
     """Serve the node's callbacks until the end is asked for, then let it finish its work."""
     executor = executor_factory()
     executor.add_node(node)
-    # What was made at the start lives to the end: a full collection that walks over it takes tens of milliseconds.
+    # What was made at the start lives to the end: a full collection that walks over it takes tens
+    # of milliseconds.
     gc.collect()
     gc.freeze()
     # A thread in the background that computes would keep a callback waiting for ten times as long.
     sys.setswitchinterval(_SWITCH_S)
     try:
         while not stop.requested:
-            # Sliced: the events executor of rclpy 7.1 runs hot and deaf when it spins without a time-out.
+            # Sliced: the events executor of rclpy 7.1 runs hot and deaf when it spins without a
+            # time-out.
             executor.spin_until_future_complete(stop.future(), _SLICE_S)
     except ExternalShutdownException:
         stop()  # somebody shut the context down: an orderly end as well
@@ -216,12 +231,13 @@ def _one_line(error: BaseException) -> str:
 
 @contextmanager
 def _signals_to(stop: Stop) -> Iterator[None]:
-    """Turn SIGINT, SIGTERM and SIGHUP into ``stop()`` at once, even while the main thread waits inside rmw.
+    """Turn SIGINT, SIGTERM and SIGHUP into ``stop()`` at once, even while the main thread waits
+    inside rmw.
 
-    Python runs its signal handlers only between byte codes of the main thread, which may sleep in C for long;
-    the wake-up descriptor is written by the handler in C itself, so a thread that reads it hears of the
-    signal at once. rclpy's own handlers shut the context down: the node could no longer publish and finish.
-    Afterwards signals are ignored: the process is about to end.
+    Python runs its signal handlers only between byte codes of the main thread, which may sleep in C
+    for long; the wake-up descriptor is written by the handler in C itself, so a thread that reads
+    it hears of the signal at once. rclpy's own handlers shut the context down: the node could no
+    longer publish and finish. Afterwards signals are ignored: the process is about to end.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,6 +1,7 @@
 """Every topic of the package: name, type and quality of service, said once.
 
-Nodes create their endpoints from this list, the recorder records by it and the documentation is tested against it.
+Nodes create their endpoints from this list, the recorder records by it and the documentation is
+tested against it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray
 SIGNAL_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 """Stamped signals: nothing may be lost on the way to a slower reader."""
 
-LATCHED_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_QOS = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 """The latest value, also for whoever subscribes late."""
 
 DIAGNOSTICS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
@@ -23,7 +26,9 @@ DIAGNOSTICS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: relative name (``{motor}`` and ``{parameter}`` stand for their names), type, QoS and content."""
+    """One topic: relative name (``{motor}`` and ``{parameter}`` stand for their names), type, QoS
+    and content.
+    """
 
     name: str
     type: type
@@ -32,16 +37,28 @@ class Topic:
 
 
 VOLTAGE = Topic(
-    'motor/voltage', JointState, SIGNAL_QOS, 'Armature voltage in V as `effort`, of the motors in `name`; stamped.'
+    'motor/voltage',
+    JointState,
+    SIGNAL_QOS,
+    'Armature voltage in V as `effort`, of the motors in `name`; stamped.',
 )
 TORQUE = Topic(
-    'motor/torque', JointState, SIGNAL_QOS, 'Torque in N m as `effort`, measured speed in rad/s as `velocity`; stamped.'
+    'motor/torque',
+    JointState,
+    SIGNAL_QOS,
+    'Torque in N m as `effort`, measured speed in rad/s as `velocity`; stamped.',
 )
 PARAMETER = Topic(
-    '~/{motor}/{parameter}', Float64, LATCHED_QOS, 'Estimate in SI units; one topic for each of the context nodes.'
+    '~/{motor}/{parameter}',
+    Float64,
+    LATCHED_QOS,
+    'Estimate in SI units; one topic for each of the context nodes.',
 )
 IDENTIFIED = Topic(
-    '~/{motor}/identified', Bool, LATCHED_QOS, 'True while every verdict is `identified` or `negligible`.'
+    '~/{motor}/identified',
+    Bool,
+    LATCHED_QOS,
+    'True while every verdict is `identified` or `negligible`.',
 )
 PARAMETER_IDENTIFIED = Topic(
     '~/{motor}/{parameter}/identified',
@@ -53,7 +70,8 @@ FIT = Topic(
     '~/{motor}/fit',
     Float64,
     LATCHED_QOS,
-    'Residual of the free run over the noise floor, once tested and when it changes: about 1 where the white box '
+    'Residual of the free run over the noise floor, once tested and when it changes: about 1 '
+    'where the white box '
     'holds; 0 where what was tested is forgotten.',
 )
 ALARM = Topic(
@@ -66,13 +84,15 @@ COVARIANCE = Topic(
     '~/{motor}/covariance',
     Float64MultiArray,
     LATCHED_QOS,
-    'Covariance of the estimates, row by row; both dimensions are labelled with the parameter names.',
+    'Covariance of the estimates, row by row; both dimensions are labelled with the parameter '
+    'names.',
 )
 ESTIMATES = Topic(
     '~/estimates',
     Float64MultiArray,
     LATCHED_QOS,
-    'Value and standard deviation of every parameter of every motor, labelled; every `estimates_period_s`. A standard '
+    'Value and standard deviation of every parameter of every motor, labelled; every '
+    '`estimates_period_s`. A standard '
     'deviation of -1 stands where nothing is known.',
 )
 PREDICTED_TORQUE = Topic(
@@ -91,5 +111,6 @@ DIAGNOSTICS = Topic(
     '/diagnostics',
     DiagnosticArray,
     DIAGNOSTICS_QOS,
-    'One status for each motor: level, advice, and verdicts, rates, rejects and skill as key-value pairs; 1 Hz.',
+    'One status for each motor: level, advice, and verdicts, rates, rejects and skill as '
+    'key-value pairs; 1 Hz.',
 )

@@ -14,8 +14,8 @@ from itertools import pairwise
 from rclpy.node import Node
 
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.parameter_names import in_words, nearest, slip_of
-from gray_box_observer.printable import printable
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.settings.parameter_names import in_words, nearest, slip_of
 
 Known = Callable[[str], Iterable[str]]
 """Gives the names that an unknown one may have been meant for."""
@@ -23,7 +23,9 @@ Known = Callable[[str], Iterable[str]]
 _OPTIONS = ('-p', '--param')
 
 
-def settle(node: Node, unknown: Sequence[str], known: Known, args: Sequence[str] | None = None) -> None:
+def settle(
+    node: Node, unknown: Sequence[str], known: Known, args: Sequence[str] | None = None
+) -> None:
     """Refuse unknown parameters, or warn of them.
 
     Args:
@@ -36,13 +38,21 @@ def settle(node: Node, unknown: Sequence[str], known: Known, args: Sequence[str]
         ConfigurationError: one of them was meant for this node.
     """
     said = _on_command_line(sys.argv if args is None else args)
-    slips = {name: nearest(name, known(name)) for name in unknown if name in said or slip_of(name, known(name))}
+    slips = {
+        name: nearest(name, known(name))
+        for name in unknown
+        if name in said or slip_of(name, known(name))
+    }
     if slips:
         kind = 'parameters' if len(slips) > 1 else 'a parameter'
-        raise ConfigurationError(printable(f'not {kind} of this node: {in_words(slips)}; --help lists them'))
+        raise ConfigurationError(
+            printable(f'not {kind} of this node: {in_words(slips)}; --help lists them')
+        )
     if unknown:
         names = in_words(dict.fromkeys(unknown, ''))
-        node.get_logger().warning(printable(f'not of this node, ignored: {names}; --help lists its parameters'))
+        node.get_logger().warning(
+            printable(f'not of this node, ignored: {names}; --help lists its parameters')
+        )
 
 
 def _on_command_line(args: Sequence[str]) -> set[str]:

@@ -1,9 +1,11 @@
 """Voltage of a signal history: every sample holds from its stamp to the stamp of the next one.
 
-A voltage that pauses longer than is its habit is overdue from there on, until the next one: nobody knows what it did.
-What was its habit then is remembered with the voltage that ended the pause, because the pause itself ends the habit.
+A voltage that pauses longer than is its habit is overdue from there on, until the next one: nobody
+knows what it did. What was its habit then is remembered with the voltage that ended the pause,
+because the pause itself ends the habit.
 
-Values are plain floats for one motor and arrays of shape (motor,) for a group; stamps are those from which they act.
+Values are plain floats for one motor and arrays of shape (motor,) for a group; stamps are those
+from which they act.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ class _Pause(NamedTuple):
 
     Attributes:
         limit_s: the longest that had been its habit, in s.
-        regular: whether it always came regularly until then, so that it was overdue whatever torque did.
+        regular: whether it always came regularly until then, so that it was overdue whatever torque
+            did.
     """
 
     limit_s: float
@@ -37,7 +40,8 @@ class HeldVoltage:
         blank: a value that says nothing, for a voltage that is not known.
 
     Attributes:
-        newest_ns: from when on the newest voltage acts; None before the first of the signal history.
+        newest_ns: from when on the newest voltage acts; None before the first of the signal
+            history.
     """
 
     def __init__(self, blank: Any) -> None:
@@ -47,7 +51,9 @@ class HeldVoltage:
 
     def restart(self) -> None:
         """Begin a new signal history; what is habit stays so."""
-        self._coming: deque[tuple[int, Any, _Pause | None]] = deque()  # stamp, voltage, pause before it
+        self._coming: deque[tuple[int, Any, _Pause | None]] = (
+            deque()
+        )  # stamp, voltage, pause before it
         self._pauses = 0  # among those that are coming
         self._held_v: Any = self._blank
         self._held_ns: int | None = None  # since when that is in force
@@ -68,11 +74,15 @@ class HeldVoltage:
 
     def known_at(self, stamp_ns: int) -> bool:
         """Whether it is known what was in force at the stamp of the last torque."""
-        return self._held_v is not self._blank or (bool(self._coming) and self._coming[0][0] <= stamp_ns)
+        return self._held_v is not self._blank or (
+            bool(self._coming) and self._coming[0][0] <= stamp_ns
+        )
 
     @property
     def patience_s(self) -> float:
-        """For how long a voltage, of one motor of a group, may be missing before it is overdue, in s."""
+        """For how long a voltage, of one motor of a group, may be missing before it is overdue, in
+        s.
+        """
         return self._rhythm.silence_s if self._rhythm.regular else math.inf
 
     def take(self, stamp_ns: int, voltage_v: Any) -> None:
@@ -86,7 +96,9 @@ class HeldVoltage:
             rhythm.take(interval_s)
         self.newest_ns = stamp_ns
         self._coming.append((stamp_ns, voltage_v, pause))
-        if len(self._coming) > MAX_WAITING_VOLTAGES:  # torque is silent: only the newest voltages can still matter
+        if (
+            len(self._coming) > MAX_WAITING_VOLTAGES
+        ):  # torque is silent: only the newest voltages can still matter
             self._hold_next()
 
     def _hold_next(self) -> None:
@@ -95,7 +107,9 @@ class HeldVoltage:
         self._pauses -= pause is not None
 
     def mean(self, start_ns: int, end_ns: int) -> Any:
-        """Mean of the voltage over an interval that begins with the last torque, where it was known."""
+        """Mean of the voltage over an interval that begins with the last torque, where it was
+        known.
+        """
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
         for since_ns, voltage_v, _ in self._coming:
             if since_ns >= end_ns:
@@ -109,11 +123,12 @@ class HeldVoltage:
         return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)
 
     def unknown_until_ns(self, start_ns: int, end_ns: int, torque: Rhythm) -> int | None:
-        """Return when voltage is known again where it was not between two torques; None: it always was.
+        """Return when voltage is known again where it was not between two torques; None: it always
+        was.
 
-        Later than the second of them where no voltage has come by then. A voltage that is old while torque comes was
-        not changed, unless it always came regularly and is overdue. What it is does not depend on which of voltage and
-        torque was delivered first.
+        Later than the second of them where no voltage has come by then. A voltage that is old while
+        torque comes was not changed, unless it always came regularly and is overdue. What it is
+        does not depend on which of voltage and torque was delivered first.
         """
         newest_ns = self.newest_ns
         if not self._pauses and (newest_ns is None or newest_ns >= end_ns):
@@ -140,7 +155,8 @@ class HeldVoltage:
             lost: nobody knows any more what is in force there.
 
         Returns:
-            The voltage in force before the stamp, and one that begins there; blank where there is none.
+            The voltage in force before the stamp, and one that begins there; blank where there is
+            none.
         """
         while self._coming and self._coming[0][0] < stamp_ns:
             self._hold_next()

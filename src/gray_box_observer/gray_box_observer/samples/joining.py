@@ -1,13 +1,16 @@
-"""What the values of a message decide: which are used, and what sample they make with the voltage held before.
+"""What the values of a message decide: which are used, and what sample they make with the voltage
+held before.
 
-Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much an operation), and a
-group in arrays. A motor of the group whose value cannot be used is absent from that sample; its next interval begins
-where its last sample was, as if it had been alone.
+Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much
+an operation), and a group in arrays. A motor of the group whose value cannot be used is absent from
+that sample; its next interval begins where its last sample was, as if it had been alone.
 
-Here is the one door of samples: what comes through holds finite numbers of every motor that is present (speed may be
-NaN: not measured), whatever was missing before. Values are judged as they come in, and ``join`` asks once more whether
-the voltage is known over the whole interval: where it is not, the history begins anew; where it is not known at the
-torque either, the torque is refused as ``no_voltage``.
+Here is the one door of samples: what comes through holds finite numbers of every motor that is
+present (speed may be
+NaN: not measured), whatever was missing before. Values are judged as they come in, and ``join``
+asks once more whether
+the voltage is known over the whole interval: where it is not, the history begins anew; where it is
+not known at the torque either, the torque is refused as ``no_voltage``.
 """
 
 from __future__ import annotations
@@ -23,8 +26,13 @@ from numpy.typing import NDArray
 from gray_box_observer.samples.counts import PairingCounts, Refused
 from gray_box_observer.samples.held_voltage import HeldVoltage
 from gray_box_observer.samples.rejection import Rejection
-from gray_box_observer.samples.sample import ABSURD_MAGNITUDE, NANOSECONDS_PER_SECOND, Sample, seconds
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.samples.sample import (
+    ABSURD_MAGNITUDE,
+    NANOSECONDS_PER_SECOND,
+    Sample,
+    seconds,
+)
+from gray_box_observer.white_box.interface import Array
 
 Missing = NDArray[np.bool_] | None
 
@@ -44,31 +52,42 @@ class Joining(Protocol):
         """Whether a plain number can be used; counted where not."""
 
     def voltage(self, voltage_v: Any, missing: Missing) -> Any:
-        """Return the voltage as far as it can be used, NaN in place of what cannot; None where nothing can."""
+        """Return the voltage as far as it can be used, NaN in place of what cannot; None where
+        nothing can.
+        """
 
     def filled(self, stamp_ns: int, voltage_v: Any, voltages: HeldVoltage) -> Any:
-        """Return a voltage with that before it in place of what cannot be used, NaN where that is overdue."""
+        """Return a voltage with that before it in place of what cannot be used, NaN where that is
+        overdue.
+        """
 
     def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
-        """Count a message as refused, for those motors of which it says something that could be used."""
+        """Count a message as refused, for those motors of which it says something that could be
+        used.
+        """
 
     def one(self, values: Any, motor: int) -> float:
         """Return the value of one motor."""
 
     def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
-        """Return the torque as far as it can be used, NaN in place of what cannot; None where nothing can."""
+        """Return the torque as far as it can be used, NaN in place of what cannot; None where
+        nothing can.
+        """
 
     def with_speed(self, torque_nm: Any, speed_rad_s: Any) -> Any:
         """Return the torque of what came with its speed; None where nothing did."""
 
     def ahead(self, passed_ns: int, mean_v: Any, gap_ns: int) -> tuple[Any, Any]:
-        """Return interval in s and mean voltage in V since the last sample; an interval of 0 where none leads there."""
+        """Return interval in s and mean voltage in V since the last sample; an interval of 0 where
+        none leads there.
+        """
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
         speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
-        """Make a sample, of finite numbers; None where nothing is known of any motor, which is counted.
+        """Make a sample, of finite numbers; None where nothing is known of any motor, which is
+        counted.
 
         Args:
             stamp_ns: of the torque.
@@ -112,7 +131,9 @@ class OneMotor:
         """See :class:`Joining`."""
         if abs(value) <= ABSURD_MAGNITUDE:  # NaN is not
             return True
-        self._refused[signal][Rejection.ABSURD if math.isfinite(value) else Rejection.NON_FINITE] += 1
+        self._refused[signal][
+            Rejection.ABSURD if math.isfinite(value) else Rejection.NON_FINITE
+        ] += 1
         return False
 
     def voltage(self, voltage_v: float, missing: Missing) -> float | None:
@@ -133,7 +154,9 @@ class OneMotor:
 
     def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
         """See :class:`Joining`."""
-        good = self.usable('torque', torque_nm) and (math.isnan(speed_rad_s) or self.usable('torque', speed_rad_s))
+        good = self.usable('torque', torque_nm) and (
+            math.isnan(speed_rad_s) or self.usable('torque', speed_rad_s)
+        )
         return torque_nm if good else None
 
     def with_speed(self, torque_nm: float, speed_rad_s: float) -> float | None:
@@ -189,7 +212,10 @@ class ManyMotors:
     def __init__(self, motors: int) -> None:
         self.blank: Array = np.full(motors, np.nan)
         signals = ('voltage', 'torque')
-        self._own = {signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection} for signal in signals}
+        self._own = {
+            signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection}
+            for signal in signals
+        }
         self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
         self._lost = np.zeros(motors, dtype=int)
         self.restart()
@@ -198,7 +224,9 @@ class ManyMotors:
         """Begin a new signal history."""
         self._owed_ns = np.full(self.blank.size, NEVER_NS)
         self._owed_vns = np.zeros(self.blank.size)
-        self._told_ns: Any = 0  # when the voltage was known last; of every motor, or the same of all
+        self._told_ns: Any = (
+            0  # when the voltage was known last; of every motor, or the same of all
+        )
         self._regular = False
 
     def usable(self, signal: str, value: float) -> bool:
@@ -220,7 +248,9 @@ class ManyMotors:
             self._told_ns = stamp_ns
             return voltage_v
         self._told_ns = np.where(unknown, self._told_ns, stamp_ns)
-        overdue = unknown & ((stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND > voltages.patience_s)
+        overdue = unknown & (
+            (stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND > voltages.patience_s
+        )
         self._regular = self._regular and not overdue.any()
         return np.where(unknown, np.where(overdue, np.nan, voltages.newest_v), voltage_v)
 
@@ -244,7 +274,9 @@ class ManyMotors:
         good = good & ~fast
         return np.where(good, torque_nm, np.nan) if np.any(good) else None
 
-    def _count_bad(self, values: Array, good: NDArray[np.bool_], signal: str, missing: Missing) -> None:
+    def _count_bad(
+        self, values: Array, good: NDArray[np.bool_], signal: str, missing: Missing
+    ) -> None:
         bad = ~good
         if missing is not None:
             self._missed[signal] += missing
@@ -267,7 +299,9 @@ class ManyMotors:
             return np.full(mean_v.size, seconds(passed_ns)), mean_v
         span_ns = self._owed_ns + passed_ns
         leads = (span_ns <= gap_ns) & ~np.isnan(mean_v)
-        return np.where(leads, span_ns / NANOSECONDS_PER_SECOND, 0.0), self._mean(span_ns, passed_ns, mean_v)
+        return np.where(leads, span_ns / NANOSECONDS_PER_SECOND, 0.0), self._mean(
+            span_ns, passed_ns, mean_v
+        )
 
     def _mean(self, span_ns: NDArray[np.int_], passed_ns: int, mean_v: Array) -> Array:
         owing = (self._owed_vns + mean_v * passed_ns) / span_ns
@@ -280,15 +314,23 @@ class ManyMotors:
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank
         if self._regular and passed_ns is not None and np.isfinite(torque_nm + mean_v).all():
-            return Sample(stamp_ns, np.full(mean_v.size, seconds(passed_ns)), mean_v, torque_nm, speed)
+            return Sample(
+                stamp_ns, np.full(mean_v.size, seconds(passed_ns)), mean_v, torque_nm, speed
+            )
         here = ~np.isnan(torque_nm)
-        span_ns = self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
+        span_ns = (
+            self._owed_ns if passed_ns is None else np.minimum(self._owed_ns + passed_ns, NEVER_NS)
+        )
         begins = np.ones_like(here) if passed_ns is None else (span_ns > gap_ns) | np.isnan(mean_v)
         first_v = np.where(np.isnan(held_v[0]), held_v[1], held_v[0])
         blind = here & begins & np.isnan(first_v)
         self._own['torque'][Rejection.NO_VOLTAGE] += blind
         here &= ~blind
-        mean_v = first_v if passed_ns is None else np.where(begins, first_v, self._mean(span_ns, passed_ns, mean_v))
+        mean_v = (
+            first_v
+            if passed_ns is None
+            else np.where(begins, first_v, self._mean(span_ns, passed_ns, mean_v))
+        )
         owed_vns = 0.0 if passed_ns is None else np.where(begins, 0.0, mean_v * span_ns)
         self._owed_ns = np.where(here, 0, np.where(begins, NEVER_NS, span_ns))
         self._owed_vns = np.where(here, 0.0, owed_vns)
@@ -307,7 +349,9 @@ class ManyMotors:
         """See :class:`Joining`."""
         told: Refused = {'speed': Counter()}
         for signal, counts in self._own.items():
-            told[signal] = Counter({reason: int(count[motor]) for reason, count in counts.items() if count[motor]})
+            told[signal] = Counter(
+                {reason: int(count[motor]) for reason, count in counts.items() if count[motor]}
+            )
         return told
 
     def missed(self, motor: int) -> dict[str, int]:
@@ -324,6 +368,8 @@ class ManyMotors:
             for reason in by_reason:
                 by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
         received = np.array([(of.received_voltage, of.received_torque) for of in counts])
-        self._missed = dict(zip(('voltage', 'torque'), (received.max(axis=0) - received).T, strict=True))
+        self._missed = dict(
+            zip(('voltage', 'torque'), (received.max(axis=0) - received).T, strict=True)
+        )
         used = np.array([of.used for of in counts])
         self._lost = used.max() - used

@@ -1,19 +1,22 @@
 """Pairing voltage and torque of one motor by stamp, whatever order their messages come in.
 
-A voltage sample holds from its stamp to the stamp of the next one; a torque sample is the torque at its stamp. A torque
-sample is therefore complete as soon as the voltage is known up to its stamp, that is when a voltage stamped at or after
-it has come, or when so much torque has come since that waiting makes no sense. The rule looks at stamps only, never at
-the wall clock, so that live topics and a replayed bag make the same samples.
+A voltage sample holds from its stamp to the stamp of the next one; a torque sample is the torque at
+its stamp. A torque sample is therefore complete as soon as the voltage is known up to its stamp,
+that is when a voltage stamped at or after it has come, or when so much torque has come since that
+waiting makes no sense. The rule looks at stamps only, never at the wall clock, so that live topics
+and a replayed bag make the same samples.
 
-A voltage that is old while torque comes was not changed. But where both signals were silent far longer than is their
-habit, or the voltage, which always came regularly, is overdue, nobody knows what it did (:mod:`held_voltage`): the
-history begins anew with the next voltage, and torque before that is refused.
+A voltage that is old while torque comes was not changed. But where both signals were silent far
+longer than is their habit, or the voltage, which always came regularly, is overdue, nobody knows
+what it did (:mod:`held_voltage`): the history begins anew with the next voltage, and torque before
+that is refused.
 
-Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that delay as they come in:
-all that follows sees signals that belong together.
+Where voltage is known to act on torque later than it is stamped, its stamps are shifted by that
+delay as they come in: all that follows sees signals that belong together.
 
-Values are plain floats for one motor and arrays of shape (motor,) for a group that comes in the same messages; stamps
-are shared. What stamps decide is decided here, what values decide in :mod:`joining`.
+Values are plain floats for one motor and arrays of shape (motor,) for a group that comes in the
+same messages; stamps are shared. What stamps decide is decided here, what values decide in
+:mod:`joining`.
 """
 
 from __future__ import annotations
@@ -42,10 +45,12 @@ class PairingRules:
     """How patient pairing is.
 
     Attributes:
-        gap_s: a longer silence of torque starts the signal history anew; it never becomes a derivative.
+        gap_s: a longer silence of torque starts the signal history anew; it never becomes a
+            derivative.
         hold_s: how far torque may run ahead of voltage before the last voltage is taken to hold on.
-        jump_back_s: a stamp that is earlier than the newest by more than this means that the clock was set back or a
-            bag began again (the signal history restarts); by less, that the message was merely out of order.
+        jump_back_s: a stamp that is earlier than the newest by more than this means that the clock
+            was set back or a bag began again (the signal history restarts); by less, that the
+            message was merely out of order.
     """
 
     gap_s: float = 0.5
@@ -56,22 +61,29 @@ class PairingRules:
 class Pairing:
     """Turns stamped voltages and torques into samples, counting what cannot be used.
 
-    Everything that comes in is used or counted under its reason. Of torque, ``received = used + refused + waiting``; of
-    voltage, ``received = taken + refused``. Of a group :meth:`of` tells what became of each motor's.
+    Everything that comes in is used or counted under its reason. Of torque, ``received = used +
+    refused + waiting``; of voltage, ``received = taken + refused``. Of a group :meth:`of` tells
+    what became of each motor's.
 
     Args:
         rules: how patient it is.
         motors: how many come together.
-        own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear between its samples.
-        uses_speed: whether the motor is observed with the speed that its first sample brings, if it brings one.
-        delay_s: voltage acts that much later than its stamp says; negative where its stamp comes late.
+        own_speed: whether speed comes as a signal of its own; it is joined by stamp too, linear
+            between its samples.
+        uses_speed: whether the motor is observed with the speed that its first sample brings, if it
+            brings one.
+        delay_s: voltage acts that much later than its stamp says; negative where its stamp comes
+            late.
 
     Attributes:
         history: what came in and was taken, to be paired anew.
-        held: samples completed by patience running out, their voltage held on; many of them mean late voltages.
-        refused: what could not be used of a single motor, by signal and reason; of one of a group see :meth:`of`.
+        held: samples completed by patience running out, their voltage held on; many of them mean
+            late voltages.
+        refused: what could not be used of a single motor, by signal and reason; of one of a group
+            see :meth:`of`.
         taken_voltage: voltages that have come into force, or will.
-        needs_speed: whether a torque sample without speed is refused; None until the first sample has settled it.
+        needs_speed: whether a torque sample without speed is refused; None until the first sample
+            has settled it.
         take: what takes a signal, by its name: :meth:`voltage`, :meth:`torque`, :meth:`speed`.
     """
 
@@ -145,7 +157,8 @@ class Pairing:
         return len(self._torques)
 
     def restart(self, delay_s: float | None = None) -> list[Sample]:
-        """Begin the signal history anew (clock set back); what still waited is completed first and returned.
+        """Begin the signal history anew (clock set back); what still waited is completed first and
+        returned.
 
         Args:
             delay_s: by how much voltage acts later from now on; None: as before.
@@ -161,15 +174,17 @@ class Pairing:
     def redelay(self, delay_s: float, until_ns: int) -> tuple[list[Sample], list[Sample]]:
         """Pair everything remembered anew under another delay.
 
-        It has been counted, so counts stay as they are; a torque that waited and is now complete is used.
+        It has been counted, so counts stay as they are; a torque that waited and is now complete is
+        used.
 
         Args:
             delay_s: the delay from now on.
             until_ns: stamp of the last sample that was learnt.
 
         Returns:
-            The samples that are complete by now whatever came first, voltage or torque, and those beyond. Among the
-            latter, and among what the next messages complete, some are repeated; see :meth:`repeats`.
+            The samples that are complete by now whatever came first, voltage or torque, and those
+            beyond. Among the latter, and among what the next messages complete, some are repeated;
+            see :meth:`repeats`.
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
@@ -190,15 +205,22 @@ class Pairing:
     def part(self, motors: Sequence[int]) -> Pairing:
         """Return the pairing of some motors of a group that has made no sample yet.
 
-        What came is gone through again without the others; what was counted of these motors stays counted.
+        What came is gone through again without the others; what was counted of these motors stays
+        counted.
         """
         delay_s = seconds(self._delay_ns)
         made = Pairing(
-            self._rules, len(motors), own_speed=self._own_speed, uses_speed=self._uses_speed, delay_s=delay_s
+            self._rules,
+            len(motors),
+            own_speed=self._own_speed,
+            uses_speed=self._uses_speed,
+            delay_s=delay_s,
         )
         index = motors[0] if len(motors) == 1 else list(motors)
         for signal, stamp_ns, values in self.history.events(self._delay_ns):
-            picked: list[Any] = [np.asarray(value)[index] if np.ndim(value) else value for value in values]
+            picked: list[Any] = [
+                np.asarray(value)[index] if np.ndim(value) else value for value in values
+            ]
             made.take[signal](stamp_ns, *picked)
         made.count_as([self.of(motor) for motor in motors])
         return made
@@ -208,14 +230,20 @@ class Pairing:
         self.received_torque = max(of.received_torque for of in counts)
         self.received_voltage = max(of.received_voltage for of in counts)
         self.taken_voltage = max(of.taken_voltage for of in counts)
-        self.used, self.restarts, self.held = max(of.used for of in counts), counts[0].restarts, counts[0].held
+        self.used, self.restarts, self.held = (
+            max(of.used for of in counts),
+            counts[0].restarts,
+            counts[0].held,
+        )
         self._joining.count_as(counts)
 
     def repeats(self, sample: Sample) -> bool:
         """Whether a sample was given out before, paired under another delay."""
         return self._repeated_until_ns is not None and sample.stamp_ns <= self._repeated_until_ns
 
-    def voltage(self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None) -> list[Sample]:
+    def voltage(
+        self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None
+    ) -> list[Sample]:
         """Take one voltage sample in V; return the samples it completes, oldest first.
 
         Args:
@@ -237,7 +265,9 @@ class Pairing:
         return done + self._complete(self._known_ns()) if self._torques else done
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
-        """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it completes."""
+        """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it
+        completes.
+        """
         if not self._joining.usable('speed', speed_rad_s):
             return []
         done = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
@@ -248,9 +278,14 @@ class Pairing:
         return done + self._complete(self._known_ns())
 
     def torque(
-        self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any = math.nan, missing: NDArray[np.bool_] | None = None
+        self,
+        stamp_ns: int,
+        torque_nm: Any,
+        speed_rad_s: Any = math.nan,
+        missing: NDArray[np.bool_] | None = None,
     ) -> list[Sample]:
-        """Take one torque sample in N m, with speed in rad/s where it is measured; return the samples it completes.
+        """Take one torque sample in N m, with speed in rad/s where it is measured; return the
+        samples it completes.
 
         The arguments are as in :meth:`voltage`.
         """
@@ -282,9 +317,15 @@ class Pairing:
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
-        """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is not known."""
+        """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is
+        not known.
+        """
         newest_ns = self._voltages.newest_ns
-        return None if newest_ns is None or not self._voltages.known else (newest_ns, self._voltages.newest_v)
+        return (
+            None
+            if newest_ns is None or not self._voltages.known
+            else (newest_ns, self._voltages.newest_v)
+        )
 
     @property
     def newest_sample_ns(self) -> int | None:
@@ -292,43 +333,63 @@ class Pairing:
         return self._previous_ns
 
     def ahead(self, stamp_ns: int) -> tuple[Any, Any] | None:
-        """Return interval in s and mean voltage in V from the last sample to a stamp whose torque is still to come.
+        """Return interval in s and mean voltage in V from the last sample to a stamp whose torque
+        is still to come.
 
-        None where torque before that stamp still waits, where the voltage is not known up to it (with a negative delay
-        it comes too late), or where no signal history leads there.
+        None where torque before that stamp still waits, where the voltage is not known up to it
+        (with a negative delay it comes too late), or where no signal history leads there.
         """
         start_ns, known_ns = self._previous_ns, self._voltages.newest_ns
-        if start_ns is None or known_ns is None or not start_ns < stamp_ns <= known_ns or self._torques:
+        if (
+            start_ns is None
+            or known_ns is None
+            or not start_ns < stamp_ns <= known_ns
+            or self._torques
+        ):
             return None
         voltages = self._voltages
         if not voltages.known_at(start_ns) or stamp_ns - start_ns > self._gap_ns:
             return None
         if voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm) is not None:
             return None
-        return self._joining.ahead(stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns)
+        return self._joining.ahead(
+            stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns
+        )
 
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         missed, used = self._joining.missed(motor), self._joining.lost(motor)
-        received_voltage, refused = self.received_voltage - missed['voltage'], self._joining.refused(motor)
+        received_voltage, refused = (
+            self.received_voltage - missed['voltage'],
+            self._joining.refused(motor),
+        )
         return PairingCounts(
             refused=refused,
             received_torque=self.received_torque - missed['torque'],
             received_voltage=received_voltage,
             taken_voltage=received_voltage - refused['voltage'].total(),
             used=self.used - used,
-            waiting=sum(not math.isnan(self._joining.one(torque_nm, motor)) for _, torque_nm, _ in self._torques),
+            waiting=sum(
+                not math.isnan(self._joining.one(torque_nm, motor))
+                for _, torque_nm, _ in self._torques
+            ),
             restarts=self.restarts,
             held=self.held,
             delay_ns=self._delay_ns,
         )
 
     def flush(self) -> list[Sample]:
-        """Complete every torque sample that still waits, the last voltage holding on (end of a bag)."""
+        """Complete every torque sample that still waits, the last voltage holding on (end of a
+        bag).
+        """
         return self._complete(self._newest_torque_ns)
 
-    def _order(self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any) -> list[Sample] | None:
-        """Judge a stamp: None where it is refused, else the samples that a restart has completed (mostly none)."""
+    def _order(
+        self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any
+    ) -> list[Sample] | None:
+        """Judge a stamp: None where it is refused, else the samples that a restart has completed
+        (mostly none).
+        """
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
@@ -348,11 +409,15 @@ class Pairing:
                 samples.append(sample)
                 self.used += 1
                 if self.needs_speed is None:  # before the next of those that waited together
-                    self.needs_speed = self._uses_speed and bool(np.isfinite(sample.speed_rad_s).any())
+                    self.needs_speed = self._uses_speed and bool(
+                        np.isfinite(sample.speed_rad_s).any()
+                    )
         return samples
 
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
-        """Join a torque sample with the voltage that was held since the one before it, and with the speed then."""
+        """Join a torque sample with the voltage that was held since the one before it, and with the
+        speed then.
+        """
         if self._own_speed:
             speed_rad_s = self._speeds.at(stamp_ns, self._gap_ns)
         if self.needs_speed:
@@ -364,8 +429,12 @@ class Pairing:
             known_ns = self._voltages.unknown_until_ns(start_ns, stamp_ns, self._torque_rhythm)
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
                 passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
-        first_v = self._voltages.step_to(stamp_ns, lost=known_ns is not None and known_ns >= stamp_ns)
-        sample = self._joining.join(stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns)
+        first_v = self._voltages.step_to(
+            stamp_ns, lost=known_ns is not None and known_ns >= stamp_ns
+        )
+        sample = self._joining.join(
+            stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns
+        )
         if sample is not None or passed_ns is not None:
             self._previous_ns = stamp_ns
         return sample

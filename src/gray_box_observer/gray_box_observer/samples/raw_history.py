@@ -1,8 +1,9 @@
 """The newest raw voltages and torques, as they came in, so that they can be paired again.
 
-Pairing forgets how a sample's mean voltage was made. Whoever asks whether voltage and torque are shifted against each
-other needs the stamps themselves. Bounded, each signal in the order of its stamps; what is read out depends on stamps
-alone, so that live topics and a replayed bag give the same signals.
+Pairing forgets how a sample's mean voltage was made. Whoever asks whether voltage and torque are
+shifted against each other needs the stamps themselves. Bounded, each signal in the order of its
+stamps; what is read out depends on stamps alone, so that live topics and a replayed bag give the
+same signals.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 TORQUES = 4096
 """Torques read out at most: about what the recursive rule remembers for its fits."""
@@ -29,7 +30,8 @@ VOLTAGES = 4 * TORQUES
 """Voltages read out at most: a command may come more often than torque."""
 
 SLACK = 1024
-"""Kept beyond what is read out, so that what arrived in another order does not change where the signals begin."""
+"""Kept beyond what is read out, so that what arrived in another order does not change where the
+signals begin."""
 
 Event = tuple[Literal['voltage', 'torque', 'speed'], int, tuple[float, ...]]
 """Signal, stamp in ns, and its values as :class:`Pairing` takes them."""
@@ -63,7 +65,8 @@ class RawSignals:
 
 
 class _Numbers:
-    """Bounded rows of a stamp in ns and plain numbers, in arrays: read out in one piece, for a sample waits for it.
+    """Bounded rows of a stamp in ns and plain numbers, in arrays: read out in one piece, for a
+    sample waits for it.
 
     The oldest are forgotten, many at once; stamps rise.
     """
@@ -103,7 +106,9 @@ class _Numbers:
         del self._stamps[:], self._values[:]
 
     def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
-        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most so many."""
+        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most
+        so many.
+        """
         first = len(self._stamps) - len(self)
         end = bisect_right(self._stamps, stamp_ns, first)
         first = max(first, end - most)
@@ -135,7 +140,9 @@ class _Arrays:
         self._rows.clear()
 
     def of(self, motor: int) -> _Numbers:
-        """Rows of one motor, but those whose first value it lacks; in one piece, for a sample waits for it."""
+        """Rows of one motor, but those whose first value it lacks; in one piece, for a sample waits
+        for it.
+        """
         if not self._rows:
             return _Numbers(self._width, self._most)
         stamps, *columns = zip(*self._rows, strict=True)
@@ -145,24 +152,30 @@ class _Arrays:
 
 
 def _value(value: Any, motor: int) -> float:
-    """Pick a motor's out of a group's; NaN where the group has none, as of speeds that nobody measures."""
+    """Pick a motor's out of a group's; NaN where the group has none, as of speeds that nobody
+    measures.
+    """
     return float(value.item(motor)) if isinstance(value, np.ndarray) else math.nan
 
 
 class RawHistory:
-    """Bounded memory of the raw measurements that pairing has taken, in the order of stamps; of a group, arrays.
+    """Bounded memory of the raw measurements that pairing has taken, in the order of stamps; of a
+    group, arrays.
 
     Args:
         motors: how many they are of.
 
     Attributes:
-        restarts: how often the clock was set back: what came before does not belong to what is remembered.
+        restarts: how often the clock was set back: what came before does not belong to what is
+            remembered.
     """
 
     def __init__(self, motors: int = 1) -> None:
         voltages, torques = VOLTAGES + SLACK, TORQUES + SLACK
         single = motors == 1
-        self._voltages: _Numbers | _Arrays = _Numbers(1, voltages) if single else _Arrays(1, voltages)
+        self._voltages: _Numbers | _Arrays = (
+            _Numbers(1, voltages) if single else _Arrays(1, voltages)
+        )
         self._torques: _Numbers | _Arrays = _Numbers(2, torques) if single else _Arrays(2, torques)
         self._speeds = _Numbers(1, torques)
         self.restarts = 0
@@ -194,11 +207,15 @@ class RawHistory:
         self.restarts += 1
 
     def events(self, delay_ns: int) -> Iterator[Event]:
-        """Yield everything remembered in the order of stamps, voltage first and its stamps taken as that much later."""
+        """Yield everything remembered in the order of stamps, voltage first and its stamps taken as
+        that much later.
+        """
         rows: list[tuple[int, int, Event]] = []
         rows += [(at + delay_ns, 0, ('voltage', at, (volt,))) for at, volt in self._voltages.rows()]
         rows += [(at, 1, ('speed', at, (speed,))) for at, speed in self._speeds.rows()]
-        rows += [(at, 2, ('torque', at, (torque, speed))) for at, torque, speed in self._torques.rows()]
+        rows += [
+            (at, 2, ('torque', at, (torque, speed))) for at, torque, speed in self._torques.rows()
+        ]
         rows.sort(key=lambda row: row[:2])
         return (event for _, _, event in rows)
 
@@ -231,5 +248,9 @@ class RawHistory:
         if len(self._speeds):
             own, (own_speed,) = self._speeds.until(until_ns, TORQUES)
             own_s = (own - until_ns) / NANOSECONDS_PER_SECOND
-            speed = np.interp(time_s, own_s, own_speed) if own.size else np.full_like(torque, np.nan)
-        return RawSignals(time_s, torque, speed, (since - until_ns) / NANOSECONDS_PER_SECOND, voltage)
+            speed = (
+                np.interp(time_s, own_s, own_speed) if own.size else np.full_like(torque, np.nan)
+            )
+        return RawSignals(
+            time_s, torque, speed, (since - until_ns) / NANOSECONDS_PER_SECOND, voltage
+        )

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 INTERVAL, VOLTAGE, TORQUE, SPEED = range(4)
 """Rows of the signals in what a buffer gives."""
@@ -36,8 +36,12 @@ def check_signals(name: str, content: Any, motors: int = 1) -> None:
     Raises:
         CheckpointError: another shape, or a number out of range.
     """
-    check_array(name, content, ArrayRule((4, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True))
-    check_array(f'{name}: interval_s', content[INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S))
+    check_array(
+        name, content, ArrayRule((4, motors, None), -LARGEST_SIGNAL, LARGEST_SIGNAL, blank=True)
+    )
+    check_array(
+        f'{name}: interval_s', content[INTERVAL], ArrayRule((motors, None), 0.0, LONGEST_INTERVAL_S)
+    )
     for signal in (VOLTAGE, TORQUE):
         check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
 
@@ -45,11 +49,12 @@ def check_signals(name: str, content: Any, motors: int = 1) -> None:
 class ReplayBuffer:
     """Bounded memory of samples, one stream a motor.
 
-    A motor's samples are counted by their place in its stream, from 1 on; what is absent from a sample of the group is
-    not part of the stream. Samples are stored as they come, motor beside motor, and read as views, which cost nothing
-    where all motors have come with every sample. The storage is twice the capacity, and when it is full the newest part
-    moves to the front, so that appending costs a constant amount on average. At least half a capacity beyond what is
-    remembered is kept, for those who read with ``until`` and have not come to the newest sample yet.
+    A motor's samples are counted by their place in its stream, from 1 on; what is absent from a
+    sample of the group is not part of the stream. Samples are stored as they come, motor beside
+    motor, and read as views, which cost nothing where all motors have come with every sample. The
+    storage is twice the capacity, and when it is full the newest part moves to the front, so that
+    appending costs a constant amount on average. At least half a capacity beyond what is remembered
+    is kept, for those who read with ``until`` and have not come to the newest sample yet.
 
     Args:
         motors: number of motors.
@@ -64,7 +69,9 @@ class ReplayBuffer:
 
     def __init__(self, motors: int, capacity: int, *, speed_measured: bool = True) -> None:
         if motors < 1 or capacity < 1:
-            raise ConfigurationError(f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}')
+            raise ConfigurationError(
+                f'a replay buffer needs motors and capacity >= 1, got {motors} and {capacity}'
+            )
         self.motors = motors
         self.capacity = capacity
         self._speed_measured = speed_measured
@@ -85,7 +92,9 @@ class ReplayBuffer:
         return int(self.remembered().max())
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
-        """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s`` replaces its speed."""
+        """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s``
+        replaces its speed.
+        """
         row = self._rows[self._top + self._staged]
         row[INTERVAL] = sample.interval_s
         row[VOLTAGE] = sample.voltage_v
@@ -133,10 +142,16 @@ class ReplayBuffer:
         most = int(keep.max())
         if self._even:
             by = self._top - most
-            for begin in range(0, most, by):  # piece by piece, so that none is written over before it is read
-                self._rows[begin : min(begin + by, most)] = self._rows[begin + by : min(begin + 2 * by, self._top)]
+            for begin in range(
+                0, most, by
+            ):  # piece by piece, so that none is written over before it is read
+                self._rows[begin : min(begin + by, most)] = self._rows[
+                    begin + by : min(begin + 2 * by, self._top)
+                ]
         else:  # from behind, so that the newest of each stand where the next will follow
-            columns = np.minimum((self._end - keep)[:, None] + np.arange(most), self._rows.shape[0] - 1)
+            columns = np.minimum(
+                (self._end - keep)[:, None] + np.arange(most), self._rows.shape[0] - 1
+            )
             self._data[:, :, :most] = self._data[:, np.arange(self._end.size)[:, None], columns]
         self._gone += self._end - keep
         self._end[:] = keep
@@ -151,20 +166,25 @@ class ReplayBuffer:
 
     @property
     def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
-        """The storage, shape (signal, motor, column), and what is known of each stream, shape (motor,).
+        """The storage, shape (signal, motor, column), and what is known of each stream, shape
+        (motor,).
 
-        The place before column 0, the columns that are taken, and the place before the oldest sample that has not been
-        told to be forgotten. All stay where they are as long as the buffer lives; for compiled code, after
-        :meth:`settle`.
+        The place before column 0, the columns that are taken, and the place before the oldest
+        sample that has not been told to be forgotten. All stay where they are as long as the buffer
+        lives; for compiled code, after :meth:`settle`.
         """
         return self._data, self._gone, self._end, self._begin
 
     def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
-        """Return the place before the oldest sample that has not been told to be forgotten, shape (motor,)."""
+        """Return the place before the oldest sample that has not been told to be forgotten, shape
+        (motor,).
+        """
         begin: NDArray[np.int_] = self._begin[which]
         return begin
 
-    def remembered(self, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> NDArray[np.int_]:
+    def remembered(
+        self, which: Any = slice(None), until: NDArray[np.int_] | None = None
+    ) -> NDArray[np.int_]:
         """Return how many samples are remembered, shape (motor,).
 
         Args:
@@ -180,13 +200,20 @@ class ReplayBuffer:
         self.settle()
         return int(self._end[motor])
 
-    def forget(self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> None:
-        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another motor)."""
+    def forget(
+        self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
+    ) -> None:
+        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another
+        motor).
+        """
         place = self.received[which] if until is None else until
         self._begin[which] = np.maximum(self._begin[which], place - np.minimum(keep, self.capacity))
 
-    def newest(self, count: int, which: Any = slice(None), until: NDArray[np.int_] | None = None) -> Array:
-        """Return samples of some motors, shape (signal, motor, count): interval, voltage, torque, speed.
+    def newest(
+        self, count: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
+    ) -> Array:
+        """Return samples of some motors, shape (signal, motor, count): interval, voltage, torque,
+        speed.
 
         Args:
             count: how many; all the motors must have as many.
@@ -202,18 +229,22 @@ class ReplayBuffer:
         return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
 
     def content(self, which: Any = slice(None), more: int = 0) -> Array:
-        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor has.
+        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor
+        has.
 
         Args:
             which: index of the motors.
-            more: so many samples before that, as far as there are any: for those who read with ``until``.
+            more: so many samples before that, as far as there are any: for those who read with
+                ``until``.
         """
         told = np.minimum(self.received[which] - self._begin[which], self.capacity + more)
         return self.newest(int(told.min()), which).copy()
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
-        """Return a buffer that remembers just these samples; a speed that did not come is that of the sample before."""
+        """Return a buffer that remembers just these samples; a speed that did not come is that of
+        the sample before.
+        """
         made = cls(samples[0].torque_nm.size, len(samples))
         speed = samples[0].speed_rad_s
         for sample in samples:
@@ -221,8 +252,11 @@ class ReplayBuffer:
             made.append(sample, speed)
         return made
 
-    def refill(self, content: Array, which: Any = slice(None), gone: int = 0, begin: int = 0) -> None:
-        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors ends there.
+    def refill(
+        self, content: Array, which: Any = slice(None), gone: int = 0, begin: int = 0
+    ) -> None:
+        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors
+        ends there.
 
         Args:
             content: the samples.

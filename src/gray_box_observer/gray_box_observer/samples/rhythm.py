@@ -1,17 +1,22 @@
-"""How regularly samples come, by their stamps: the usual interval, what is missing, where a signal paused."""
+"""How regularly samples come, by their stamps: the usual interval, what is missing, where a signal
+paused.
+"""
 
 from __future__ import annotations
 
 import math
 
 LATE = 1.75
-"""Intervals beyond this many usual ones have lost something; a jitter of half an interval has not."""
+"""Intervals beyond this many usual ones have lost something; a jitter of half an interval has not.
+"""
 
 STEP = 0.02
-"""By which fraction the usual interval follows; up and down alike, so that it ends at the median."""
+"""By which fraction the usual interval follows; up and down alike, so that it ends at the median.
+"""
 
 SILENCE = 20.0
-"""Intervals longer than this many usual ones are no lost samples any more: the signal was silent."""
+"""Intervals longer than this many usual ones are no lost samples any more: the signal was silent.
+"""
 
 REGULAR = 1000
 """Intervals without a silence after which the next one is against the habit of the signal."""
@@ -23,11 +28,13 @@ LEARNT = 20
 class Rhythm:
     """Counts the samples that should have come and did not.
 
-    The usual interval is the median of all, followed by small steps: a minority of odd intervals moves it by little.
+    The usual interval is the median of all, followed by small steps: a minority of odd intervals
+    moves it by little.
 
     Attributes:
         usual_s: the usual interval in s; 0 before the first.
-        silence_s: longer than this no signal of this habit waits, in s; endless before the habit is known.
+        silence_s: longer than this no signal of this habit waits, in s; endless before the habit is
+            known.
         missing: samples that never came, by the length of the intervals.
         pauses: how often the signal history began anew, after a gap or a jump of the stamps.
     """
@@ -46,7 +53,9 @@ class Rhythm:
 
     @property
     def regular(self) -> bool:
-        """Whether the signal has long not been silent, so that it is not one that speaks only when it changes."""
+        """Whether the signal has long not been silent, so that it is not one that speaks only when
+        it changes.
+        """
         return self._unbroken >= REGULAR
 
     def take(self, interval_s: float) -> None:

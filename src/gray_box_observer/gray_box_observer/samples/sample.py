@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.white_box.base import Array
+from gray_box_observer.white_box.interface import Array
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 ABSURD_MAGNITUDE = 1e9
-"""No armature voltage, torque or speed in SI units comes near; beyond it squares would soon overflow."""
+"""No armature voltage, torque or speed in SI units comes near; beyond it squares would soon
+overflow."""
 
 
 def seconds(duration_ns: int) -> float:
@@ -30,13 +31,15 @@ class Sample(NamedTuple):
 
     Attributes:
         stamp_ns: instant of the torque measurement.
-        interval_s: shape (motor,): time since the motor's previous sample; 0 where the signal history starts anew
-            (first sample, gap, clock that jumped back), and then the sample teaches nothing but where the motor stands.
-        voltage_v: shape (motor,): mean voltage over that interval; the held value where it did not change in between.
+        interval_s: shape (motor,): time since the motor's previous sample; 0 where the signal
+            history starts anew (first sample, gap, clock that jumped back), and then the sample
+            teaches nothing but where the motor stands.
+        voltage_v: shape (motor,): mean voltage over that interval; the held value where it did not
+            change in between.
         torque_nm: shape (motor,): torque at the stamp.
         speed_rad_s: shape (motor,): measured speed at the stamp; NaN where none is measured.
-        present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays hold of the others
-            is not to be used.
+        present: shape (motor,): which motors were sampled at this stamp; None: all. What the arrays
+            hold of the others is not to be used.
     """
 
     stamp_ns: int
@@ -47,24 +50,37 @@ class Sample(NamedTuple):
     present: NDArray[np.bool_] | None = None
 
     def beginning(self, which: NDArray[np.bool_] | None = None) -> Sample:
-        """Return the sample as the first of a signal history, of some motors or all: no interval leads to it."""
+        """Return the sample as the first of a signal history, of some motors or all: no interval
+        leads to it.
+        """
         begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
         return self._replace(interval_s=np.where(begins, 0.0, self.interval_s))
 
     def resuming(self, waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
-        """Return the sample as the first of a history of all who wait for one, and who still does; None: nobody."""
+        """Return the sample as the first of a history of all who wait for one, and who still does;
+        None: nobody.
+        """
         still = None if self.present is None else waiting & ~self.present
         return self.beginning(waiting), None if still is None or not np.any(still) else still
 
     def of(self, index: NDArray[np.intp]) -> Sample:
         """Return the sample of the chosen motors."""
-        voltage_v, torque_nm, speed_rad_s = (x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s))
+        voltage_v, torque_nm, speed_rad_s = (
+            x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s)
+        )
         present = None if self.present is None else self.present[index]
-        return Sample(self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present)
+        return Sample(
+            self.stamp_ns, self.interval_s[index], voltage_v, torque_nm, speed_rad_s, present
+        )
 
     @classmethod
     def of_one_motor(
-        cls, stamp_ns: int, interval_s: float, voltage_v: float, torque_nm: float, speed_rad_s: float = np.nan
+        cls,
+        stamp_ns: int,
+        interval_s: float,
+        voltage_v: float,
+        torque_nm: float,
+        speed_rad_s: float = np.nan,
     ) -> Sample:
         """Build the sample of a single motor from plain numbers."""
         values = np.array((interval_s, voltage_v, torque_nm, speed_rad_s), dtype=float)

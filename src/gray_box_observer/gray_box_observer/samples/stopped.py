@@ -1,4 +1,6 @@
-"""In the place of the pairing of motors that have stopped: nothing is paired, everything is counted as refused."""
+"""In the place of the pairing of motors that have stopped: nothing is paired, everything is counted
+as refused.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ class StoppedPairing:
 
     def __init__(self, counts: Sequence[PairingCounts]) -> None:
         self._counts = [_closed(one) for one in counts]
-        self._came = {signal: np.zeros(len(counts), dtype=int) for signal in ('voltage', 'torque', 'speed')}
+        self._came = {
+            signal: np.zeros(len(counts), dtype=int) for signal in ('voltage', 'torque', 'speed')
+        }
         self.received_voltage = max(one.received_voltage for one in counts)
         self.received_torque = max(one.received_torque for one in counts)
         self.take: dict[str, Callable[..., list[Sample]]] = {
@@ -43,13 +47,19 @@ class StoppedPairing:
             'speed': self.speed,
         }
 
-    def voltage(self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None) -> list[Sample]:
+    def voltage(
+        self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None
+    ) -> list[Sample]:
         """Count a voltage."""
         self.received_voltage += 1
         return self._refuse('voltage', missing)
 
     def torque(
-        self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any = None, missing: NDArray[np.bool_] | None = None
+        self,
+        stamp_ns: int,
+        torque_nm: Any,
+        speed_rad_s: Any = None,
+        missing: NDArray[np.bool_] | None = None,
     ) -> list[Sample]:
         """Count a torque."""
         self.received_torque += 1

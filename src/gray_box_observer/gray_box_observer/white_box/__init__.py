@@ -3,8 +3,8 @@
 Read ``declaration.py`` first: it declares the motor; everything else here is made of it.
 """
 
-from gray_box_observer.white_box.base import Parameter, WhiteBox
 from gray_box_observer.white_box.declaration import TERMS
+from gray_box_observer.white_box.interface import Parameter, WhiteBox
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 __all__ = ['TERMS', 'MotorWhiteBox', 'Parameter', 'WhiteBox']

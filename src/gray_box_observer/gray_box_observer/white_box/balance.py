@@ -1,4 +1,6 @@
-"""The balance of a state, and what it is made of: formulas with their derivatives, the unknown and the known ones."""
+"""The balance of a state, and what it is made of: formulas with their derivatives, the unknown and
+the known ones.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +11,12 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A formula with its derivatives, elementwise: functions of the signals, for numbers, arrays and tensors alike.
+    """A formula with its derivatives, elementwise: functions of the signals, for numbers, arrays
+    and tensors alike.
 
     Attributes:
-        value: the formula; of a drive it is a function of the voltage and the signals, as its derivatives are.
+        value: the formula; of a drive it is a function of the voltage and the signals, as its
+            derivatives are.
         partial: derivatives by every signal.
         following: derivative by the current where the speed follows it.
     """
@@ -28,7 +32,9 @@ def sign(x: Any) -> Any:
 
 
 def deducted(start: Any, coefficients: Iterable[Any], parts: Iterable[Any]) -> Any:
-    """Return ``start - sum_j coefficient_j part_j``, the one sum that every balance and every derivative of it is."""
+    """Return ``start - sum_j coefficient_j part_j``, the one sum that every balance and every
+    derivative of it is.
+    """
     for coefficient, part in zip(coefficients, parts, strict=True):
         start = start - coefficient * part
     return start
@@ -42,7 +48,8 @@ Effects = tuple[tuple[Any, Callable[..., Any]], ...]
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """The balance of one state: ``storage d state / dt = drive - sum of its effects``, all of it elementwise.
+    """The balance of one state: ``storage d state / dt = drive - sum of its effects``, all of it
+    elementwise.
 
     Attributes:
         storage: place of the coefficient of the derivative among the parameters.
@@ -84,7 +91,11 @@ class Balance:
 
     def drive_slope(self, state: int, voltage_v: Any, signals: tuple[Any, ...]) -> Any:
         """Derivative of :meth:`drive` by a state."""
-        rest = 0.0 * signals[state] if self.driven is None else self.driven.partial[state](voltage_v, *signals)
+        rest = (
+            0.0 * signals[state]
+            if self.driven is None
+            else self.driven.partial[state](voltage_v, *signals)
+        )
         for constant, slope in self.known_slopes[state]:
             rest = rest - constant * slope(*signals)
         return rest

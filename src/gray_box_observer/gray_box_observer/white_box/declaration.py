@@ -1,12 +1,13 @@
-"""The motor, declared here and nowhere else: its states, its signals, and one entry for every effect.
+"""The motor, declared here and nowhere else: its states, its signals, and one entry for every
+effect.
 
-``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with ``|w| i`` instead
-of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush drop beside them
-(docs/METHOD.md, The form).
+``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with
+``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush
+drop beside them (docs/METHOD.md, The form).
 
-A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators, numbers, ``abs`` and
-``sign``. ``make physics`` differentiates the formulas and writes the forms that numpy, torch and compiled code use.
-Parameters and documentation read this file itself.
+A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators,
+numbers, ``abs`` and ``sign``. ``make physics`` differentiates the formulas and writes the forms
+that numpy, torch and compiled code use. Parameters and documentation read this file itself.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from gray_box_observer.white_box.base import Parameter
+from gray_box_observer.white_box.interface import Parameter
 
 
 class State(IntEnum):
@@ -44,14 +45,17 @@ DRIVES = {State.CURRENT: 'voltage'}
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One effect: coefficient times ``formula``, or the storage of a state, coefficient of its derivative.
+    """One effect: coefficient times ``formula``, or the storage of a state, coefficient of its
+    derivative.
 
     Attributes:
         parameter: the coefficient.
         formula: of the signals; empty for a storage.
         state: in whose balance it is.
-        needs_speed: whether the coefficient can be told from the others only where speed is measured.
-        known_as: the parameter of a motor that holds the value where it is known; empty: ``known.NAME``.
+        needs_speed: whether the coefficient can be told from the others only where speed is
+            measured.
+        known_as: the parameter of a motor that holds the value where it is known; empty:
+            ``known.NAME``.
         known_value: what that is unless it is stated; 0 leaves the effect out.
         known_upper: the largest that it may be; ``None``: as for the coefficient.
     """
@@ -66,19 +70,41 @@ class Term:
 
 
 _DECLARED = (
-    Term(Parameter('inductance', 'H', 1.5, 1e-7, 1e2, 'Armature inductance L, coefficient of di/dt.')),
     Term(
-        Parameter('resistance', 'ohm', 3.0, 1e-4, 1e4, 'Armature resistance R, coefficient of i.', heats=True),
+        Parameter('inductance', 'H', 1.5, 1e-7, 1e2, 'Armature inductance L, coefficient of di/dt.')
+    ),
+    Term(
+        Parameter(
+            'resistance',
+            'ohm',
+            3.0,
+            1e-4,
+            1e4,
+            'Armature resistance R, coefficient of i.',
+            heats=True,
+        ),
         'current',
     ),
     Term(
         Parameter(
-            'hysteresis', 'V s/(rad A)', 1.0, 1e-8, 1e6, 'Magnetic hysteresis constant K_HS, coefficient of |w| i.'
+            'hysteresis',
+            'V s/(rad A)',
+            1.0,
+            1e-8,
+            1e6,
+            'Magnetic hysteresis constant K_HS, coefficient of |w| i.',
         ),
         'abs(speed) * current',
     ),
     Term(
-        Parameter('back_emf_constant', 'V s/rad', 0.01, 1e-7, 1e2, 'Back-EMF constant Kb, coefficient of w.'),
+        Parameter(
+            'back_emf_constant',
+            'V s/rad',
+            0.01,
+            1e-7,
+            1e2,
+            'Back-EMF constant Kb, coefficient of w.',
+        ),
         'speed',
         needs_speed=True,
         known_as='back_emf_constant',
@@ -86,7 +112,14 @@ _DECLARED = (
         known_upper=1e6,
     ),
     Term(
-        Parameter('brush_drop', 'V', 0.2, 1e-4, 1e1, 'Voltage drop V_b of the brushes, coefficient of sign(i).'),
+        Parameter(
+            'brush_drop',
+            'V',
+            0.2,
+            1e-4,
+            1e1,
+            'Voltage drop V_b of the brushes, coefficient of sign(i).',
+        ),
         'current / (abs(current) + 0.02)',  # half of it is there at 0.02 A
         known_as='brush_drop',
         known_upper=1e3,

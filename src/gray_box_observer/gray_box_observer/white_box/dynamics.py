@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.white_box.balance import deducted
-from gray_box_observer.white_box.base import Array, WhiteBox
+from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
 def rate(white_box: WhiteBox, theta: Any, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
@@ -22,19 +22,25 @@ def rate(white_box: WhiteBox, theta: Any, voltage_v: Any, state: Any, speed_rad_
     """
     speed = white_box.speed(state, speed_rad_s)
     storage, *others = (theta[..., place] for place in range(theta.shape[-1]))
-    return deducted(white_box.drive(voltage_v, state, speed), others, white_box.basis(state, speed)) / storage
+    return (
+        deducted(white_box.drive(voltage_v, state, speed), others, white_box.basis(state, speed))
+        / storage
+    )
 
 
 def integrated_regressors(
     white_box: WhiteBox, voltage_v: Array, state: Array, speed_rad_s: Array, interval_s: Array
 ) -> tuple[Array, Array]:
-    """Integrate the equation over each interval between samples, instead of differentiating the samples.
+    """Integrate the equation over each interval between samples, instead of differentiating the
+    samples.
 
-    ``int drive dt = theta_0 (x_k - x_{k-1}) + sum_j theta_j int phi_j dt``, the integrals by the trapezoidal rule.
+    ``int drive dt = theta_0 (x_k - x_{k-1}) + sum_j theta_j int phi_j dt``, the integrals by the
+    trapezoidal rule.
 
     Args:
         white_box: the physics.
-        voltage_v: shape (motor, ..., n): voltage held over the interval that ends at sample 1 ... n.
+        voltage_v: shape (motor, ..., n): voltage held over the interval that ends at sample 1 ...
+            n.
         state: shape (motor, ..., n + 1): current at samples 0 ... n.
         speed_rad_s: shape (motor, ..., n + 1).
         interval_s: shape (motor, ..., n): length of the interval that ends at sample 1 ... n.

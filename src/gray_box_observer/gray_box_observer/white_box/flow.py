@@ -1,11 +1,14 @@
-"""The motion of the states over one interval, with its derivatives, in the coordinates in which the rate is linear.
+"""The motion of the states over one interval, with its derivatives, in the coordinates in which the
+rate is linear.
 
-The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) / theta_0``, for a
-motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j`` (docs/METHOD.md, The form).
-Sensitivities follow the variational equation, integrated together with the states.
+The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) /
+theta_0``, for a motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j``
+(docs/METHOD.md, The form). Sensitivities follow the variational equation, integrated together with
+the states.
 
-:func:`rate`, :func:`runge_kutta_step` and :func:`joined` are written here alone: ``ros_ws/make_forms.py`` makes the
-compiled ones of them. A sequence over the states has an entry for every balance of the white box, in that order.
+:func:`rate`, :func:`runge_kutta_step` and :func:`joined` are written here alone:
+``ros_ws/make_forms.py`` makes the compiled ones of them. A sequence over the states has an entry
+for every balance of the white box, in that order.
 """
 
 from __future__ import annotations
@@ -20,13 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.white_box.balance import deducted
-from gray_box_observer.white_box.base import Array, WhiteBox, bounds
+from gray_box_observer.white_box.interface import Array, WhiteBox, bounds
 
 LARGEST_STEP = 0.35
 """Largest product of step and decay rate; the Runge-Kutta step is then right to 5e-5 of a decay."""
 
 MAX_STEPS = 16
-"""Where more Runge-Kutta steps were needed, exponential ones are taken: they settle where Runge-Kutta would burst."""
+"""Where more Runge-Kutta steps were needed, exponential ones are taken: they settle where
+Runge-Kutta would burst."""
 
 STIFF = MAX_STEPS + 1
 """Number of steps that stands for MAX_STEPS exponential ones."""
@@ -69,7 +73,8 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Intervals, or equal parts of them, and what is known of them; every field of shape (motor, k).
+    """Intervals, or equal parts of them, and what is known of them; every field of shape (motor,
+    k).
 
     Attributes:
         voltage_v: voltage held over it.
@@ -89,7 +94,9 @@ class Interval:
         return Interval(self.voltage_v[index], *speeds, self.length_s[index])
 
     def parts(self, count: int) -> Iterator[Interval]:
-        """Cut into equal parts, the first one first; the last ends where the whole does, to the last bit."""
+        """Cut into equal parts, the first one first; the last ends where the whole does, to the
+        last bit.
+        """
         slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
         for j in range(count):
             end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
@@ -117,14 +124,21 @@ class Linear:
     @property
     def entries(self) -> list[Any]:
         """Every value and derivative."""
-        return [*self.value, *(slope for slopes in self.by_state for slope in slopes), *self.by_coordinate]
+        return [
+            *self.value,
+            *(slope for slopes in self.by_state for slope in slopes),
+            *self.by_coordinate,
+        ]
 
     def mapped(self, function: Callable[..., Any], *others: Linear) -> Linear:
         """Return what a function makes of the entries of this and of others."""
         every = self, *others
         return Linear(
             [*map(function, *(one.value for one in every))],
-            [[*map(function, *rows)] for rows in zip(*(one.by_state for one in every), strict=True)],
+            [
+                [*map(function, *rows)]
+                for rows in zip(*(one.by_state for one in every), strict=True)
+            ],
             [*map(function, *(one.by_coordinate for one in every))],
         )
 
@@ -145,8 +159,8 @@ def flow(
 ) -> Linear:
     """Move many intervals on at once, each from its own start, by classical Runge-Kutta steps.
 
-    As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which are stable however
-    stiff.
+    As many steps as each motor's fastest decay asks for; beyond MAX_STEPS, exponential steps, which
+    are stable however stiff.
 
     Args:
         white_box: the physics.
@@ -156,7 +170,8 @@ def flow(
         speed_rad_s: shape (motor, k): measured speed at its start.
         end_speed: shape (motor, k): measured speed at its end, in rad/s.
         interval_s: shape (motor, k).
-        ops: numpy, or :class:`~gray_box_observer.torch_ops.TorchOps` where everything is a tensor.
+        ops: numpy, or :class:`~gray_box_observer.white_box.torch_ops.TorchOps` where everything is
+            a tensor.
     """
     interval = Interval(voltage_v, speed_rad_s, end_speed, interval_s)
     rate_at = _rate_at(ops, white_box, p, voltage_v)
@@ -164,7 +179,9 @@ def flow(
     stiffness = _stiffness(ops, here, interval_s)
     if ops.all(stiffness <= LARGEST_STEP):
         return runge_kutta_step(rate_at, start, here, interval)
-    steps = ops.where(stiffness <= MAX_STEPS * LARGEST_STEP, ops.ceil(stiffness / LARGEST_STEP), STIFF)
+    steps = ops.where(
+        stiffness <= MAX_STEPS * LARGEST_STEP, ops.ceil(stiffness / LARGEST_STEP), STIFF
+    )
     counts = ops.unique(steps).tolist()
     if len(counts) == 1:
         return _in_steps(ops, rate_at, start, here, interval, int(counts.pop()))
@@ -173,7 +190,10 @@ def flow(
         which = ops.flatnonzero(steps == count)
         own = interval.of(which)
         rate_of = _rate_at(ops, white_box.of_motors(which), p[which], own.voltage_v)
-        begin, rate = [state[which] for state in start], here.mapped(lambda entry, which=which: entry[..., which, :])
+        begin, rate = (
+            [state[which] for state in start],
+            here.mapped(lambda entry, which=which: entry[..., which, :]),
+        )
         moved = _in_steps(ops, rate_of, begin, rate, own, int(count))
         for entry, part in zip(whole.entries, moved.entries, strict=True):
             entry[..., which, :] = part
@@ -191,10 +211,16 @@ def is_stiff(
 
 
 def _stiffness(ops: Any, here: Linear, interval_s: Array) -> Any:
-    """Largest product of interval and decay rate, shape (motor,); of several states, of a bound of that rate."""
+    """Largest product of interval and decay rate, shape (motor,); of several states, of a bound of
+    that rate.
+    """
     rates = []
     for state, slopes in enumerate(here.by_state):
-        coupled = (abs(slope * here.by_state[by][state]) ** 0.5 for by, slope in enumerate(slopes) if by != state)
+        coupled = (
+            abs(slope * here.by_state[by][state]) ** 0.5
+            for by, slope in enumerate(slopes)
+            if by != state
+        )
         rates.append(reduce(add, coupled, abs(slopes[state])))
     return ops.max(reduce(ops.maximum, rates) * interval_s, axis=1, initial=0.0)
 
@@ -207,7 +233,9 @@ def _in_steps(
     parts = interval.parts(max(1, min(count, MAX_STEPS)))
     whole: Linear = step(rate_at, start, here, next(parts))
     for part in parts:
-        whole = joined(whole, step(rate_at, whole.value, rate_at(whole.value, part.speed_rad_s), part))
+        whole = joined(
+            whole, step(rate_at, whole.value, rate_at(whole.value, part.speed_rad_s), part)
+        )
     return whole
 
 
@@ -217,7 +245,10 @@ def joined(first: Linear, then: Linear) -> Linear:
     return Linear(
         then.value,
         [[_product(row, column) for column in columns] for row in then.by_state],
-        [_product(row, first.by_coordinate) + own for row, own in zip(then.by_state, then.by_coordinate, strict=True)],
+        [
+            _product(row, first.by_coordinate) + own
+            for row, own in zip(then.by_state, then.by_coordinate, strict=True)
+        ],
     )
 
 
@@ -228,7 +259,9 @@ def _product(row: Sequence[Any], column: Sequence[Any]) -> Any:
     return total
 
 
-def runge_kutta_step(rate_at: RateAt, start: Sequence[Any], here: Linear, interval: Interval) -> Linear:
+def runge_kutta_step(
+    rate_at: RateAt, start: Sequence[Any], here: Linear, interval: Interval
+) -> Linear:
     """One classical Runge-Kutta step with its derivatives; ``here`` is the rate at the start."""
     step_s, end_speed = interval.length_s, interval.end_speed_rad_s
     half, middle = 0.5 * step_s, 0.5 * (interval.speed_rad_s + end_speed)
@@ -256,8 +289,11 @@ def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> Linear:
     )
 
 
-def _exponential_step(ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval) -> Linear:
-    """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and L-stable.
+def _exponential_step(
+    ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval
+) -> Linear:
+    """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and
+    L-stable.
 
     Of several states each decays by itself.
     """
@@ -302,16 +338,25 @@ def rate(
     value, by_state, by_coordinate = [], [], []
     for balance in white_box.balances(states[0]):
         signals = balance.signals(states, speed_rad_s)
-        leading, others = coefficients[balance.storage], [coefficients[place] for place in balance.places]
+        leading, others = (
+            coefficients[balance.storage],
+            [coefficients[place] for place in balance.places],
+        )
         drive, basis = balance.drive(voltage_v, signals), balance.basis(signals)
         value.append(deducted(leading * drive, others, basis))
         slopes = [
-            deducted(leading * balance.drive_slope(s, voltage_v, signals), others, balance.basis_slope(s, signals))
+            deducted(
+                leading * balance.drive_slope(s, voltage_v, signals),
+                others,
+                balance.basis_slope(s, signals),
+            )
             for s in range(len(states))
         ]
         by_state.append(slopes)
         forced = {balance.storage: drive}
         for place, phi in zip(balance.places, basis, strict=True):
             forced[place] = -phi
-        by_coordinate.append(ops.stack([forced[p] if p in forced else 0.0 * drive for p in coefficients]))
+        by_coordinate.append(
+            ops.stack([forced[p] if p in forced else 0.0 * drive for p in coefficients])
+        )
     return Linear(value, by_state, by_coordinate)

@@ -15,8 +15,8 @@ import numpy as np
 from gray_box_observer.errors import ConfigurationError, brief
 from gray_box_observer.white_box import forms
 from gray_box_observer.white_box.balance import Balance, Form
-from gray_box_observer.white_box.base import Array, Parameter
 from gray_box_observer.white_box.declaration import SIGNALS, TERMS, State
+from gray_box_observer.white_box.interface import Array, Parameter
 
 STORAGES = {term.state: name for name, term in TERMS.items() if not term.formula}
 """Name of the parameter that stands before the derivative of every state."""
@@ -27,13 +27,16 @@ class MotorWhiteBox:
     """One or many DC motors that share their unknown effects.
 
     Attributes:
-        context_nodes: names of the unknown parameters; the inductance is always among them and comes first.
+        context_nodes: names of the unknown parameters; the inductance is always among them and
+            comes first.
         torque_constant: Kt in N m/A, a scalar or shape (motor,).
-        known: values of the known parameters in SI units, scalars or shape (motor,); effects left out are zero.
+        known: values of the known parameters in SI units, scalars or shape (motor,); effects left
+            out are zero.
         speed_measured: true where speed is a signal; else ``w = Kt i`` (thesis, 4.1.1).
 
     Raises:
-        ConfigurationError: an unknown name, no inductance, or a term that only a measured speed could tell apart.
+        ConfigurationError: an unknown name, no inductance, or a term that only a measured speed
+            could tell apart.
     """
 
     context_nodes: tuple[str, ...]
@@ -53,35 +56,49 @@ class MotorWhiteBox:
                 'without L nothing tells how fast torque follows voltage'
             )
         if len(set(self.context_nodes)) != len(self.context_nodes):
-            raise ConfigurationError(f'context_nodes names a parameter twice: {list(self.context_nodes)}')
+            raise ConfigurationError(
+                f'context_nodes names a parameter twice: {list(self.context_nodes)}'
+            )
         blind = [n for n in self.context_nodes if TERMS[n].needs_speed and not self.speed_measured]
         if blind:
             raise ConfigurationError(
-                f'{blind[0]} cannot be told from resistance without measured speed: publish speed in '
+                f'{blind[0]} cannot be told from resistance without measured speed: publish speed '
+                'in '
                 "motor/torque's velocity or remove it from context_nodes"
             )
         try:
-            positive = self.torque_constant > 0.0  # a number, an array, or a tensor on whatever device
+            positive = (
+                self.torque_constant > 0.0
+            )  # a number, an array, or a tensor on whatever device
         except TypeError as error:
             raise ConfigurationError(
-                f'torque_constant must be a number or an array of shape (motor,), got {self.torque_constant!r}: '
+                'torque_constant must be a number or an array of shape (motor,), got '
+                f'{self.torque_constant!r}: '
                 'of several motors give numpy.array'
             ) from error
         if not (positive if isinstance(positive, bool) else bool(positive.all())):
-            raise ConfigurationError(f'torque_constant must be positive, got {self.torque_constant}')
+            raise ConfigurationError(
+                f'torque_constant must be positive, got {self.torque_constant}'
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """Describe the white box in plain values, for a checkpoint or another process."""
         return {
             'context_nodes': list(self.context_nodes),
             'torque_constant': np.asarray(self.torque_constant, dtype=float).tolist(),
-            'known': {name: np.asarray(value, dtype=float).tolist() for name, value in self.known.items()},
+            'known': {
+                name: np.asarray(value, dtype=float).tolist() for name, value in self.known.items()
+            },
             'speed_measured': self.speed_measured,
         }
 
     @classmethod
-    def from_dict(cls, description: Mapping[str, Any], convert: Callable[[Any], Any] = np.asarray) -> MotorWhiteBox:
-        """Build the white box that :meth:`to_dict` described; ``convert`` makes its constants arrays or tensors."""
+    def from_dict(
+        cls, description: Mapping[str, Any], convert: Callable[[Any], Any] = np.asarray
+    ) -> MotorWhiteBox:
+        """Build the white box that :meth:`to_dict` described; ``convert`` makes its constants
+        arrays or tensors.
+        """
         return cls(
             tuple(description['context_nodes']),
             convert(description['torque_constant']),
@@ -90,7 +107,9 @@ class MotorWhiteBox:
         )
 
     def of_motors(self, index: Any) -> MotorWhiteBox:
-        """Return the white box of the chosen motors, one for each entry of ``index`` (repetition allowed)."""
+        """Return the white box of the chosen motors, one for each entry of ``index`` (repetition
+        allowed).
+        """
         known = {name: _take(value, index) for name, value in self.known.items()}
         return replace(self, torque_constant=_take(self.torque_constant, index), known=known)
 
@@ -106,8 +125,12 @@ class MotorWhiteBox:
 
     @cached_property
     def states(self) -> tuple[State, ...]:
-        """The states that this motor has, in the order of their numbers: those whose storage is a context node."""
-        return tuple(state for state, name in sorted(STORAGES.items()) if name in self.context_nodes)
+        """The states that this motor has, in the order of their numbers: those whose storage is a
+        context node.
+        """
+        return tuple(
+            state for state, name in sorted(STORAGES.items()) if name in self.context_nodes
+        )
 
     @cached_property
     def _lined_up(self) -> dict[int, tuple[Balance, ...]]:
@@ -118,11 +141,15 @@ class MotorWhiteBox:
         axes = getattr(signal, 'ndim', 0)
         found = self._lined_up.get(axes)
         if found is None:
-            found = self._lined_up[axes] = tuple(self._balance(state, signal) for state in self.states)
+            found = self._lined_up[axes] = tuple(
+                self._balance(state, signal) for state in self.states
+            )
         return found
 
     def _balance(self, state: State, signal: Any) -> Balance:
-        places = tuple(place for place, name in enumerate(self.context_nodes) if _acts_on(state, name))
+        places = tuple(
+            place for place, name in enumerate(self.context_nodes) if _acts_on(state, name)
+        )
         names = [name for name in self.given if _acts_on(state, name)]
         constants = [_spread(self.known[name], signal) for name in names]
         unknown = [forms.EFFECTS[self.context_nodes[place]] for place in places]
@@ -139,7 +166,8 @@ class MotorWhiteBox:
             unknown_slopes=tuple(tuple(slope(form, by) for form in unknown) for by in self.states),
             known=tuple(zip(constants, (form.value for form in known), strict=True)),
             known_slopes=tuple(
-                tuple(zip(constants, (slope(form, by) for form in known), strict=True)) for by in self.states
+                tuple(zip(constants, (slope(form, by) for form in known), strict=True))
+                for by in self.states
             ),
             driven=forms.DRIVES[state],
             torque_constant=_spread(self.torque_constant, signal),

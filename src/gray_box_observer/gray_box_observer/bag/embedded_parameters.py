@@ -1,0 +1,67 @@
+"""Parameters of the observer that a bag carries in its metadata, because what is in the bag was
+made with them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gray_box_observer.bag.metadata import list_files
+from gray_box_observer.errors import BagError, brief
+
+_KEY = 'gray_box_observer.parameters'
+
+_RANGE = re.compile(r'\[\d+\.\.\d+\]')
+
+MOST_MOTORS = 10_000
+"""That a bag may name."""
+
+
+def to_custom_data(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """Parameters by their dotted names as ``custom_data`` of a bag."""
+    return {_KEY: json.dumps(parameters)}
+
+
+def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
+    """The parameters that bags carry, by their dotted names; none where they carry none.
+
+    Raises:
+        BagError: A bag cannot be read, or two of them carry different values.
+    """
+    carried: dict[str, Any] = {}
+    for bag in bags:
+        for name, value in _of(bag).items():
+            if name == 'motors':
+                carried[name] = list(dict.fromkeys([*carried.get(name, ()), *value]))
+            elif name not in carried:
+                carried[name] = value
+            elif carried[name] != value:
+                raise BagError(
+                    f'{bag}: {name} is {brief(value)}, but {brief(carried[name])} in another bag; '
+                    'identify each alone'
+                )
+    return carried
+
+
+def _of(bag: Path) -> dict[str, Any]:
+    text = list_files(bag).custom_data.get(_KEY, '{}')
+    try:
+        loaded = json.loads(text)
+    except (ValueError, RecursionError):
+        loaded = None
+    if not isinstance(loaded, dict) or not _is_list_of_names(loaded.get('motors', [])):
+        raise BagError(f'{bag}: {_KEY} in its metadata cannot be understood; remove it there')
+    return loaded
+
+
+def _is_list_of_names(value: object) -> bool:
+    """Whether a value lists motors one by one: a range would make a few bytes ask for a hundred
+    thousand.
+    """
+    if not isinstance(value, list) or len(value) > MOST_MOTORS:
+        return False
+    return all(isinstance(entry, str) and not _RANGE.search(entry) for entry in value)

@@ -1,0 +1,1 @@
+"""Saving and restoring what was learnt. Read `checkpoint.py` first, then `checkpoint_manager.py`."""

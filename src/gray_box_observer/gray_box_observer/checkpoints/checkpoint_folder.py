@@ -1,0 +1,120 @@
+"""The one folder that checkpoints are read from and written to, whatever a parameter or a service
+asks for.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from gray_box_observer.errors import ConfigurationError
+
+MOST_PARTS = 64
+"""Folders in a path; nobody means more, and the file system would not bear many more."""
+
+LONGEST_NAME = 200
+"""Bytes of a name: a file that is not whole yet has a longer one, and 255 is the limit of most file
+systems."""
+
+
+SUFFIX = '.safetensors'
+"""What the name of a checkpoint ends with: no name that anything else on the machine obeys does."""
+
+
+class CheckpointFolder:
+    """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses
+    it.
+
+    What is given when the node starts (launch file, YAML, command line) is the word of whoever may
+    start processes, and is trusted: an absolute path then declares its own folder. What comes
+    later, over the network, has to stay there, below no folder whose name begins with a dot.
+    Whoever names it, a checkpoint ends in ``.safetensors`` and is no dot file.
+
+    Args:
+        folder: the parameter ``checkpoint.folder``; empty: the folder of an absolute path, else the
+            default.
+        path: the parameter ``checkpoint.path`` as given at the start.
+        default: folder where neither says one.
+
+    Raises:
+        ConfigurationError: the path does not lie in the folder.
+    """
+
+    def __init__(self, folder: str, path: str, default: Path) -> None:
+        own = Path(path).parent if not folder and Path(path).is_absolute() else default
+        wanted = Path(folder).expanduser() if folder else own
+        self.folder = Path(
+            os.path.normpath(wanted.absolute())
+        )  # as it was given: no link is followed
+        self._trusted = None if folder else path
+        self.file(path)
+
+    def file(self, path: str) -> Path:
+        """Return the file that a path means: relative to the folder, or absolute and inside it.
+
+        Raises:
+            ConfigurationError: it is no file name, or leads out of the folder, be it by ``..`` or
+                by a symbolic link.
+        """
+        given = Path(path)
+        if not given.name or not path.isprintable():
+            raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
+        if given.is_absolute() and path == self._trusted:
+            _check_name(path, (given.name,))
+            return given
+        if len(given.parts) > MOST_PARTS or any(
+            len(part.encode()) > LONGEST_NAME for part in given.parts
+        ):
+            raise ConfigurationError(
+                f'checkpoint.path must not be deeper than {MOST_PARTS} folders or hold names of '
+                'more than '
+                f'{LONGEST_NAME} bytes, got {path[:40]!r}...'
+            )
+        if '..' in given.parts:
+            raise ConfigurationError(
+                f"checkpoint.path must not hold '..', got {path!r}: give a path in {self.folder}"
+            )
+        file = self.folder / given  # an absolute one stays what it is
+        try:
+            real_file, real_folder = file.resolve(), self.folder.resolve()
+        except (OSError, RuntimeError) as error:  # a loop of links; a name that is too long
+            raise ConfigurationError(
+                f'checkpoint.path {path!r} cannot be followed: {error}'
+            ) from error
+        if not real_file.is_relative_to(real_folder):
+            raise ConfigurationError(
+                f'checkpoint.path {path!r} leads out of {self.folder}: '
+                'give a path in there, or another checkpoint.folder when the node starts'
+            )
+        _check_name(path, (*real_file.relative_to(real_folder).parts, given.name))
+        return file
+
+
+def _check_name(path: str, parts: tuple[str, ...]) -> None:
+    """Refuse a name that another program may obey: of a start-up file, of a key, of a folder of
+    settings.
+    """
+    hidden = next((part for part in parts if part.startswith('.')), None)
+    if hidden is not None:
+        raise ConfigurationError(
+            f"checkpoint.path must hold no name that begins with '.', got {path!r}"
+        )
+    if not parts[-1].endswith(SUFFIX):
+        raise ConfigurationError(
+            f'checkpoint.path must end in {SUFFIX}, got {path!r}: no other file is written'
+        )
+
+
+def default_folder(node: str) -> Path:
+    """Return where the checkpoints of a node go that says nothing of it: below ROS_HOME
+    (``~/.ros``), by its full name.
+
+    Args:
+        node: its fully qualified name, so that two nodes in two namespaces do not overwrite each
+            other's.
+    """
+    try:
+        home = Path(os.environ.get('ROS_HOME') or '~/.ros').expanduser()
+    except RuntimeError:  # a user without a home
+        home = Path.cwd()
+    return home / node.strip('/')

@@ -1,0 +1,38 @@
+"""The library of compiled code, as setup.py builds it; a workspace may have been built without a C
+compiler.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+
+
+def library(
+    size: str, structure: type[ctypes.Structure], kind: type[ctypes.CDLL] = ctypes.CDLL
+) -> ctypes.CDLL | None:
+    """Load the compiled code; None where there is none, where it is another, or on a processor of
+    32 bits.
+
+    Whether it is another is told by the size of what the two share: whoever changes the order of
+    its entries has to build anew.
+
+    Args:
+        size: function that tells the size of a structure there.
+        structure: the same here.
+        kind: how functions are called: ``CDLL`` lets the interpreter lock go meanwhile, ``PyDLL``
+            keeps it.
+    """
+    if np.dtype(int).itemsize != ctypes.sizeof(ctypes.c_int64):
+        return None
+    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
+    try:
+        loaded = kind(str(path))
+        told = getattr(loaded, size)
+    except (OSError, AttributeError):
+        return None
+    told.restype = ctypes.c_int64
+    return loaded if told() == ctypes.sizeof(structure) else None

@@ -1,0 +1,332 @@
+"""Regular blocks by compiled code, `regular_block.c`; numpy (:mod:`block_step`,
+:mod:`block_updater`) stands behind it.
+
+A block is regular where nothing restarts, the state is not kicked, outliers are few and nothing
+speaks for a change of the motor. Nearly all are, and these decide what an update costs. What is not
+regular is left to numpy, which can do either; so can a workspace that was built without a C
+compiler, only slower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from operator import attrgetter, is_
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.context_nodes.recursive import change_test
+from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
+from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied
+from gray_box_observer.context_nodes.recursive.normal_equations import CORRELATION_SLACK, OUTLIER
+from gray_box_observer.context_nodes.recursive.random_walk import heating
+from gray_box_observer.context_nodes.recursive.trajectory import FAR, KICK
+from gray_box_observer.samples.noise_floor import STILL
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box import forms
+from gray_box_observer.white_box.declaration import COMPILED, TERMS
+from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
+from gray_box_observer.white_box.interface import WhiteBox, bounds
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+MOST_COORDINATES, MOST_KNOWN, MOST_SAMPLES, MOST_MEMORIES = 5, 8, 64, 8
+"""Room in `regular_block.c`."""
+
+LEARNT, LONG_HOLD, ANCHOR_DUE = 1, 2, 4
+"""What is told of a motor, bit by bit: its block is learnt, it has been in a long hold, its anchor
+lies far back."""
+
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+WRITTEN = {
+    'at': 'at',
+    'p': 'belief.p',
+    'state': 'belief.state',
+    'covariance': 'belief.covariance',
+    'noise': 'belief.noise',
+    'sensitivity': 'belief.sensitivity',
+    'score': 'score',
+    'information': 'information',
+    'noise_count': 'noise_count',
+    'since': 'since',
+    'outliers': 'outliers',
+    'suspicion': 'suspicion',
+    'left_out': 'left_out',
+    'hold_level': 'hold.level',
+    'hold_largest': 'hold.largest',
+    'hold_held_s': 'hold.held_s',
+    'hold_p': 'hold.p',
+    'hold_covariance': 'hold.covariance',
+    'hold_settled_now': 'hold.settled',
+}
+"""What an regular block changes, and where that stands in :class:`~.estimator_state.Learnt`."""
+
+READ = {
+    'current_a': 'belief.current_a',
+    'gain': 'belief.gain',
+    'least_noise': 'least_noise',
+    'walk_rate': 'walk_rate',
+    'anchored': 'anchored',
+    'next_fit': 'next_fit',
+    'hold_begun': 'hold.begun',
+}
+"""What else is asked of a motor, and where that stands."""
+
+_of_learnt = attrgetter(*READ.values(), *WRITTEN.values())
+_parts = attrgetter(
+    *dict.fromkeys(name.partition('.')[0] for name in (*READ.values(), *WRITTEN.values()))
+)
+"""Where these stand in it: arrays, and what is frozen and never gets other ones."""
+
+
+class _Update(ctypes.Structure):
+    """``Update`` of `regular_block.c`."""
+
+    _fields_ = (
+        *(
+            (name, _COUNT)
+            for name in ('coordinates', 'samples', 'memories', 'known_terms', 'speed_measured')
+        ),
+        ('codes', _COUNT * (MOST_COORDINATES + MOST_KNOWN)),
+        *((name, _NUMBER * MOST_COORDINATES) for name in ('heats', 'lower', 'upper')),
+        ('known', _POINTER),
+        ('torque_constant', _POINTER),
+        ('motors', _COUNT),
+        ('keep', _NUMBER * MOST_MEMORIES),
+        *(
+            (name, _NUMBER)
+            for name in ('outlier', 'kick', 'credible', 'far_away', 'largest_step', 'most_steps')
+        ),
+        *(
+            (name, _NUMBER)
+            for name in ('threshold', 'noise_floor', 'left_out_memory', 'left_out_limit')
+        ),
+        *((name, _NUMBER) for name in ('hold_tolerance', 'hold_settled', 'long_hold_s')),
+        *((name, _NUMBER) for name in ('correlation_slack', 'still')),
+        *((name, _COUNT) for name in ('noise_memory', 'replay_capacity')),
+        ('data', _POINTER),
+        *((name, _COUNT) for name in ('signal_stride', 'column_stride', 'columns')),
+        *((name, _POINTER) for name in ('gone', 'end', 'begin', *READ, *WRITTEN, 'due', 'plain')),
+    )
+
+
+def library() -> ctypes.CDLL | None:
+    """Load the compiled code; None where the workspace was built without it, or of another
+    ``Update`` or motor.
+    """
+    loaded = compiled.library('update_size', _Update)
+    if loaded is None:
+        return None
+    loaded.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
+    loaded.learn_blocks.restype = None
+    loaded.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
+    loaded.learn_due.restype = _COUNT
+    loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    loaded.term_values.restype = _COUNT
+    loaded.forms_fingerprint.restype = _COUNT
+    return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
+
+
+class Turn(NamedTuple):
+    """What became of the motors of a group at one of its samples.
+
+    Attributes:
+        motors: places of those whose block was looked at; None where they were too many, and
+            nothing was done.
+        told: what became of each block, as of :meth:`RegularBlocks.learn`.
+        changed: shape (motor,), of all motors: whether it has learnt.
+        wait: samples until somebody is due again; 0 where there is more to do now.
+    """
+
+    motors: NDArray[np.int64] | None
+    told: NDArray[np.uint8]
+    changed: NDArray[np.bool_]
+    wait: int
+
+    @classmethod
+    def left(cls, motors: int) -> Turn:
+        """Return a turn in which nothing was done."""
+        return cls(None, np.empty(0, dtype=np.uint8), np.zeros(motors, dtype=bool), 0)
+
+
+class RegularBlocks:
+    """Learns regular blocks in place.
+
+    Args:
+        white_box: of all motors.
+        rules: settings.
+        replay: samples of all motors.
+    """
+
+    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+        self._library: ctypes.CDLL | None = None
+        self._pointed: tuple[Any, ...] = ()
+        found = library()
+        if (
+            found is not None
+            and isinstance(white_box, MotorWhiteBox)
+            and _fits(found, white_box, rules)
+        ):
+            self._library = found
+            self._describe(white_box, rules, replay)
+
+    @property
+    def compiled(self) -> bool:
+        """Whether there is compiled code that knows this physics; else no block counts as regular."""
+        return self._library is not None
+
+    def _describe(
+        self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer
+    ) -> None:
+        """Write down what never changes."""
+        motors, told = replay.motors, white_box.given
+        lower, upper = bounds(white_box.parameters)
+        keep = change_test.keep()
+        data, gone, end, begin = replay.streams
+        constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
+        self._kept = (  # what pointers point to
+            np.array(constants, dtype=float).reshape(len(told), motors),
+            np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
+            data,
+            gone,
+            end,
+            begin,
+        )
+        places = [array.ctypes.data for array in self._kept]
+        self._update = _Update(
+            coordinates=len(white_box.parameters),
+            samples=rules.block,
+            memories=keep.size,
+            known_terms=len(told),
+            speed_measured=int(white_box.speed_measured),
+            codes=tuple(_codes(white_box)),
+            heats=tuple(heating(white_box.parameters).tolist()),
+            lower=tuple(lower.tolist()),
+            upper=tuple(upper.tolist()),
+            known=places[0],
+            torque_constant=places[1],
+            motors=motors,
+            keep=tuple(keep.tolist()),
+            outlier=OUTLIER,
+            kick=KICK,
+            credible=CREDIBLE,
+            far_away=FAR,
+            largest_step=LARGEST_STEP,
+            most_steps=MAX_STEPS,
+            threshold=rules.drift_threshold,
+            noise_floor=rules.noise_floor,
+            left_out_memory=change_test.LEFT_OUT_MEMORY,
+            left_out_limit=change_test.LEFT_OUT,
+            hold_tolerance=HOLD_TOLERANCE,
+            hold_settled=SETTLED,
+            long_hold_s=rules.long_hold_s,
+            correlation_slack=CORRELATION_SLACK,
+            still=STILL,
+            noise_memory=rules.noise_memory,
+            replay_capacity=rules.replay_capacity,
+            data=places[2],
+            signal_stride=data.strides[0] // data.itemsize,
+            column_stride=data.strides[2] // data.itemsize,
+            columns=data.shape[2],
+            gone=places[3],
+            end=places[4],
+            begin=places[5],
+        )
+        self._turn = (
+            np.empty(motors, dtype=int),
+            np.empty(motors, dtype=np.uint8),
+            np.zeros(motors, dtype=bool),
+        )
+        self._wait = _COUNT()
+        self._turned = (*(array.ctypes.data for array in self._turn), ctypes.byref(self._wait))
+
+    def learn(
+        self,
+        known: Learnt,
+        motors: NDArray[np.int64],
+        due: NDArray[np.int64],
+        plain: NDArray[np.bool_],
+    ) -> tuple[Learnt, NDArray[np.uint8]]:
+        """Learn the next block of some motors where it is an regular one.
+
+        The interpreter lock is let go meanwhile: what is known, and the samples, are one thread's
+        alone; others are given copies.
+
+        Args:
+            known: of all motors; written to.
+            motors: their places; their samples reach to the end of the block.
+            due: shape (motor,): where in its stream the next work on a motor is due; written to.
+            plain: shape (motor,): whether that is a block; written to.
+
+        Returns:
+            What is known then, and what became of every block, shape (place,): 0 where nothing has
+            changed, else LEARNT and what there is to do besides.
+        """
+        told = np.zeros(motors.size, dtype=np.uint8)
+        if self._library is None:
+            return known, told
+        known = self._point(known, due, plain)
+        self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, told.ctypes.data)
+        return known, told
+
+    def learn_due(
+        self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_], most: int
+    ) -> tuple[Learnt, Turn]:  # fmt: skip
+        """Learn the next block of every motor that is due for one, as :meth:`learn` does.
+
+        Args:
+            known: of all motors; written to; the samples must have been settled.
+            due: as there.
+            plain: as there.
+            most: how many motors at most; where more are due nothing is done, nor without compiled
+                code.
+
+        Returns:
+            What is known then, and the turn.
+        """
+        if self._library is None:
+            return known, Turn.left(due.size)
+        known = self._point(known, due, plain)
+        count = self._library.learn_due(self._update, most, *self._turned)
+        motors, told, changed = self._turn
+        done = None if count > most else motors[:count].copy()
+        return known, Turn(done, told[:count].copy(), changed.copy(), self._wait.value)
+
+    def _point(self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_]) -> Learnt:
+        """Let the compiled code write where this is known, or where a copy of it is that it may
+        write to.
+        """
+        parts = (*_parts(known), due, plain)
+        if self._pointed and all(map(is_, parts, self._pointed)):
+            return known
+        arrays = (*_of_learnt(known), due, plain)
+        if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
+            known = copied(known)
+            arrays = (*_of_learnt(known), due, plain)
+        for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
+            setattr(self._update, name, array.ctypes.data)
+        self._pointed = (*_parts(known), due, plain)
+        return known
+
+
+def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
+    """Whether `regular_block.c` has room for it and knows its terms."""
+    values = (_NUMBER * 2)()
+    return (
+        white_box.states == COMPILED
+        and len(white_box.parameters) <= MOST_COORDINATES
+        and len(white_box.given) <= MOST_KNOWN
+        and rules.block <= MOST_SAMPLES
+        and rules.block < rules.replay_capacity
+        and all(found.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in _codes(white_box))
+    )
+
+
+def _codes(white_box: MotorWhiteBox) -> list[int]:
+    """Codes of the unknown terms without inductance, then of the known ones: their places in TERMS."""
+    places = list(TERMS)
+    return [places.index(name) for name in (*white_box.context_nodes[1:], *white_box.given)]

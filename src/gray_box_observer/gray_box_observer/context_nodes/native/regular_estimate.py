@@ -1,0 +1,138 @@
+"""Regular estimates by compiled code, `regular_estimate.c`; numpy (:mod:`estimate`) stands behind
+it.
+
+An estimate is regular where no parameter is known so vaguely that the spread of its logarithm is
+not that of its value. After the first seconds all are, and controllers wait for them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import LOG_NORMAL, Verdict, VerdictRules, verdicts_of
+from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.context_nodes.recursive.belief import Belief
+from gray_box_observer.white_box.interface import Array, Parameter, bounds
+
+MOST_PARAMETERS = 5
+"""Room in `regular_estimate.c`."""
+
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+_RULES = ('identified_relative_std', 'excited_relative_std', 'bound_tolerance', 'negligible_share')
+
+
+class _Believed(ctypes.Structure):
+    """``Believed`` of `regular_estimate.c`."""
+
+    _fields_ = (
+        ('parameters', _COUNT),
+        *((name, _NUMBER * MOST_PARAMETERS) for name in ('lower', 'upper')),
+        *((name, _NUMBER) for name in (*_RULES, 'log_normal')),
+        *((name, _POINTER) for name in ('p', 'covariance', 'noise', 'share', 'reach')),
+    )
+
+
+class RegularEstimates:
+    """Works out values, covariance and verdicts.
+
+    Args:
+        parameters: of every motor.
+        motors: how many.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], motors: int) -> None:
+        n = len(parameters)
+        # it keeps the interpreter lock, which takes longer to get back than this takes
+        self._library = (
+            None
+            if n > MOST_PARAMETERS
+            else compiled.library('believed_size', _Believed, ctypes.PyDLL)
+        )
+        if self._library is None:
+            return
+        self._library.tell_estimates.argtypes = (_POINTER, _POINTER, _COUNT, *3 * (_POINTER,))
+        self._library.tell_estimates.restype = _COUNT
+        lower, upper = bounds(parameters)
+        self._believed = _Believed(
+            n, tuple(lower.tolist()), tuple(upper.tolist()), log_normal=LOG_NORMAL
+        )
+        self._about = ctypes.byref(self._believed)
+        self._places = np.empty(motors, dtype=np.int64)
+        self._told = (
+            np.empty((motors, n)),
+            np.empty((motors, n, n)),
+            np.empty((motors, n), dtype=np.uint8),
+        )
+        self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._told)
+        self._belief: Belief | None = None
+        self._rules: VerdictRules | None = None
+        self._shares: tuple[Array | None, Array | None] = (None, None)
+
+    def of(
+        self,
+        belief: Belief,
+        motors: NDArray[np.int64] | None,
+        rules: VerdictRules,
+        share: Array | None = None,
+        reach: Array | None = None,
+    ) -> tuple[Array, Array, tuple[tuple[Verdict, ...], ...]] | None:  # fmt: skip
+        """Return values, shape (place, parameter), covariances and verdicts of some motors.
+
+        None where one of them is not regular, or where there is no compiled code.
+
+        Args:
+            belief: of all motors.
+            motors: places of those that are meant; None: all.
+            rules: when a parameter counts as identified.
+            share: shape (motor, parameter), of all motors: of the voltage, that one unit takes;
+                None: nobody knows.
+            reach: likewise, what may come on top of that.
+        """
+        if (
+            self._library is None
+            or not self._point(belief, rules)
+            or not self._point_shares(share, reach)
+        ):
+            return None
+        places, told = self._at
+        if motors is None:
+            count, where = self._places.size, None
+        else:
+            count, where = motors.size, places
+            self._places[:count] = motors
+        if not self._library.tell_estimates(self._about, where, count, *told):
+            return None
+        value, covariance, codes = self._told
+        return value[:count].copy(), covariance[:count].copy(), verdicts_of(codes[:count])
+
+    def _point_shares(self, share: Array | None, reach: Array | None) -> bool:
+        """Let the compiled code read these; tell whether it can."""
+        if share is self._shares[0] and reach is self._shares[1]:
+            return True
+        if share is None or reach is None:
+            self._believed.share = self._believed.reach = None
+        elif share.flags.c_contiguous and reach.flags.c_contiguous:
+            self._believed.share, self._believed.reach = share.ctypes.data, reach.ctypes.data
+        else:
+            return False
+        self._shares = share, reach
+        return True
+
+    def _point(self, belief: Belief, rules: VerdictRules) -> bool:
+        """Let the compiled code read this belief; tell whether it can."""
+        if rules is not self._rules:
+            for name in _RULES:
+                setattr(self._believed, name, getattr(rules, name))
+            self._rules = rules
+        if belief is not self._belief:
+            arrays = belief.p, belief.covariance, belief.noise
+            if not all(array.flags.c_contiguous for array in arrays):
+                return False
+            self._believed.p, self._believed.covariance, self._believed.noise = (
+                a.ctypes.data for a in arrays
+            )
+            self._belief = belief
+        return True

@@ -1,0 +1,181 @@
+"""Following a motor that has changed: which change it was, and whether it goes on.
+
+A sudden change is told from the others by the evidence of fits under each kind of it
+(:mod:`change_test`), a winding that heats by the likelihood of a walk (:mod:`random_walk`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.recursive import random_walk
+from gray_box_observer.context_nodes.recursive.batch_fit import Fit, batch_fit
+from gray_box_observer.context_nodes.recursive.belief import Belief, Prior
+from gray_box_observer.context_nodes.recursive.change_test import (
+    CHANGE_EVIDENCE,
+    UNCHANGED,
+    changes,
+    evidence_for,
+)
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied, put
+from gray_box_observer.context_nodes.recursive.sample_windows import Motors
+from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, Stretch
+from gray_box_observer.white_box.interface import Parameter
+
+SOON = 1024
+"""Samples after which an examination has nothing to do with the one before."""
+
+FREE_EXAMINATIONS = 8
+"""So many, one soon after the other, are not put off: a change may need a few until its samples
+tell which it was."""
+
+GROWTH = 4
+"""Factor from one patience to the next."""
+
+LONGEST_PATIENCE = 256
+"""Blocks for which an examination is put off at most."""
+
+
+def patience(in_vain: NDArray[np.int_], block: int) -> NDArray[np.int_]:
+    """How many samples after an examination the next is put off, the longer the more of them have
+    settled nothing.
+    """
+    blocks = np.minimum(GROWTH ** np.clip(in_vain - FREE_EXAMINATIONS, 0, 8), LONGEST_PATIENCE)
+    return np.where(in_vain > FREE_EXAMINATIONS, block * blocks, 0)
+
+
+class Following:
+    """Examines motors that seem to have changed.
+
+    Args:
+        parameters: of the white box.
+        rules: settings.
+    """
+
+    def __init__(self, parameters: tuple[Parameter, ...], rules: RecursiveRules) -> None:
+        self._rules = rules
+        self._changes = changes(parameters, rules.drift_relative_std)
+        self._heats = random_walk.heating(parameters)
+
+    def examine(self, motors: Motors, samples: int) -> None:
+        """Fit the newest samples under every kind of change, and follow the likeliest, if any is
+        likely enough.
+        """
+        known, belief = motors.learnt, motors.learnt.belief
+        stretch = motors.newest(samples)
+        before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
+        held = self._fit_from(motors, stretch, before)
+        self._calm(known)
+        soon = known.at - known.examined <= SOON + patience(known.in_vain, self._rules.block)
+        known.in_vain, known.examined = np.where(soon, known.in_vain + 1, 0), known.at.copy()
+        priors = [before.loosened(change.directions) for change in self._changes]
+        fits = [self._fit_from(motors, stretch, prior) for prior in priors]
+        penalties = [change.penalty for change in self._changes]
+        pairs = zip(fits, penalties, strict=True)
+        evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
+        best = np.argmax(evidence, axis=0)
+        changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
+        known.belief = self._back_on_track(belief, held.belief, ~changed)
+        if not np.any(changed):
+            return
+        settles = (
+            known.in_vain <= FREE_EXAMINATIONS
+        )  # what jumps again and again is no winding that heats
+        jumped = changed & ~self.drifting(motors, changed & settles, samples)
+        if not np.any(jumped):
+            return
+        known.alarms = known.alarms + jumped
+        motors.forget(samples, jumped)
+        found, freedom = fits[0].belief, priors[0].covariance
+        for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
+            found = found.overwritten(fit.belief, best == j)
+            freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
+        one = jumped[:, None]
+        p = np.where(one, before.p, known.prior.p)
+        known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
+        motors.take(found, jumped)
+        known.share = np.where(one, 0.0, known.share)
+        known.anchor_here(jumped)
+
+    def walk_again(self, motors: Motors) -> None:
+        """Ask motors that drift how fast they do."""
+        known = motors.learnt
+        known.asked = np.zeros_like(known.asked)
+        self.drifting(motors, np.ones_like(known.started))
+        known.anchor_here(np.ones_like(known.started))
+
+    def drifting(
+        self, motors: Motors, which: NDArray[np.bool_], jumped_before: int | None = None
+    ) -> NDArray[np.bool_]:
+        """Find which motors drift, by the samples since the anchor; these go on as is likeliest,
+        and walk.
+
+        Args:
+            motors: those motors.
+            which: shape (motor,): those that are asked about.
+            jumped_before: so many samples ago they may have changed suddenly instead.
+        """
+        known, walking = motors.learnt, np.zeros_like(which)
+        length = known.at - known.anchored + 1
+        for samples in np.unique(length[which]).tolist():
+            index = np.flatnonzero(which & (length == samples))
+            part = motors.part(index)
+            walking[index] = self._walk(part, part.newest(samples), jumped_before)
+            put(known, index, part.learnt)
+        return walking
+
+    def _walk(
+        self, motors: Motors, stretch: Stretch, jumped_before: int | None
+    ) -> NDArray[np.bool_]:
+        """The same for motors whose anchor lies equally far back."""
+        known, jump = motors.learnt, None
+        if jumped_before is not None:
+            freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
+            jump = random_walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
+        still = random_walk.Walk(self._heats, known.walk_rate)
+        anchor = copied(known.anchor)  # what comes of it may be its arrays, and both are written to
+        rate, after = random_walk.likeliest(
+            motors.white_box, anchor, stretch, still, self._rules.block, jump
+        )
+        walking: NDArray[np.bool_] = rate > 0.0
+        known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
+        known.walk_rate = rate
+        if np.any(walking):
+            motors.take(after, walking)
+            known.anchor_here(walking)
+        return walking
+
+    @staticmethod
+    def _calm(known: Learnt) -> None:
+        """Forget what has led to an examination."""
+        known.asked, known.since = 0 * known.asked, 0 * known.since
+        known.suspicion, known.left_out = 0.0 * known.suspicion, 0.0 * known.left_out
+        known.score, known.information = (
+            np.zeros_like(known.score),
+            np.zeros_like(known.information),
+        )
+
+    @staticmethod
+    def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
+        """Go on with unchanged parameters from the state that a fit under them has found, for some
+        of the motors.
+        """
+        usable = which & held.finite
+        units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
+        covariance = belief.covariance.copy()
+        covariance[:, CURRENT, CURRENT] += np.where(
+            usable, units * held.covariance[:, CURRENT, CURRENT], 0.0
+        )
+        return replace(
+            belief, state=np.where(usable, held.state, belief.state), covariance=covariance
+        )
+
+    def _fit_from(self, motors: Motors, stretch: Stretch, prior: Prior) -> Fit:
+        start, floor = motors.learnt.belief.p, self._rules.noise_floor
+        return batch_fit(
+            motors.white_box, stretch, start, prior, floor, 5, motors.learnt.least_noise
+        )

@@ -1,0 +1,160 @@
+"""Least squares in the units of the problem: residuals in A, unknowns relative to where they stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.recursive.trajectory import (
+    COORDINATES,
+    CURRENT,
+    STATES,
+    Trajectory,
+)
+from gray_box_observer.white_box.interface import Array
+
+MAD_TO_STD = 1.4826
+OUTLIER = 4.5
+"""Standard deviations beyond which a sample is an outlier: Gauss gives one in 150,000."""
+
+CORRELATION_SLACK = 1e-9
+"""How far the square of a correlation may lie above one: more than rounding leaves of strong ones.
+"""
+
+LEAST_EIGENVALUE = 1e-12
+"""Of a matrix of correlations: smaller ones are rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Units of the unknowns: the first state in ``current_a``, every coordinate in its own present
+    value.
+
+    Attributes:
+        current_a: shape (motor,): size of the current.
+        p: shape (motor, coordinate).
+    """
+
+    current_a: Array
+    p: Array
+
+    def of(self, index: NDArray[np.intp]) -> Frame:
+        """Return the units of the chosen motors."""
+        return Frame(self.current_a[index], self.p[index])
+
+    def jacobian(self, path: Trajectory) -> Array:
+        """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
+        jacobian = np.empty((*path.by_start.shape, STATES + self.p.shape[1]))
+        np.multiply(path.by_start, self.current_a[:, None], out=jacobian[..., CURRENT])
+        np.multiply(
+            path.by_coordinate.transpose(1, 2, 0),
+            self.p[:, None, :],
+            out=jacobian[..., COORDINATES],
+        )
+        return jacobian
+
+    def transfer(self, path: Trajectory) -> Array:
+        """How unknowns (first state, coordinates) become (last state, coordinates), shape (motor,
+        unknown, unknown).
+        """
+        unknowns = STATES + self.p.shape[1]
+        matrix = np.zeros((self.p.shape[0], unknowns, unknowns))
+        matrix.reshape(-1, unknowns**2)[:, :: unknowns + 1] = 1.0
+        matrix[:, CURRENT, CURRENT] = path.by_start[:, -1]
+        matrix[:, CURRENT, COORDINATES] = (
+            path.by_coordinate[:, :, -1].T * self.p / self.current_a[:, None]
+        )
+        return matrix
+
+    def moved(self, covariance: Array, new: Frame) -> Array:
+        """Express a covariance of this frame in the units of another."""
+        ratio = np.empty((self.p.shape[0], STATES + self.p.shape[1]))
+        ratio[:, CURRENT], ratio[:, COORDINATES] = self.current_a / new.current_a, self.p / new.p
+        moved: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
+        return moved
+
+
+def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
+    """Standard deviation from the median absolute deviation, shape (motor,); outliers hardly move
+    it.
+    """
+    sizes = np.sort(np.where(valid, np.abs(residual), np.inf), axis=1)
+    middle = np.maximum(np.sum(valid, axis=1) - 1, 0) // 2
+    median = sizes[np.arange(sizes.shape[0]), middle]
+    std: Array = MAD_TO_STD * np.where(np.isfinite(median), median, 0.0)
+    return std
+
+
+def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:
+    """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor,
+    unknown).
+    """
+    turned = (jacobian * weights[..., None]).swapaxes(1, 2)
+    return turned @ jacobian, (turned @ residual[..., None])[..., 0]
+
+
+def solved(matrix: Array, right: Array) -> Array:
+    """Solve one system a motor; NaN for a motor whose matrix is singular, which must not end the
+    others.
+    """
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        if matrix.shape[0] == 1:
+            return np.full_like(right, np.nan)
+        return np.concatenate(
+            [solved(matrix[m : m + 1], right[m : m + 1]) for m in range(matrix.shape[0])]
+        )
+
+
+def inverted(matrix: Array) -> Array:
+    """Inverse of one matrix a motor; NaN for a motor whose matrix is singular."""
+    return solved(matrix, np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape))
+
+
+def semidefinite(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(np.nan_to_num(0.5 * (matrix + np.swapaxes(matrix, 1, 2))))
+    mended: Array = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    return mended
+
+
+def is_sound(covariance: Array) -> NDArray[np.bool_]:
+    """Whether variances are positive and no correlation is beyond one, shape (motor,); cheap, and
+    no proof.
+    """
+    variance = covariance.diagonal(0, 1, 2)
+    most = variance[:, :, None] * variance[:, None, :] * (1.0 + CORRELATION_SLACK)
+    sound: NDArray[np.bool_] = np.all(variance > 0.0, axis=1) & np.all(
+        covariance**2 <= most, axis=(1, 2)
+    )
+    return sound
+
+
+def definite(covariance: Array, unit: Array) -> Array:
+    """Covariances that are positive definite: those that are stay as they are, rounding in others
+    is mended minimally.
+
+    Args:
+        covariance: shape (motor, unknown, unknown), of finite numbers.
+        unit: shape (motor, unknown): size of each unknown, positive; what is small is judged in
+            these units.
+    """
+    std = np.sqrt(np.maximum(covariance.diagonal(0, 1, 2), np.finfo(float).tiny))
+    correlation = covariance / std[:, :, None] / std[:, None, :]
+    bad = ~is_sound(covariance)
+    bad[~bad] = np.linalg.eigvalsh(correlation[~bad])[:, 0] < LEAST_EIGENVALUE
+    if not bad.any():
+        return covariance
+    mended, unit = covariance.copy(), unit[bad, :, None] * unit[bad, None, :]
+    nearest = semidefinite(covariance[bad] / unit)
+    variance = nearest.diagonal(0, 1, 2)
+    least = LEAST_EIGENVALUE * np.maximum(variance.max(axis=1, keepdims=True), np.finfo(float).eps)
+    std = np.sqrt(np.maximum(variance, least))
+    scale = std[:, :, None] * std[:, None, :]
+    values, axes = np.linalg.eigh(nearest / scale)
+    values = np.maximum(values, 2.0 * LEAST_EIGENVALUE)
+    mended[bad] = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * scale * unit
+    return 0.5 * (mended + np.swapaxes(mended, 1, 2))

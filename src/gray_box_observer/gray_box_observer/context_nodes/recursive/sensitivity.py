@@ -1,0 +1,66 @@
+"""What an error of the known constants does to the estimate: the constants are changed and the
+samples fitted again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.batch_fit import batch_fit
+from gray_box_observer.context_nodes.recursive.belief import Prior
+from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box.flow import to_coordinates, to_parameters
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+CHANGE = 0.01
+VAGUE = 2.0
+FLOOR = 1e-5
+FEWEST = 100
+"""Samples below which a fit would tell more of the prior than of the constants."""
+
+
+def sensitivity(
+    white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array
+) -> dict[str, dict[str, float]] | None:
+    """Return the change of every parameter, in %, that goes with one per cent more of each known
+    constant.
+
+    Args:
+        white_box: the physics with its constants.
+        replay: the samples remembered, all of which are fitted.
+        theta: shape (motor, parameter): where the fits start.
+
+    Returns:
+        By constant and parameter, of the first motor; None where too little is remembered to tell.
+    """
+    if len(replay) < FEWEST:
+        return None
+    changed = {
+        'torque_constant': replace(
+            white_box, torque_constant=(1.0 + CHANGE) * white_box.torque_constant
+        )
+    }
+    for name, value in white_box.known.items():
+        changed[name] = replace(white_box, known={**white_box.known, name: (1.0 + CHANGE) * value})
+    with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
+        given = _fit(white_box, replay, theta)
+        ratios = {name: _fit(other, replay, theta) / given - 1.0 for name, other in changed.items()}
+    if not all(np.all(np.isfinite(ratio)) for ratio in ratios.values()):
+        return None
+    names = [parameter.name for parameter in white_box.parameters]
+    return {
+        constant: {name: float(r) / CHANGE for name, r in zip(names, ratio[0], strict=True)}
+        for constant, ratio in ratios.items()
+    }
+
+
+def _fit(white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array) -> Array:
+    start = to_coordinates(theta)
+    stretch = Stretch.newest(white_box, replay, len(replay))
+    return to_parameters(
+        batch_fit(white_box, stretch, start, Prior.vague(start, VAGUE), FLOOR).belief.p
+    )

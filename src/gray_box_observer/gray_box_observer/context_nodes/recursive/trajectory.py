@@ -1,0 +1,360 @@
+"""A stretch of samples as a linear function of where it starts and of the coordinates.
+
+The trajectory is that of the output error (a free run from voltages) where the gain is zero, and
+that of the innovations form where it is not: then a part of every error is taken for a disturbance
+of the state, which keeps unmodelled kicks, such as wrong voltage samples, from being taken for
+parameters.
+
+Every interval's flow is linearised about a state near the true one (a measurement, or the
+trajectory found before), so that the whole stretch follows from one linear recurrence, worked out
+for all motors and many samples at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.white_box.declaration import COMPILED, State
+from gray_box_observer.white_box.flow import flow
+from gray_box_observer.white_box.interface import Array, WhiteBox
+
+STATES = len(COMPILED)
+"""How many states are learnt; they stand before the coordinates among the unknowns."""
+
+CURRENT = int(State.CURRENT)
+"""Place of the current among the states, and so among the unknowns."""
+
+COORDINATES = slice(STATES, None)
+"""Places of the coordinates among the unknowns."""
+
+STATE_ROW, START_ROW, COORDINATE_ROWS = 0, 1, slice(2, None)
+"""Rows of a trajectory: the state, its derivative by the first state, and those by the coordinates.
+"""
+
+KICK = 9.0
+"""Standard deviations of the measured state from which a jump of it is met by a restart."""
+
+FAR = 1e3
+"""Times the largest measured state: no trajectory goes further."""
+
+ABSURD = 1e100
+"""No sensitivity is larger; products of a few of them must still be numbers."""
+
+SETTLING = 100
+"""Samples after a restart for which it is remembered how badly its state was known."""
+
+UNKNOWN = 1e12
+"""Variance of a state of which nothing is known, in units of the noise's."""
+
+NEGLIGIBLE = 1e-3
+"""Variance of a state, in units of the noise's, that needs no remembering."""
+
+LONG = 48
+"""Recurrences longer than this are split into parts that run side by side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Samples 0 ... k of a group of motors.
+
+    Attributes:
+        state: shape (motor, k + 1): measured current in A.
+        voltage_v: shape (motor, k): mean voltage of the interval that ends at sample 1 ... k; 0 at
+            a restart.
+        interval_s: shape (motor, k): its length; 0 at a restart.
+        speed_rad_s: shape (motor, k + 1).
+        restart: shape (motor, k): where the signal history starts anew.
+    """
+
+    state: Array
+    voltage_v: Array
+    interval_s: Array
+    speed_rad_s: Array
+    restart: NDArray[np.bool_]
+
+    def restarted(self, at: NDArray[np.bool_]) -> Stretch:
+        """Return the stretch with further restarts, shape (motor, k)."""
+        return replace(self, restart=self.restart | at)
+
+    def of(self, index: NDArray[np.intp]) -> Stretch:
+        """Return the stretch of the chosen motors."""
+        voltage, interval, speed = (
+            self.voltage_v[index],
+            self.interval_s[index],
+            self.speed_rad_s[index],
+        )
+        return Stretch(self.state[index], voltage, interval, speed, self.restart[index])
+
+    def part(self, begin: int, end: int) -> Stretch:
+        """Return samples ``begin`` ... ``end`` as a stretch."""
+        between, samples = slice(begin, end), slice(begin, end + 1)
+        return Stretch(
+            self.state[:, samples],
+            self.voltage_v[:, between],
+            self.interval_s[:, between],
+            self.speed_rad_s[:, samples],
+            self.restart[:, between],
+        )
+
+    @classmethod
+    def newest(
+        cls,
+        white_box: WhiteBox,
+        replay: ReplayBuffer,
+        samples: int,
+        which: Any = slice(None),
+        until: NDArray[np.int_] | None = None,
+    ) -> Stretch:
+        """Take samples out of a replay buffer, the first of them as where the stretch starts.
+
+        Args:
+            white_box: of the chosen motors.
+            replay: where they are.
+            samples: how many, at most.
+            which: index of the motors.
+            until: place of the last one in each motor's stream; None: the newest.
+        """
+        samples = min(samples, int(replay.remembered(which, until).min()))
+        return cls.of_content(white_box, np.ascontiguousarray(replay.newest(samples, which, until)))
+
+    @classmethod
+    def of_content(cls, white_box: WhiteBox, content: Array) -> Stretch:
+        """Make a stretch of samples as a replay buffer gives them, shape (signal, motor, k + 1)."""
+        interval, voltage, torque, speed = content
+        interval = interval[:, 1:]
+        restart = interval <= 0.0
+        return cls(
+            white_box.state(torque),
+            np.where(restart, 0.0, voltage[:, 1:]),
+            interval,
+            speed,
+            restart,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """The stretch under given coordinates, and how it would move with them.
+
+    Attributes:
+        state: shape (motor, k + 1): predicted current.
+        by_start: shape (motor, k + 1): derivative by the first state.
+        by_coordinate: shape (coordinate, motor, k + 1).
+        factor: shape (motor, k): how much of an error every interval leaves.
+    """
+
+    state: Array
+    by_start: Array
+    by_coordinate: Array
+    factor: Array
+
+    def of(self, index: NDArray[np.intp]) -> Trajectory:
+        """Return the trajectories of the chosen motors."""
+        return Trajectory(
+            self.state[index],
+            self.by_start[index],
+            self.by_coordinate[:, index],
+            self.factor[index],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Every interval's flow as an affine map of the state at its start and of the coordinates.
+
+    Attributes:
+        decay: shape (motor, k): derivative of the end by the start; 0 at a restart.
+        offset: shape (motor, k): end for a start of zero; the measured state at a restart.
+        by_coordinate: shape (coordinate, motor, k): derivative of the end by the coordinates.
+    """
+
+    decay: Array
+    offset: Array
+    by_coordinate: Array
+
+    def of(self, index: NDArray[np.intp]) -> Linearised:
+        """Return the intervals of the chosen motors."""
+        return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
+
+
+def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:
+    """Linearise every interval of a stretch.
+
+    Args:
+        white_box: the physics.
+        p: shape (motor, coordinate).
+        stretch: the samples.
+        about: shape (motor, k + 1): states to linearise about.
+    """
+    speed, start = stretch.speed_rad_s, about[:, :-1]
+    moved = flow(
+        white_box, p, [start], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s
+    )
+    end, by_state, forced = moved.of_state(CURRENT)
+    limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
+    if not (
+        np.abs(end) <= limit
+    ).all():  # absurd coordinates can be met on the way to good ones: nothing may overflow
+        end, by_state = np.clip(np.nan_to_num(end), -limit, limit), np.nan_to_num(by_state)
+        forced = np.clip(np.nan_to_num(forced), -ABSURD, ABSURD)
+    decay = np.clip(by_state, -1.0, 1.0)
+    offset = end - decay * start
+    if stretch.restart.any():
+        decay = np.where(stretch.restart, 0.0, decay)
+        offset = np.where(stretch.restart, stretch.state[:, 1:], offset)
+        forced = np.where(stretch.restart, 0.0, forced)
+    return Linearised(decay, offset, forced)
+
+
+def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:
+    """Follow the linearised flow through a stretch.
+
+    Args:
+        maps: the linearised intervals.
+        stretch: the samples.
+        start: shape (motor,): state at sample 0.
+        gain: shape (motor, k + 1): share of every sample's error that the state takes over; 0 for a
+            free run.
+    """
+    factor = maps.decay * (1.0 - gain[:, :-1])
+    offset = maps.offset + maps.decay * gain[:, :-1] * stretch.state[:, :-1]
+    inputs = np.concatenate([offset[None], np.zeros_like(offset)[None], maps.by_coordinate])
+    first = np.zeros((inputs.shape[0], start.size))
+    first[STATE_ROW], first[START_ROW] = start, 1.0
+    rows = recurrence(factor, inputs, first)
+    return Trajectory(rows[STATE_ROW], rows[START_ROW], rows[COORDINATE_ROWS], factor)
+
+
+def find_kicks(
+    path: Trajectory, residual: Array, valid: NDArray[np.bool_], noise: Array
+) -> NDArray[np.bool_]:
+    """Find samples at which the state has jumped against the model: a wrong voltage sample, a bump.
+
+    A kick shows as one large change of the error that stays, or as two where another oddity lies
+    beside it; an outlier of torque as two that cancel, wrong parameters as many.
+
+    Args:
+        path: the trajectory.
+        residual: shape (motor, k + 1): measured less predicted state.
+        valid: shape (motor, k): where the interval is no restart.
+        noise: shape (motor,): standard deviation of the measured state.
+
+    Returns:
+        Shape (motor, k): whether the state at sample 1 ... k came by a kick.
+    """
+    signed = (residual[:, 1:] - path.factor * residual[:, :-1]) * valid
+    limit, change = KICK * noise[:, None], np.abs(signed)
+    large = (change > limit).any(axis=1, keepdims=True)
+    if not large.any():
+        return change > limit
+    earlier, before, after = _shifted(change, 2), _shifted(change, 1), _shifted(change, -1)
+    one = (change > limit) & (before < 0.5 * change) & (after < 0.5 * change)
+    both = np.abs(signed + path.factor * _shifted(signed, 1))
+    two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
+    kicks: NDArray[np.bool_] = (one | two) & large
+    return kicks
+
+
+def _shifted(values: Array, by: int) -> Array:
+    """Values of shape (motor, k) as many samples earlier, or later; 0 before the first, infinite
+    after the last.
+    """
+    k = values.shape[1]
+    if by < 0:
+        return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
+    return np.pad(values, ((0, 0), (by, 0)))[:, :k]
+
+
+def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
+    """Variance of the predicted state that restarts leave, in units of the noise's, shape (motor, k
+    + 1).
+
+    A restart begins at one measured sample, whose noise decays with the motion while the samples
+    that follow tell the state better and better: a Kalman filter of the state alone, ``P' = decay^2
+    P / (1 + P)``, from UNKNOWN at the sample that it restarts from. With its gain ``P / (1 + P)``
+    innovations are white and of variance ``1 + P``, so that what comes after a gap teaches what it
+    can and no more.
+
+    Args:
+        decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
+        restart: shape (motor, k).
+    """
+    motors, k = restart.shape
+    variance = np.zeros((motors, k + 1))
+    motor, at = np.nonzero(restart)
+    variance[motor, at + 1] = UNKNOWN
+    left = np.ones(motor.size)  # after the sample that it restarts from
+    for ahead in range(1, SETTLING):
+        onward = at + ahead < k
+        onward[onward] = ~restart[motor[onward], at[onward] + ahead]
+        onward &= left > NEGLIGIBLE
+        if not np.any(onward):
+            break
+        motor, at, left = motor[onward], at[onward], left[onward]
+        predicted = decay[motor, at + ahead] ** 2 * left
+        variance[motor, at + ahead + 1] = predicted
+        left = taken_over(predicted)
+    return variance
+
+
+def taken_over(variance: Array) -> Array:
+    """Share of a sample's error that a state of this variance, in units of the noise's, takes over:
+    ``P / (1 + P)``.
+
+    It is also the variance that the state is left with by the sample.
+    """
+    return variance / (1.0 + variance)
+
+
+def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
+    """Work out ``x[j + 1] = factor[j] x[j] + inputs[j]``.
+
+    Args:
+        factor: shape (motor, k).
+        inputs: shape (row, motor, k): right-hand sides that share the factors.
+        start: shape (row, motor).
+
+    Returns:
+        Shape (row, motor, k + 1), beginning with the start.
+    """
+    rows, motors, k = inputs.shape
+    if k > LONG:
+        return _in_parts(factor, inputs, start)
+    result = np.empty((rows, motors, k + 1))
+    result[:, :, 0] = value = start
+    for j in range(k):
+        value = factor[:, j] * value + inputs[:, :, j]
+        result[:, :, j + 1] = value
+    return result
+
+
+def _in_parts(factor: Array, inputs: Array, start: Array) -> Array:
+    """The same for long stretches: every part from zero side by side, then the carries from part to
+    part.
+    """
+    rows, motors, k = inputs.shape
+    length = max(2, int(np.sqrt(k)))
+    parts = -(-k // length)
+    spare = parts * length - k
+    factor = np.pad(factor, ((0, 0), (0, spare)), constant_values=1.0).reshape(
+        motors, parts, length
+    )
+    inputs = np.pad(inputs, ((0, 0), (0, 0), (0, spare))).reshape(rows, motors, parts, length)
+    inside, reach = np.empty_like(inputs), np.cumprod(factor, axis=-1)
+    value = np.zeros((rows, motors, parts))
+    for j in range(length):
+        value = factor[..., j] * value + inputs[..., j]
+        inside[..., j] = value
+    carry = np.empty((rows, motors, parts))
+    carry[:, :, 0] = start
+    for part in range(1, parts):
+        carry[:, :, part] = (
+            reach[:, part - 1, -1] * carry[:, :, part - 1] + inside[:, :, part - 1, -1]
+        )
+    whole = (inside + reach * carry[..., None]).reshape(rows, motors, parts * length)[:, :, :k]
+    return np.concatenate([start[:, :, None], whole], axis=2)

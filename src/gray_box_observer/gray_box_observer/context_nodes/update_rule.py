@@ -1,0 +1,61 @@
+"""The contract of every rule that updates the context nodes."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.interface import Array
+
+
+class ContextUpdate(Protocol):
+    """Learns the context nodes of a group of motors, one sample at a time (thesis: parameter
+    context nodes, 4.3).
+    """
+
+    replay: ReplayBuffer
+    """The samples it remembers."""
+
+    verdict_rules: VerdictRules
+    """When a parameter counts as identified; may be changed at any time."""
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimate the last sample has changed, shape (motor,)."""
+
+    def learn(self, sample: Sample) -> bool:
+        """Take one sample; tell whether an estimate has changed."""
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (motor, parameter); positive and inside their bounds."""
+
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts, of all motors or of some."""
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor."""
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """What the rule has met so far, by a name for diagnostics; of one motor or of all."""
+
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether one motor is known to drift."""
+
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return of one motor the share of the voltage that a unit of each parameter takes, and its
+        3-sigma bound.
+
+        Shape (parameter,) each; a share of 0 is one that is not known.
+        """
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning; what was learnt stays."""

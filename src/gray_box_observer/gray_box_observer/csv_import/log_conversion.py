@@ -1,0 +1,259 @@
+"""Turning a measurement log (CSV, or columns between blanks) into a bag that the observer can read."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.bag.embedded_parameters import to_custom_data
+from gray_box_observer.bag.joint_state import TYPE_NAME, encode_joint_state
+from gray_box_observer.bag.schemas import JOINT_STATE_HASH, built_in_lookup, schema_text
+from gray_box_observer.bag.writer import BagOptions, BagWriter
+from gray_box_observer.csv_import.column_expressions import Expression
+from gray_box_observer.csv_import.column_mapping import CsvMapping, MotorColumns
+from gray_box_observer.csv_import.log_doubts import (
+    finite_doubt,
+    interval_doubt,
+    order_doubt,
+    unit_doubts,
+)
+from gray_box_observer.csv_import.log_table import TableShape, look_at, read_columns
+from gray_box_observer.errors import BagError
+
+__all__ = ['CsvMapping', 'CsvSummary', 'MotorColumns', 'csv_to_bag']
+
+_FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+SIGNAL_QOS = {
+    'history': 'keep_last',
+    'depth': 1000,
+    'reliability': 'reliable',
+    'durability': 'volatile',
+    'deadline': _FOREVER,
+    'lifespan': _FOREVER,
+    'liveliness': 'automatic',
+    'liveliness_lease_duration': _FOREVER,
+    'avoid_ros_namespace_conventions': False,
+}
+
+_BEYOND_NS = 2.0**31 * 1e9
+"""The first stamp that no message can tell; an integer of 64 bits can."""
+
+
+@dataclass(frozen=True, slots=True)
+class CsvSummary:
+    """What became of a log.
+
+    Attributes:
+        rows: Rows of numbers in the log.
+        filtered_rows: Rows that did not fulfil the condition.
+        unordered_rows: Rows left out because their time was not later than that of the row before.
+        non_finite_rows: Rows kept although a value in them is not finite; the observer will reject
+            these samples.
+        messages: Messages in the bag.
+        duration_s: From the first stamp to the last.
+        interval_s: From one row kept to the next, as a median; NaN of a single row.
+        warnings: What looks as if it meant something else, each one line that names the log, the
+            line and the column.
+    """
+
+    rows: int
+    filtered_rows: int
+    unordered_rows: int
+    non_finite_rows: int
+    messages: int
+    duration_s: float
+    interval_s: float = math.nan
+    warnings: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        left_out = (
+            f'{self.filtered_rows} filtered, {self.unordered_rows} not later than the row before'
+        )
+        return (
+            f'{self.rows} rows ({left_out}, {self.non_finite_rows} with non-finite values) became '
+            f'{self.messages} messages over {self.duration_s:.6g} s'
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Motor:
+    """One motor's signals.  shape of each: (row,)."""
+
+    name: str
+    voltage_v: NDArray[np.float64]
+    torque_nm: NDArray[np.float64]
+    speed_rad_s: NDArray[np.float64] | None
+
+    def signals(self) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Yield the name and the values of each signal."""
+        yield 'voltage', self.voltage_v
+        yield 'torque', self.torque_nm
+        if self.speed_rad_s is not None:
+            yield 'speed', self.speed_rad_s
+
+    def is_finite(self) -> NDArray[np.bool_]:
+        """Which rows have finite values of all signals."""
+        finite = np.isfinite(self.voltage_v) & np.isfinite(self.torque_nm)
+        return finite if self.speed_rad_s is None else finite & np.isfinite(self.speed_rad_s)
+
+
+def csv_to_bag(
+    csv_path: str | Path, folder: str | Path, mapping: CsvMapping, options: BagOptions | None = None
+) -> CsvSummary:
+    """Make a rosbag2 folder of a log: a voltage and a torque JointState per row and motor.
+
+    Stamps count from the first row, which is put at ``mapping.first_stamp_ns``. Rows whose time
+    does not increase are left out and counted.
+
+    Args:
+        csv_path: The log; see `gray_box_observer.csv_import.log_table` for what is understood.
+        folder: The folder to make; must not exist.
+        mapping: What the columns mean.
+        options: How the bag is written; None for the defaults. The bag carries what the mapping
+            tells of the observer's parameters (`gray_box_observer.bag.embedded_parameters`).
+
+    Raises:
+        BagError: The log or the mapping cannot be used, the disk refuses, or the folder exists.
+            Then nothing is made, or is removed again.
+    """
+    path = Path(csv_path)
+    shape = look_at(path)
+    expressions = _Expressions(mapping, shape)
+    columns = read_columns(path, shape, expressions.columns)
+    table = columns.values
+    row_count = columns.lines.size
+    if expressions.time is not None:
+        time_s = expressions.time(table)
+    else:
+        time_s = np.arange(row_count, dtype=np.float64) * (mapping.sample_period_s or 0.0)
+    passes = np.ones(row_count, dtype=bool)
+    if expressions.where is not None:
+        passes = expressions.where(table) != 0
+    in_time = passes.copy() if mapping.where_drops == 'row' else np.ones(row_count, dtype=bool)
+    filtered = int(row_count - passes.sum())
+    considered = int(in_time.sum())
+    rows = np.flatnonzero(in_time)
+    in_order = _increasing(time_s[rows])
+    doubts = [*unit_doubts(mapping, shape.names)]
+    doubts += order_doubt(
+        time_s[rows], in_order, columns.lines[rows], mapping.time or 'sample_period_s'
+    )
+    in_time[rows] = in_order
+    kept = np.flatnonzero(in_time)
+    if not kept.size or not passes[kept].any():
+        raise BagError(f'{path}: none of {row_count} rows can be used ({filtered} filtered)')
+    motors = [expressions.signals(name, table) for name in mapping.motors]
+    passed_ns = np.rint((time_s[kept] - time_s[kept[0]]) * 1e9)
+    stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
+    finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
+    interval_s = float(np.median(np.diff(time_s[kept]))) if kept.size > 1 else math.nan
+    doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
+    for motor in motors:
+        for signal, values in motor.signals():
+            doubts += finite_doubt(f'{signal} of {motor.name}', values[kept], columns.lines[kept])
+    messages = _write(folder, options, mapping, motors, kept, stamps_ns, passes)
+    return CsvSummary(
+        rows=row_count,
+        filtered_rows=filtered,
+        unordered_rows=considered - int(kept.size),
+        non_finite_rows=int(np.count_nonzero(~finite[kept])),
+        messages=messages,
+        duration_s=float(stamps_ns[-1] - stamps_ns[0]) * 1e-9,
+        interval_s=interval_s,
+        warnings=(*columns.warnings, *(f'{path}: {doubt}' for doubt in doubts)),
+    )
+
+
+class _Expressions:
+    """The mapping's expressions, compiled for one table."""
+
+    def __init__(self, mapping: CsvMapping, shape: TableShape) -> None:
+        self._shape = shape
+        self._mapping = mapping
+        self._all: list[Expression] = []
+        self.time = self._make(mapping.time)
+        self.where = self._make(mapping.where, is_condition=True)
+        self._motors = {
+            name: (self._make(m.voltage), self._make(m.torque or m.current), self._make(m.speed))
+            for name, m in mapping.motors.items()
+        }
+
+    @property
+    def columns(self) -> set[int]:
+        return set().union(*(expression.columns for expression in self._all))
+
+    def signals(self, name: str, table: dict[int, NDArray[np.float64]]) -> _Motor:
+        voltage, torque, speed = self._motors[name]
+        scale = (
+            self._mapping.motors[name].torque_constant
+            if self._mapping.motors[name].current
+            else None
+        )
+        if voltage is None or torque is None:
+            raise BagError(f'motor {name} has no voltage or no torque')
+        with np.errstate(all='ignore'):  # what is not finite is warned of where it stands
+            torque_nm = torque(table) * (1.0 if scale is None else scale)
+        return _Motor(name, voltage(table), torque_nm, speed(table) if speed is not None else None)
+
+    def _make(self, text: str, *, is_condition: bool = False) -> Expression | None:
+        if not text:
+            return None
+        shape = self._shape
+        made = Expression(text, shape.names, shape.column_count, is_condition=is_condition)
+        self._all.append(made)
+        return made
+
+
+def _increasing(time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which times are later than every time kept before them; a time that is not finite never is."""
+    finite = np.where(np.isfinite(time_s), time_s, -np.inf)
+    latest = np.maximum.accumulate(np.concatenate(([-np.inf], finite)))[:-1]
+    return finite > latest
+
+
+def _write(
+    folder: str | Path,
+    options: BagOptions | None,
+    mapping: CsvMapping,
+    motors: list[_Motor],
+    kept: NDArray[np.intp],
+    stamps_ns: NDArray[np.int64],
+    passes: NDArray[np.bool_],
+) -> int:
+    text = schema_text(TYPE_NAME, built_in_lookup)
+    # The voltage that holds from this row on stands in the next row if it applies to the interval
+    # before.
+    ahead = 1 if mapping.voltage_applies == 'preceding' else 0
+    options = options or BagOptions()
+    carried = {**options.custom_data, **to_custom_data(mapping.parameters())}
+    writer = BagWriter(folder, replace(options, custom_data=carried))
+    try:
+        with writer:
+            for topic in (mapping.voltage_topic, mapping.torque_topic):
+                writer.add_topic(topic, TYPE_NAME, text, [SIGNAL_QOS], JOINT_STATE_HASH)
+            for index, (row, stamp) in enumerate(
+                zip(kept.tolist(), stamps_ns.tolist(), strict=True)
+            ):
+                for motor in motors:
+                    if index + ahead < kept.size:
+                        volts = float(motor.voltage_v[kept[index + ahead]])
+                        data = encode_joint_state(stamp, [motor.name], effort=[volts])
+                        writer.write(mapping.voltage_topic, data, stamp, stamp)
+                    if passes[row]:
+                        speed = motor.speed_rad_s
+                        velocity = [float(speed[row])] if speed is not None else []
+                        torque = [float(motor.torque_nm[row])]
+                        data = encode_joint_state(
+                            stamp, [motor.name], velocity=velocity, effort=torque
+                        )
+                        writer.write(mapping.torque_topic, data, stamp, stamp)
+    except BaseException:
+        shutil.rmtree(writer.folder, ignore_errors=True)
+        raise
+    return writer.message_count

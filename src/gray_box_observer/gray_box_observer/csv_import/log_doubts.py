@@ -1,0 +1,129 @@
+"""What in a log looks like another unit or another clock than was meant: warned of by line and
+column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.csv_import.column_mapping import CsvMapping
+from gray_box_observer.errors import brief
+
+SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
+"""Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
+within L/R, which is between a tenth of a millisecond and some tenths of a second."""
+
+_FACTORS = (1e-3, 1e-6, 1e-9)
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    'time': {
+        'ms': '1e-3',
+        'msec': '1e-3',
+        'us': '1e-6',
+        'usec': '1e-6',
+        'µs': '1e-6',
+        'ns': '1e-9',
+        'min': '60',
+    },
+    'voltage': {'mV': '1e-3', 'kV': '1e3'},
+    'current': {'mA': '1e-3', 'uA': '1e-6', 'µA': '1e-6'},
+    'torque': {'mNm': '1e-3', 'Nmm': '1e-3', 'uNm': '1e-6', 'Ncm': '1e-2'},
+    'speed': {
+        'rpm': '0.104719755',
+        'RPM': '0.104719755',
+        'dps': '0.0174532925',
+        'Hz': '6.28318531',
+    },
+}
+"""Units other than those of the mapping that a column's name may end with, and their factors."""
+
+_SI = {'time': 's', 'voltage': 'V', 'current': 'A', 'torque': 'N m', 'speed': 'rad/s'}
+
+
+def unit_doubts(mapping: CsvMapping, names: tuple[str, ...]) -> Iterator[str]:
+    """Say which columns are taken as they are although their names end with another unit."""
+    signals = [('time', 'time', mapping.time)]
+    for motor, columns in mapping.motors.items():
+        prefix = f'{motor}.' if len(mapping.motors) > 1 else ''
+        signals += [(f'{prefix}{key}', key, getattr(columns, key)) for key in _SI if key != 'time']
+    for key, kind, expression in signals:
+        if expression not in names:
+            continue
+        words = re.findall(r'[^\W\d_]+', expression)
+        factor = _UNITS[kind].get(words[-1]) if len(words) > 1 else None
+        if factor is not None:
+            yield (
+                f'{key} is in {_SI[kind]}, but column {brief(expression)} says {words[-1]}; '
+                f'write such as {key}={expression}*{factor} if it is so'
+            )
+
+
+def order_doubt(
+    time_s: NDArray[np.float64],
+    in_order: NDArray[np.bool_],
+    lines: NDArray[np.int64],
+    expression: str,
+) -> Iterator[str]:
+    """Say where the time first falls, stands still or is none.
+
+    Args:
+        time_s: of the rows that are considered.  shape: (row,)
+        in_order: which of them are later than all before.  shape: (row,)
+        lines: where they stand in the log.  shape: (row,)
+        expression: the time's, for the message.
+    """
+    wrong = np.flatnonzero(~in_order)
+    if not wrong.size:
+        return
+    first = int(wrong[0])
+    if not np.isfinite(time_s[first]):
+        what = f'is {time_s[first]}'
+    else:
+        latest = float(np.max(time_s[:first][in_order[:first]], initial=-np.inf))
+        what = f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after {latest:.9g} s'
+    yield (
+        f'line {lines[first]}, time ({brief(expression)[1:-1]}) {what}; '
+        f'{wrong.size} rows that are not later than those before are left out'
+    )
+
+
+def interval_doubt(interval_s: float, expression: str) -> str | None:
+    """Say that samples lie further apart or closer than those of a motor, and which unit the time
+    may be in.
+    """
+    if SHORTEST_INTERVAL_S <= interval_s <= LONGEST_INTERVAL_S or not np.isfinite(interval_s):
+        return None
+    factors = (
+        _FACTORS if interval_s > LONGEST_INTERVAL_S else tuple(1.0 / factor for factor in _FACTORS)
+    )
+    plausible = [
+        f for f in factors if 2 * SHORTEST_INTERVAL_S <= interval_s * f <= LONGEST_INTERVAL_S
+    ]
+    said = f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} to '
+    said += f'{LONGEST_INTERVAL_S:g} s apart'
+    if not expression or not plausible:
+        return said
+    column = expression if re.fullmatch(r'[\w.$]+', expression) else f'({expression})'
+    return f'{said}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
+
+
+def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:
+    """Say where a signal first has no finite value.
+
+    Args:
+        name: of the signal, with its motor.
+        values: of the rows that are kept.  shape: (row,)
+        lines: where they stand in the log.  shape: (row,)
+    """
+    wrong = np.flatnonzero(~np.isfinite(values))
+    if wrong.size:
+        first = int(wrong[0])
+        yield (
+            f'line {lines[first]}: {name} is {values[first]} there and not finite in {wrong.size} '
+            'rows; '
+            'the observer refuses these samples'
+        )

@@ -1,0 +1,224 @@
+"""Reading a log's text: comma, semicolon, tab or blanks between the cells, comments behind ``%`` or
+``#``.
+
+Every row must have the cells that the first one promises, and a cell that is asked for must be a
+number in ASCII digits: a log that could mean something else is refused by line, column and content.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.errors import BagError, InputError, brief
+from gray_box_observer.safe_io.input_files import open_regular
+from gray_box_observer.safe_io.plain_number import parse_float
+
+_COMMENTS = ('%', '#')
+_DELIMITERS = (',', ';', '\t')
+_LONGEST_LINE = 1 << 20
+_DECIMAL_COMMA = re.compile(r'(?<![0-9])[0-9]+,[0-9]+')
+
+
+@dataclass(frozen=True, slots=True)
+class TableShape:
+    """What the head of a log tells.
+
+    Attributes:
+        names: The columns' names; empty if the log has none.
+        column_count: Cells in the first row.
+        delimiter: None for blanks.
+        warnings: What looks odd, each one line.
+    """
+
+    names: tuple[str, ...]
+    column_count: int
+    delimiter: str | None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Some columns of a log.
+
+    Attributes:
+        values: By the columns' numbers.  shape of each: (row,)
+        lines: Which line of the file each row is.  shape: (row,)
+        warnings: What looks odd, each one line.
+    """
+
+    values: dict[int, NDArray[np.float64]]
+    lines: NDArray[np.int64]
+    warnings: tuple[str, ...] = ()
+
+
+def look_at(path: Path) -> TableShape:
+    """Find out how a log is laid out.
+
+    Raises:
+        BagError: The log cannot be read or holds no rows.
+    """
+    rows = _rows(path)
+    line_number, line = next(rows, (0, ''))
+    if not line:
+        raise BagError(f'{path} holds no rows')
+    delimiter = next((d for d in _DELIMITERS if d in line), None)
+    cells = _cells(path, line_number, line, delimiter)
+    filled = [cell for cell in cells if cell.strip()]
+    numbers = [cell for cell in filled if _is_number(cell)]
+    if filled and len(numbers) == len(filled):
+        return TableShape((), len(cells), delimiter)
+    names = tuple(cell.strip().strip('"\'').strip() for cell in cells)
+    if next(rows, None) is None:
+        raise BagError(f'{path} holds a header but no rows')
+    odd = f'{path}, line {line_number} is taken for the names of the columns, although {brief(numbers[:1])[1:-1]} is '
+    return TableShape(names, len(names), delimiter, (f'{odd}a number in it',) if numbers else ())
+
+
+def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Columns:
+    """Read some columns of a log.
+
+    Args:
+        path: The log.
+        shape: What `look_at` found.
+        wanted: 1-based numbers of the columns.
+
+    Raises:
+        BagError: A row has other cells than the first, or a wanted cell is no number; says where.
+    """
+    rows = _rows(path)
+    if shape.names:
+        next(rows, None)
+    count, delimiter = shape.column_count, shape.delimiter
+    numbers = sorted(wanted) or [1]
+    columns: dict[int, list[float]] = {number: [] for number in numbers}
+    lines: list[int] = []
+    ended: list[int] = []
+    for line_number, line in rows:
+        cells = (
+            line.split(delimiter) if '"' not in line else _cells(path, line_number, line, delimiter)
+        )
+        if len(cells) != count:
+            cells = _fitting(path, shape, line_number, line, cells)
+            if len(cells) > count:
+                ended.append(line_number)
+        read = float if line.isascii() and '_' not in line else parse_float
+        for number, values in columns.items():
+            try:
+                values.append(read(cells[number - 1]))
+            except ValueError:
+                raise BagError(
+                    _complaint(path, shape, line_number, cells, number, numbers)
+                ) from None
+        lines.append(line_number)
+    warnings = shape.warnings
+    if ended:
+        where = f'{path}, line {ended[0]}: a separator behind the last cell is passed over, in {len(ended)} rows'
+        warnings = (*warnings, where)
+    arrays = {number: np.array(column, dtype=np.float64) for number, column in columns.items()}
+    return Columns(arrays, np.array(lines, dtype=np.int64), warnings)
+
+
+def _fitting(
+    path: Path, shape: TableShape, line_number: int, line: str, cells: list[str]
+) -> list[str]:
+    """Cells of a row that seems to have too many or too few: without a comment, or with an empty
+    end.
+    """
+    count = shape.column_count
+    for sign in _COMMENTS:
+        before = line.partition(sign)[0].rstrip()
+        if sign in line and len(before.split(shape.delimiter)) == count:
+            return before.split(shape.delimiter)
+    if len(cells) == count + 1 and not cells[-1].strip():
+        return cells
+    if (
+        len(cells) == count - 1 and shape.names and not shape.names[-1]
+    ):  # the header ends with a separator
+        return [*cells, '']
+    first = 'header' if shape.names else 'first row'
+    hint = ''
+    if len(cells) == 1 and (
+        other := next((d for d in (*_DELIMITERS, ' ') if d in line.strip()), None)
+    ):
+        hint = f'; {other!r} seems to be between them, but {shape.delimiter or " "!r} is in the {first}'
+    elif shape.delimiter == ',' and len(cells) > count:
+        hint = '; numbers need a decimal point, and no comma within'
+    raise BagError(
+        f'{path}, line {line_number}: {len(cells)} cells, but the {first} has {count}: '
+        f'{brief(line.strip())}{hint}'
+    )
+
+
+def _complaint(
+    path: Path,
+    shape: TableShape,
+    line_number: int,
+    cells: list[str],
+    number: int,
+    wanted: Collection[int],
+) -> str:
+    cell = cells[number - 1].strip()
+    if (
+        shape.names
+        and not any(_is_number(cells[k - 1]) for k in wanted)
+        and all(cells[k - 1].strip() for k in wanted)
+    ):
+        row = brief([cells[k - 1].strip() for k in wanted])
+        return f"{path}, line {line_number}: {row} are no numbers; put '#' before a row of units"
+    name = f' ({shape.names[number - 1]})' if shape.names else ''
+    hint = '; write a decimal point' if _DECIMAL_COMMA.search(cell) else ''
+    return f'{path}, line {line_number}, column {number}{name}: {brief(cell)} is no number{hint}'
+
+
+def _cells(path: Path, line_number: int, line: str, delimiter: str | None) -> list[str]:
+    """The cells of a line, of which some may be quoted."""
+    if '"' not in line or delimiter is None:
+        return line.split(delimiter)
+    try:
+        return next(csv.reader([line], delimiter=delimiter, strict=True, skipinitialspace=True))
+    except csv.Error as error:
+        raise BagError(
+            f'{path}, line {line_number}: a quoted cell that does not end on its line ({error})'
+        ) from None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        parse_float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _rows(path: Path) -> Iterator[tuple[int, str]]:
+    """The lines that are neither empty nor comments, with their line numbers."""
+    try:
+        raw = open_regular(path)
+    except InputError as error:
+        raise BagError(str(error)) from None
+    # Comments may be in any encoding; numbers read the same in all of them.
+    with io.TextIOWrapper(raw, encoding='utf-8-sig', errors='replace', newline=None) as stream:
+        try:
+            for number, line in enumerate(
+                iter(lambda: stream.readline(_LONGEST_LINE), ''), start=1
+            ):
+                if len(line) >= _LONGEST_LINE:
+                    raise BagError(
+                        f'{path}, line {number}: longer than {_LONGEST_LINE:,} characters; is it '
+                        'a log?'
+                    )
+                stripped = line.strip()
+                if number == 1 and '\x00' in line:
+                    raise BagError(f'{path} is no text in UTF-8 or ASCII; save it as that')
+                if stripped and not stripped.startswith(_COMMENTS):
+                    yield number, line.strip('\r\n ')
+        except OSError as error:
+            raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

@@ -1,0 +1,46 @@
+"""What is taken for granted of a motor because nobody has stated it, each with the remedy."""
+
+from __future__ import annotations
+
+from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.white_box import MotorWhiteBox
+
+KB = 'back_emf_constant'
+
+UNSEEN_ROTOR = 'w = Kt i'
+
+DEFAULT_KB = 'Kb by default'
+
+
+def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str, str]:
+    """Return what is assumed of a motor, by a short name, each as one sentence that ends with the
+    remedy.
+
+    Args:
+        motor: as configured.
+        white_box: its physics, which says whether speed is measured.
+    """
+    found = {}
+    chosen = 'speed_source' in motor.stated and motor.values['speed_source'] == 'torque_constant'
+    if not white_box.speed_measured and not chosen and not _has_data_sheet(motor):
+        found[UNSEEN_ROTOR] = (
+            'neither speed nor a data sheet is given, so the speed is taken to be Kt i, as in the '
+            'thesis: with a rotor '
+            'that spins, L and R come out wrong however sure they look; publish the speed in '
+            "motor/torque's velocity, "
+            f'or set {motor.name}.initial.resistance and '
+            f'{motor.name}.initial_relative_std.resistance, '
+            f'or say that it is so by {motor.name}.speed_source: torque_constant'
+        )
+    if KB not in motor.stated and KB not in white_box.context_nodes:
+        kt = float(motor.values['torque_constant'])
+        found[DEFAULT_KB] = (
+            f'Kb is left at its default of {motor.values[KB]:g} V s/rad, which says nothing of '
+            'this motor: '
+            f'set {motor.name}.{KB}; in SI units it is nearly the torque constant ({kt:g})'
+        )
+    return found
+
+
+def _has_data_sheet(motor: MotorConfiguration) -> bool:
+    return any(motor.initial_relative_std()) or float(motor.values['known.resistance']) > 0.0

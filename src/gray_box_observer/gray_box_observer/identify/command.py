@@ -1,0 +1,357 @@
+"""The offline command: runs the observer over bags and says what it found, as JSON and as an HTML
+report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gray_box_observer.bag.embedded_parameters import carried_by
+from gray_box_observer.bag.limits import DEFAULT_CHUNK_MB, ReadLimits
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.errors import GrayBoxError, brief
+from gray_box_observer.identify import offline_run
+from gray_box_observer.identify.archive import archive_options
+from gray_box_observer.identify.archive.archive_options import between
+from gray_box_observer.identify.options import configure, read_limits, read_mapping
+from gray_box_observer.identify.output_files import refuse_unwritable, write_json
+from gray_box_observer.identify.result import assumptions_of, describe, warnings_of
+from gray_box_observer.identify.result_text import write_text
+from gray_box_observer.identify.validation import Training, validate
+from gray_box_observer.observer.observer import Result
+from gray_box_observer.predictor import InlineTraining
+from gray_box_observer.safe_io.finite import plain
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.standard_streams import readers_may_leave
+from gray_box_observer.settings.configuration import Configuration, read_parameter_file
+from gray_box_observer.settings.parameter_names import nearest
+
+if TYPE_CHECKING:  # what only some runs need is loaded where it is asked for
+    from gray_box_observer.csv_import.column_mapping import CsvMapping
+    from gray_box_observer.csv_import.log_conversion import CsvSummary
+    from gray_box_observer.report.run.collector import Collector
+    from gray_box_observer.report.run.history import MotorHistory
+
+EXIT_STOPPED = 1
+
+EXIT_USER_ERROR = 2
+
+MOST_NAMED = 20
+"""Unknown parameters that get a line each."""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the command; the result is the exit code.
+
+    0 when it ran to the end, 1 where a defect has stopped a motor, 2 for input it cannot use, 3
+    where every bag was read by itself and some gave nothing.
+    """
+    try:
+        words = list(sys.argv if args is None else args)[1:]
+        options = _parser().parse_args(words)
+        options.command = shlex.join(['identify', *words])
+        return _run(options)
+    except GrayBoxError as error:
+        _tell(f'error: {" ".join(str(error).split())}')
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        _tell('interrupted; nothing was written')
+        return archive_options.EXIT_INTERRUPTED
+
+
+def _tell(text: str) -> None:
+    """Say something in one line; what came with the data is shown, not obeyed."""
+    with readers_may_leave(sys.stderr):
+        print(printable(f'identify: {text}'), file=sys.stderr)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='identify',
+        description='Run the observer over recorded bags as fast as it can, and say what it identified.',
+        epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
+    )
+    parser.add_argument(
+        'bags', nargs='*', type=Path, metavar='BAG', help='rosbag2 folder or bare .mcap file'
+    )
+    parser.add_argument(
+        '--params', type=Path, metavar='FILE.yaml', help="the observer's parameter file"
+    )
+    parser.add_argument(
+        '--json', metavar='FILE', help='write the result there; "-" for standard output'
+    )
+    parser.add_argument(
+        '--report', type=Path, metavar='FILE.html', help='write a self-contained HTML report there'
+    )
+    parser.add_argument(
+        '--skip-predictor', action='store_true', help='identify only; train no LSTM'
+    )
+    parser.add_argument(
+        '--validate',
+        type=Path,
+        metavar='BAG',
+        help='freeze what the other bags taught, and judge it on this one, which teaches nothing',
+    )
+    parser.add_argument(
+        '--from-csv',
+        type=Path,
+        metavar='LOG.csv',
+        help='make the bag BAG of this log first (it must not exist yet)',
+    )
+    parser.add_argument(
+        '--columns',
+        nargs='+',
+        metavar='KEY=VALUE',
+        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
+        'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
+    )
+    parser.add_argument(
+        '--truth',
+        type=Path,
+        metavar='FILE.yaml',
+        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
+    )
+    parser.add_argument(
+        '--max-chunk-mb',
+        type=between(1, 1_000_000),
+        metavar='N',
+        help=f'read chunks of bags up to so many MB, unpacked (default {DEFAULT_CHUNK_MB}); '
+        'the memory that a bag may take grows with it, to about four times as much',
+    )
+    archive_options.add_options(parser)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if not options.bags:
+        raise GrayBoxError('no bag given: name a rosbag2 folder or an .mcap file (see --help)')
+    if archive_options.is_asked(options):
+        if options.from_csv:
+            raise GrayBoxError(
+                '--from-csv makes one bag; --each, --table and --engine are for bags that are there'
+            )
+        if options.validate:
+            raise GrayBoxError(
+                '--validate judges one model on one bag; it does not go with --each, --table and '
+                '--engine: '
+                'run identify TRAIN [TRAIN ...] --validate BAG'
+            )
+        from gray_box_observer.identify.archive import archive_command
+
+        given = read_parameter_file(options.params) if options.params else {}
+        _warn_of_unknown(
+            Configuration.from_flat(given)
+        )  # what is wrong with the file is no bag's fault
+        return archive_command.run(options, given)
+    for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
+        if target is not None:
+            refuse_unwritable(target, makes_folders=target is options.report)
+    given = read_parameter_file(options.params) if options.params else {}
+    if options.from_csv:
+        return _identify_log(options, given)
+    return _identify(options, configure(given, carried_by(_every_bag(options)), 'the bag'))
+
+
+def _every_bag(options: argparse.Namespace) -> list[Path]:
+    """Return the bags that are read, that of the validation last."""
+    return [*options.bags, *([options.validate] if options.validate else [])]
+
+
+def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
+    """Make the bag of a CSV log and run the observer over it; a run that fails leaves no bag
+    behind.
+    """
+    if len(options.bags) != 1 or not options.columns:
+        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    mapping = read_mapping(options.columns)
+    configuration = configure(given, mapping.parameters(), '--columns')
+    summary = _convert(options, mapping)
+    try:
+        _refuse_gaps(options.from_csv, summary, configuration)
+        return _identify(options, configuration)
+    except BaseException:  # the next try must not find the folder in its way
+        shutil.rmtree(options.bags[0], ignore_errors=True)
+        raise
+
+
+def _warn_of_unknown(configuration: Configuration) -> None:
+    for name in configuration.unknown[:MOST_NAMED]:
+        near = nearest(name, configuration.alike(name))
+        meant = f' (did you mean {near}?)' if near else ''
+        _tell(
+            f'warning: parameter {brief(name)[1:-1]} is none of the observer{meant}; it is ignored'
+        )
+    rest = len(configuration.unknown) - MOST_NAMED
+    if rest > 0:
+        _tell(f'warning: and {rest} parameters more that are none of the observer')
+
+
+def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
+    """Run the observer over the bags, and say what it found; return the exit code."""
+    _warn_of_unknown(configuration)
+    if options.validate:
+        _require_validation(options, configuration)
+    training = None if options.skip_predictor else InlineTraining
+    collector = _collector(options) if options.report else None
+    rivals = Training() if options.validate else None
+    listeners = [listener for listener in (collector, rivals) if listener is not None]
+
+    def listen(heard: Result) -> None:
+        for listener in listeners:
+            listener(heard)
+
+    limits = read_limits(options)
+    with _progress(_every_bag(options), limits) as update:
+        outcome = offline_run.run(
+            options.bags, configuration, training, listen if listeners else None, update, limits
+        )
+        result = describe(outcome)
+        warnings = [*warnings_of(outcome), *assumptions_of(outcome)]
+        histories = () if collector is None else _histories(collector, outcome, result)
+        if rivals is not None:
+            known = len(outcome.warnings)
+            for name, judged in validate(options.validate, outcome, rivals, update, limits).items():
+                result['motors'][name]['validation'] = plain(judged.to_dict())
+            warnings += outcome.warnings[known:]
+    for warning in warnings:
+        _tell(f'warning: {warning}')
+    if options.json:
+        write_json(result, options.json)
+    if collector is not None and result['motors']:
+        _write_report(options, outcome, result, histories)
+    if options.json != '-':
+        fits = {name: motor.fit for name, motor in outcome.observer.motors.items()}
+        with readers_may_leave(sys.stdout):
+            write_text(result, fits, sys.stdout)
+    return EXIT_STOPPED if outcome.observer.incidents else 0
+
+
+def _require_validation(options: argparse.Namespace, configuration: Configuration) -> None:
+    """Say before the work that a bag cannot be judged on.
+
+    Raises:
+        GrayBoxError: it is among those that teach, cannot be read, or lacks a topic.
+    """
+    if any(path.resolve() == options.validate.resolve() for path in options.bags):
+        raise GrayBoxError(
+            f'--validate {options.validate} is among the bags that teach: name another one'
+        )
+    offline_run.require_signals(options.validate, configuration, read_limits(options))
+
+
+def _collector(options: argparse.Namespace) -> Collector:
+    """Make what the report is collected by, with the truth that was named or lies with the bag."""
+    from gray_box_observer.report import require_plotly
+    from gray_box_observer.report.run.collector import Collector
+    from gray_box_observer.report.run.truth import find_truth, read_truth
+
+    require_plotly()
+    if options.truth:
+        return Collector(read_truth(options.truth))
+    found = find_truth(options.bags[0]) if len(options.bags) == 1 else None
+    if found is None:
+        return Collector()
+    try:
+        truth = read_truth(found)
+    except GrayBoxError as error:  # nobody asked for it
+        _tell(f'warning: {error}; it is ignored')
+        return Collector()
+    _tell(f'the report takes {found} for the truth')
+    return Collector(truth)
+
+
+def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -> None:
+    """Refuse a log of which no sample would follow from the one before: its time is in another
+    unit.
+    """
+    if summary.interval_s > configuration['gap_s']:
+        raise GrayBoxError(
+            f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '
+            f'{configuration["gap_s"]:g} s, '
+            'so that none follows from the one before; if its time is in ms, write such as '
+            'time=t_ms*1e-3'
+        )
+
+
+def _convert(options: argparse.Namespace, mapping: CsvMapping) -> CsvSummary:
+    """Make the bag of a CSV log, and warn of what looks odd in it."""
+    from gray_box_observer.csv_import.log_conversion import csv_to_bag
+
+    summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
+    left_out = summary.filtered_rows + summary.unordered_rows
+    _tell(
+        f'{options.from_csv}: {summary.messages} messages of {summary.rows} rows over '
+        f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}'
+    )
+    for warning in summary.warnings:
+        _tell(f'warning: {warning}')
+    return summary
+
+
+@contextmanager
+def _progress(bags: Sequence[Path], limits: ReadLimits) -> Iterator[Callable[[int], object]]:
+    """Show a bar of the messages read, where somebody watches."""
+    if not sys.stderr.isatty():
+        yield lambda count: None
+        return
+    from tqdm import tqdm
+
+    total = 0
+    for path in bags:
+        with BagReader(path, limits) as bag:
+            total += bag.message_count
+    with tqdm(total=total, unit=' messages', file=sys.stderr, leave=False) as bar:
+        yield bar.update
+
+
+def _histories(
+    collector: Collector, outcome: offline_run.Outcome, result: dict[str, Any]
+) -> tuple[MotorHistory, ...]:
+    """Return what the report draws of every motor, as it is at the end of the bags that teach."""
+    rejected = {
+        name: {reason: count for reason, count in motor['rejected'].items() if count}
+        for name, motor in result['motors'].items()
+    }
+    changes_s = {name: course.changes_s for name, course in outcome.courses.items()}
+    return collector.histories(outcome.observer, rejected, changes_s)
+
+
+def _write_report(
+    options: argparse.Namespace,
+    outcome: offline_run.Outcome,
+    result: dict[str, Any],
+    histories: tuple[MotorHistory, ...],
+) -> None:
+    from gray_box_observer.report import RunHistory, write_report
+
+    validations = {name: motor.get('validation') for name, motor in result['motors'].items()}
+    write_report(
+        RunHistory(
+            title=f'Identification of {", ".join(result["motors"])}',
+            source=[path.name for path in options.bags],
+            created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            motors=tuple(replace(motor, validation=validations[motor.name]) for motor in histories),
+            summary={
+                'samples': sum(motor['samples'] for motor in result['motors'].values()),
+                'duration_s': max(motor['duration_s'] for motor in result['motors'].values()),
+                'context_update': outcome.observer.configuration['context_update'],
+            },
+            command=options.command,
+            digest=outcome.digest,
+            parameters=outcome.observer.configuration.notable(),
+        ),
+        options.report,
+    )
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,322 @@
+"""Running the observer over bags, as fast as it can: the same intake and the same core as the live
+node.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.bag.contents import name_list
+from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
+from gray_box_observer.bag.joint_state import JointStateDecoder
+from gray_box_observer.bag.limits import ReadLimits
+from gray_box_observer.bag.mcap.mcap_content import RawMessage
+from gray_box_observer.bag.reader import BagReader
+from gray_box_observer.errors import BagError, SampleError
+from gray_box_observer.observer.builder import TrainingFactory
+from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.observer import Observer, Result
+from gray_box_observer.samples import Rejection
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.parameters import SIGNALS
+
+PROGRESS_STEP = 512
+
+Listener = Callable[[Result], None]
+Progress = Callable[[int], object]
+
+
+@dataclass(slots=True)
+class Course:
+    """What a run has covered of one motor.
+
+    Attributes:
+        first_ns, last_ns: stamps of its first and last sample.
+        duration_s: time that its samples cover, without gaps and jumps of the clock.
+        alarms_s: when the alarm on the residual was raised, in s of that time.
+        alarmed: whether it stands.
+        changes_s: when the motor was found changed, in s of that time.
+        change_count: how often that was counted.
+    """
+
+    first_ns: int
+    last_ns: int = 0
+    duration_s: float = 0.0
+    alarms_s: list[float] = field(default_factory=list)
+    alarmed: bool = False
+    changes_s: list[float] = field(default_factory=list)
+    change_count: int = 0
+
+    def count_changes(self, count: int) -> None:
+        """Remember the time where the motor was found changed since it was counted last."""
+        if count > self.change_count:
+            self.changes_s.append(self.duration_s)
+        self.change_count = count
+
+    def take(self, result: Result) -> None:
+        """Go on by one result."""
+        self.last_ns = result.sample.stamp_ns
+        self.duration_s += result.sample.interval_s.item(0)
+        if result.alarm and not self.alarmed:
+            self.alarms_s.append(self.duration_s)
+        self.alarmed = result.alarm
+
+
+@dataclass
+class Outcome:
+    """What a run over bags has led to.
+
+    Attributes:
+        observer: the observer at the end of the last bag.
+        intake: what it was fed by.
+        digest: SHA-256 over every estimate in order.
+        courses: what it has covered, by motor.
+        warnings: what the user should know, such as how much of a truncated bag was lost.
+    """
+
+    observer: Observer
+    intake: Intake
+    digest: str = ''
+    courses: dict[str, Course] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+def run(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    training: TrainingFactory | None,
+    listener: Listener | None = None,
+    progress: Progress = lambda count: None,
+    limits: ReadLimits | None = None,
+) -> Outcome:
+    """Feed every bag to one observer, one after another.
+
+    Args:
+        bags: rosbag2 folders or bare MCAP files.
+        configuration: of the observer.
+        training: makes the predictor's trainer; None: no predictor.
+        listener: called with every result, where there is one.
+        progress: called with the number of messages read since it was last called.
+        limits: how much of a bag may be held in memory at one time; None for the defaults.
+
+    Raises:
+        BagError: a bag cannot be read, lacks the topics, or no sample in any of them could be used.
+        ConfigurationError: messages do not have the configured fields.
+    """
+    observer = Observer(configuration, training)
+    outcome = Outcome(observer, Intake(observer, configuration))
+    digest, courses = hashlib.sha256(), outcome.courses
+
+    def take(results: Iterable[Result]) -> None:
+        for result in results:
+            course = courses.get(result.motor)
+            if course is None:
+                course = courses[result.motor] = Course(result.sample.stamp_ns)
+            course.take(result)
+            motor = observer.motors.get(result.motor)  # none where it has stopped since
+            if motor is not None and result.estimate is not None:
+                course.count_changes(motor.changes)
+            if result.estimate is not None:
+                digest.update(result.motor.encode())
+                digest.update(np.int64(result.estimate.stamp_ns).tobytes())
+                digest.update(result.estimate.value.tobytes())
+                digest.update(result.estimate.covariance.tobytes())
+            if listener is not None:
+                listener(result)
+
+    try:
+        _feed_all(bags, configuration, outcome, take, progress, limits)
+    finally:
+        observer.close()
+    if not courses and not observer.incidents:
+        raise BagError(_why_nothing(bags, outcome))
+    outcome.digest = digest.hexdigest()
+    return outcome
+
+
+def feed(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    outcome: Outcome,
+    listener: Listener,
+    progress: Progress = lambda count: None,
+    limits: ReadLimits | None = None,
+) -> None:
+    """Feed further bags to the observer of a run that has ended; neither its digest nor its course
+    goes on.
+
+    Args:
+        bags: rosbag2 folders or bare MCAP files.
+        configuration: of the observer.
+        outcome: of the run, whose observer and intake take the messages; warnings are added to it.
+        listener: called with every result.
+        progress: called with the number of messages read since it was last called.
+        limits: what of a bag may be held in memory at one time.
+
+    Raises:
+        BagError: a bag cannot be read or lacks the topics.
+        ConfigurationError: messages do not have the configured fields.
+    """
+
+    def take(results: Iterable[Result]) -> None:
+        for result in results:
+            listener(result)
+
+    _feed_all(bags, configuration, outcome, take, progress, limits)
+
+
+def _feed_all(
+    bags: Sequence[Path],
+    configuration: Configuration,
+    outcome: Outcome,
+    take: Callable[[Iterable[Result]], None],
+    progress: Progress,
+    limits: ReadLimits | None = None,
+) -> None:
+    """Feed bags one after another."""
+    for path in bags:
+        with BagReader(path, limits) as bag:
+            _feed(bag, path, configuration, outcome, take, progress)
+            if bag.lost:
+                outcome.warnings.append(f'{path}: {bag.lost}')
+        take(outcome.observer.flush())
+
+
+def match_topics(wanted: str, available: Iterable[str]) -> list[str]:
+    """Return the bag's topics that a configured name means: the same name, or the same behind a
+    namespace.
+    """
+    name = '/' + wanted.lstrip('/')
+    topics = sorted(available)
+    return [t for t in topics if t == name] or [
+        t for t in topics if not wanted.startswith('/') and t.endswith(name)
+    ]
+
+
+def _feed(
+    bag: BagReader,
+    path: Path,
+    configuration: Configuration,
+    outcome: Outcome,
+    take: Callable[[Iterable[Result]], None],
+    progress: Progress,
+) -> None:
+    signals = _signals_of(bag, path, configuration, outcome.warnings)
+    intake, count = outcome.intake, 0
+    for raw, message in _decoded(bag, signals, intake.max_message_bytes):
+        if message is None:
+            oversized = len(raw.data) > intake.max_message_bytes
+            for signal in signals[raw.topic]:
+                intake.refuse(signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED)
+            continue
+        for signal in signals[raw.topic]:
+            for result in intake.take(signal, message, raw.publish_time_ns).groups:
+                take(outcome.observer.results(result))
+        count += 1
+        if count % PROGRESS_STEP == 0:
+            progress(PROGRESS_STEP)
+    progress(count % PROGRESS_STEP)
+
+
+def _decoded(
+    bag: BagReader, topics: Collection[str], max_bytes: int
+) -> Iterator[tuple[RawMessage, Any]]:
+    """Yield every message with its content; None where it is too large, or malformed and not
+    counted as lost.
+    """
+    if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
+        for raw, message in bag.decoded(topics):
+            yield raw, None if len(raw.data) > max_bytes else message
+        return
+    decode = JointStateDecoder()
+    for raw in bag.messages(topics):
+        try:
+            message = None if len(raw.data) > max_bytes else decode(raw.data)
+        except SampleError:
+            message = None
+        yield raw, message
+
+
+def require_signals(
+    path: Path, configuration: Configuration, limits: ReadLimits | None = None
+) -> None:
+    """Say before the work, not after it, that a bag cannot be read or lacks a topic.
+
+    Raises:
+        BagError: it cannot be read, a topic is missing, or there are several that it could be.
+    """
+    with BagReader(path, limits) as bag:
+        _signals_of(bag, path, configuration, [])
+
+
+def _signals_of(
+    bag: BagReader, path: Path, configuration: Configuration, warnings: list[str]
+) -> dict[str, list[str]]:
+    """Return the signals that every topic of interest carries; one message may hold several.
+
+    Args:
+        bag: opened.
+        path: of the bag, for messages.
+        configuration: of the observer.
+        warnings: a topic of another type than configured is added to them.
+
+    Raises:
+        BagError: a topic is missing, or there are several that it could be.
+    """
+    signals: dict[str, list[str]] = {}
+    for name in SIGNALS:
+        wanted = configuration[f'{name}.topic']
+        if not wanted:
+            continue
+        found = match_topics(wanted, bag.topics)
+        if len(found) != 1:
+            have = name_list(bag.topics)
+            problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
+            raise BagError(
+                f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter '
+                f'{name}.topic'
+            )
+        signals.setdefault(found[0], []).append(name)
+        warnings += _mismatch(
+            f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration
+        )
+    return signals
+
+
+def _mismatch(where: str, type_name: str, name: str, configuration: Configuration) -> list[str]:
+    """Say where a topic is of another type than configured: here it can be read all the same, live
+    it could not.
+    """
+    wanted = configuration[f'{name}.type']
+    if type_name.replace('/msg/', '/') == wanted.replace('/msg/', '/'):
+        return []
+    return [
+        f'{where} is of type {type_name}, but {name}.type is {wanted}: the node would hear nothing'
+    ]
+
+
+def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
+    names = ', '.join(str(path) for path in bags)
+    strangers = sorted(
+        {name for signal in outcome.intake.signals.values() for name in signal.unknown}
+    )
+    if strangers:
+        wanted = ', '.join(outcome.observer.configuration.motors)
+        return f'{names}: no usable sample of motor {wanted}; the messages speak of {", ".join(strangers[:5])}'
+    reasons = sorted(
+        {
+            r.value
+            for name in outcome.observer.configuration.motors
+            for r in outcome.observer.counts(name).rejected
+        }
+    )
+    because = f' (rejected: {", ".join(reasons)})' if reasons else ''
+    if outcome.intake.complaints:
+        because += f'; messages could not be read: {"; ".join(outcome.intake.complaints.values())}'
+    return f'{names}: no usable sample: voltage and torque must overlap in time{because}'

@@ -1,0 +1,54 @@
+"""Where the offline command writes: refused before the work rather than after it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.safe_io.finite import plain
+from gray_box_observer.safe_io.standard_streams import readers_may_leave
+
+
+def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
+    """Say before the work, not after it, that a result could not be written.
+
+    Raises:
+        GrayBoxError: The file, or the folder it would be made in, takes nothing.
+    """
+    try:
+        if target.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if target.is_file():
+            target.open('ab').close()
+        elif not target.exists():  # what is there and no file, such as a pipe, is left alone
+            folder = target.parent
+            while makes_folders and not folder.exists():
+                folder = folder.parent
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+    except OSError as error:
+        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error
+
+
+def write_json(result: dict[str, Any], target: str) -> None:
+    """Write a result as JSON, to a file or, for ``-``, to standard output; what is not finite
+    becomes ``null``.
+
+    Raises:
+        GrayBoxError: the file cannot be written.
+    """
+    text = json.dumps(plain(result), indent=2, allow_nan=False)
+    if target == '-':
+        with readers_may_leave(sys.stdout):
+            print(text)
+        return
+    try:
+        Path(target).write_text(text + '\n', encoding='utf-8')
+    except OSError as error:
+        raise GrayBoxError(f'cannot write {target}: {error.strerror}') from error

@@ -1,0 +1,138 @@
+"""What a run over bags has found, as plain values: the same words wherever it is told."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any
+
+from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test.assumptions import assumptions
+from gray_box_observer.fit_test.data_sheet import contradiction
+from gray_box_observer.identify.offline_run import Outcome
+from gray_box_observer.observer.incident import in_words
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.predictor.alarm import REMEDY
+from gray_box_observer.safe_io.finite import plain
+from gray_box_observer.samples import Rejection
+
+
+def warnings_of(outcome: Outcome) -> list[str]:
+    """Return everything that the user should know of a run, one sentence each."""
+    observer = outcome.observer
+    seen = {*observer.motors, *observer.incidents}
+    unseen = [name for name in observer.configuration.motors if name not in seen]
+    motors = observer.configuration.motors
+    gap_s = observer.configuration['gap_s']
+    doubts = {
+        name: contradiction(motors[name], estimate)
+        for name, estimate in observer.estimates().items()
+    }
+    complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
+    fits = {name: motor.fit for name, motor in observer.motors.items()}
+    return [
+        *outcome.warnings,
+        *(
+            f'motor {name}: {fit.sentence}'
+            for name, fit in fits.items()
+            if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
+        ),
+        *_stops(outcome.observer),
+        *(f'no usable sample of motor {name}; it is not in the result' for name in unseen),
+        *(
+            f'{counts.total()} messages of {name} could not be read'
+            for name, counts in outcome.intake.rejected.items()
+            if counts
+        ),
+        *(
+            f'motor {name}: alarm at {course.alarms_s[0]:.2f} s, {len(course.alarms_s)} in all: '
+            f'{REMEDY}'
+            for name, course in outcome.courses.items()
+            if course.alarms_s
+        ),
+        *(
+            f'motor {name}: no sample lies within gap_s of {gap_s:g} s after the one before: '
+            'are its stamps in another unit?'
+            for name, course in outcome.courses.items()
+            if course.duration_s == 0.0 and course.last_ns - course.first_ns > gap_s * 1e9
+        ),
+        *(complaint for complaint in complaints if complaint is not None),
+        *(f'motor {name}: {doubt}' for name, doubt in doubts.items() if doubt is not None),
+    ]
+
+
+def assumptions_of(outcome: Outcome) -> list[str]:
+    """Return what is taken for granted of every motor because nobody has stated it, one sentence
+    each.
+    """
+    motors = outcome.observer.configuration.motors
+    return [
+        f'motor {name}: {text}'
+        for name, motor in outcome.observer.motors.items()
+        for text in assumptions(motors[name], motor.white_box).values()
+    ]
+
+
+def _stops(observer: Observer) -> list[str]:
+    """Say which motors have stopped, those that were computed together in one sentence."""
+    incidents = {id(incident): incident for incident in observer.incidents.values()}.values()
+    return [
+        f'{in_words(incident.motors)} stopped by a defect, nothing is known of it: '
+        f'{incident.reason}; '
+        'report it with the field stopped of --json'
+        for incident in incidents
+    ]
+
+
+def describe(outcome: Outcome) -> dict[str, Any]:
+    """Return the result as plain values: what ``--json`` writes; a number that is not finite is
+    None.
+    """
+    observer = outcome.observer
+    described = {
+        name: observer.contain(observer.group_of(name), partial(_motor, outcome, name))
+        for name in [*observer.motors]
+    }
+    motors = {name: values for name, values in described.items() if values is not None}
+    incidents = observer.incidents.items()
+    stopped = {
+        name: {'reason': incident.reason, 'traceback': incident.trace}
+        for name, incident in incidents
+    }
+    result: dict[str, Any] = plain(
+        {'motors': motors, **({'stopped': stopped} if stopped else {}), 'digest': outcome.digest}
+    )
+    return result
+
+
+def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
+    """Return what was found of one motor."""
+    motor, course = outcome.observer.motors[name], outcome.courses[name]
+    estimate, delay = motor.estimate, motor.delay
+    counts = outcome.observer.counts(name)
+    skill = outcome.observer.skill(name)
+    alarms_s = [round(time_s, 6) for time_s in course.alarms_s]
+    values: dict[str, Any] = {
+        'samples': counts.used,
+        'duration_s': round(course.duration_s, 6),
+        'rejected': {reason.value: counts.rejected[reason] for reason in Rejection},
+        'parameters': {
+            parameter.name: {
+                'value': float(estimate.value[0, j]),
+                'std': float(estimate.std[0, j]),
+                'unit': parameter.unit,
+                'verdict': estimate.verdicts[0][j].value,
+            }
+            for j, parameter in enumerate(estimate.parameters)
+        },
+        'covariance': estimate.covariance[0].tolist(),
+        'fit': motor.fit.to_dict(),
+        'fit_percent': motor.fit_percent(),
+        'predictor': None if skill is None else skill.to_dict(),
+        'alarms': None,
+        'changes_s': [round(time_s, 6) for time_s in course.changes_s],
+    }
+    if motor.alarm is not None:
+        values['alarms'] = {'raised': len(alarms_s), 'first_s': alarms_s[0] if alarms_s else None}
+    if delay.asked or delay.complaint(name) is not None:
+        values['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
+    return values

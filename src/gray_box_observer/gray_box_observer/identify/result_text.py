@@ -1,0 +1,106 @@
+"""The result of ``identify`` as text for people: what the fit test says first, then every motor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, TextIO
+
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.safe_io.finite import words_of
+from gray_box_observer.safe_io.printable import printable
+
+COLOURS = {
+    FitVerdict.OK: '\033[32m',
+    FitVerdict.WARNING: '\033[33m',
+    FitVerdict.MISFIT: '\033[31m',
+    FitVerdict.UNTESTED: '\033[2m',
+}
+"""Of the sentence, on a terminal: green, yellow, red, and faint."""
+
+_PLAIN = '\033[0m'
+
+SCORED = {
+    'predictor': 'predictor',
+    'white_box': 'white box alone',
+    'persistence': 'static map, for persistence',
+}
+"""What is judged by a validation, as people say it."""
+
+
+def fit_line(motor: str, fit: FitAssessment, *, coloured: bool) -> str:
+    """Say of one motor whether the white box explains its data, in one sentence."""
+    text = printable(f'{motor}: {fit.sentence}')
+    return f'{COLOURS[fit.verdict]}{text}{_PLAIN}' if coloured else text
+
+
+def write_text(
+    result: Mapping[str, Any], fits: Mapping[str, FitAssessment], stream: TextIO
+) -> None:
+    """Write a result for people.
+
+    Args:
+        result: as :func:`~gray_box_observer.identify.result.describe` gives it.
+        fits: residual analysis by motor.
+        stream: coloured where it is a terminal.
+    """
+    coloured = stream.isatty()
+    for name, fit in fits.items():
+        print(fit_line(name, fit, coloured=coloured), file=stream)
+    for name, motor in result['motors'].items():
+        fitted = words_of(motor['fit_percent'], '.2f')
+        explained = f', fit of the free run {fitted} %' if motor['fit_percent'] is not None else ''
+        print(
+            f'{printable(name)}: {motor["samples"]} samples in {motor["duration_s"]:.1f} '
+            f's{explained}',
+            file=stream,
+        )
+        for line in _lines(motor):
+            print(f'  {printable(line)}', file=stream)
+
+
+def _lines(motor: Mapping[str, Any]) -> list[str]:
+    """Return what there is to say of one motor, line by line."""
+    lines = []
+    for parameter, entry in motor['parameters'].items():
+        value = words_of(entry['value'])
+        std = words_of(entry['std'], '.2g')
+        lines.append(f'{parameter:<18} {value} +- {std} {entry["unit"]:<14} {entry["verdict"]}')
+    if 'delay_s' in motor:
+        lines.append(_delay_line(motor['delay_s']))
+    if motor['alarms'] and motor['alarms']['raised']:
+        lines.append(
+            f'alarms: {motor["alarms"]["raised"]}, first at {motor["alarms"]["first_s"]:.2f} s'
+        )
+    lines += [f'rejected: {reason} {count}' for reason, count in motor['rejected'].items() if count]
+    if 'validation' in motor:
+        lines += _validation_lines(motor['validation'])
+    return lines
+
+
+def _delay_line(delay: Mapping[str, Any]) -> str:
+    value = 'not told by the data'
+    if delay['value'] is not None:
+        value = f'{delay["value"]:.6g} +- {words_of(delay["std"], ".2g")} s found in the data'
+    return f'{"delay":<18} {value}, applied {delay["applied"]:.6g} s'
+
+
+def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
+    """Return the figures of a validation, a line a rival."""
+    lines = [
+        f'validated on {validation["bag"]}, {validation["samples"]} samples, nothing learnt from '
+        'them:'
+    ]
+    for key, score in scores_of(validation).items():
+        rmse = words_of(score['rmse'], '.4g')
+        nmae = words_of(score['nmae'], '.4g')
+        fit = words_of(score['fit_percent'], '.2f')
+        lines.append(f'  {SCORED[key]:<28} RMSE {rmse} N m, nmae {nmae}, fit {fit} %')
+    return lines
+
+
+def scores_of(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return the scores of a validation by who made the free run; the predictor only where there is
+    one.
+    """
+    rivals = {key: validation[key] for key in ('white_box', 'persistence')}
+    return {'predictor': validation, **rivals} if validation['predictor'] else rivals

@@ -1,0 +1,196 @@
+"""Builds the observer of a motor or a group out of what the configuration says and what the first
+sample shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    GradientRules,
+    GradientUpdate,
+    RecursiveRules,
+    RecursiveUpdate,
+    VerdictRules,
+)
+from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.predictor import (
+    AlarmRules,
+    Predictor,
+    ResidualAlarm,
+    Training,
+    TrainingRules,
+    Variant,
+)
+from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
+from gray_box_observer.settings.parameters import KNOWN_PARAMETERS
+from gray_box_observer.white_box import MotorWhiteBox
+
+TrainingFactory = Callable[[dict[str, Any]], Training]
+
+
+def motor_observer(
+    configuration: Configuration,
+    motors: Sequence[MotorConfiguration],
+    training: TrainingFactory | None,
+    *,
+    measured: bool,
+) -> MotorObserver:
+    """Build the observer of a motor, or of a group, at the first sample, when it is known whether
+    speed is measured.
+
+    Args:
+        configuration: of the observer as a whole.
+        motors: of the motors, alike in :func:`kind`.
+        training: makes the predictor's trainer; None: no predictor.
+        measured: whether the first sample came with speed.
+
+    Raises:
+        ConfigurationError: speed has to be measured, and is not.
+    """
+    first = motors[0]
+    source = first.values['speed_source']
+    if source == 'measured' and not measured:
+        raise ConfigurationError(
+            f'motor {first.name}: speed_source is measured, but its first torque sample came '
+            'without speed'
+        )
+    boxes = [
+        motor.white_box(speed_measured=measured and source != 'torque_constant') for motor in motors
+    ]
+    white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
+    nodes = context_nodes(configuration, motors, white_box)
+
+    def watch(motor: int) -> DelayWatch:
+        initial, asked = np.array([motors[motor].initial()]), first.estimates_delay
+        return DelayWatch(
+            boxes[motor], initial, first.delay_s, asked=asked, gap_s=configuration['gap_s']
+        )
+
+    predictor = alarm = None
+    if training is not None:
+        predictor = _predictor(configuration, motors, white_box, training)
+        if configuration['variant'] == Variant.PHYSICS.value:
+            alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
+    delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
+    return MotorObserver(white_box, nodes, predictor, delay, FitMonitor(motors, boxes), alarm)
+
+
+def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:
+    """Return what motors must have in common to be computed together; None for one that must stay
+    alone.
+
+    Alone stays whose stamps are not those of the others (its delay is estimated, its speed has a
+    topic of its own), and where the thesis's rules were asked for.
+    """
+    rules_alone = (
+        configuration['context_update'] != 'recursive'
+        or configuration['variant'] != Variant.PHYSICS.value
+    )
+    if rules_alone or configuration['speed.topic'] or motor.estimates_delay:
+        return None
+    values = motor.values
+    known = frozenset(
+        name for name, parameter in KNOWN_PARAMETERS.items() if values[parameter] > 0.0
+    )
+    limits_v = tuple(values['voltage_limits'])
+    return tuple(values['context_nodes']), known, motor.delay_s, limits_v, values['speed_source']
+
+
+def _joined(boxes: Sequence[MotorWhiteBox]) -> MotorWhiteBox:
+    """One white box for many motors: constants become arrays of shape (motor,)."""
+    known = {name: np.array([box.known[name] for box in boxes]) for name in boxes[0].known}
+    return replace(
+        boxes[0], torque_constant=np.array([box.torque_constant for box in boxes]), known=known
+    )
+
+
+def context_nodes(
+    configuration: Configuration, motors: Sequence[MotorConfiguration], white_box: MotorWhiteBox
+) -> ContextUpdate:
+    """Build context nodes that know nothing yet, under the rule that the configuration names."""
+    verdicts = verdict_rules(configuration)
+    initial, seed = np.array([motor.initial() for motor in motors]), _seed(configuration, motors[0])
+    if configuration['context_update'] == 'gradient':
+        return GradientUpdate(
+            white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts
+        )
+    known = np.array([motor.initial_relative_std() for motor in motors])
+    rules, device = (
+        RecursiveRules(**configuration.group('recursive')),
+        torch_device(configuration['device']),
+    )
+    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, known, device)
+
+
+def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
+    """Return what is known of a motor before its first sample: the initial values, as sure as the
+    configuration is.
+    """
+    white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
+    return context_nodes(configuration, [motor], white_box).estimate()
+
+
+def pairing_rules(configuration: Configuration) -> PairingRules:
+    """How patient pairing is."""
+    return PairingRules(
+        configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s']
+    )
+
+
+def verdict_rules(configuration: Configuration) -> VerdictRules:
+    """When a parameter counts as identified."""
+    return VerdictRules(**configuration.group('verdict'))
+
+
+def alarm_rules(configuration: Configuration) -> AlarmRules:
+    """Settings of the alarm."""
+    return AlarmRules(**configuration.group('alarm'))
+
+
+def _predictor(
+    configuration: Configuration,
+    motors: Sequence[MotorConfiguration],
+    white_box: MotorWhiteBox,
+    training: TrainingFactory,
+) -> Predictor:
+    first, count = motors[0], len(motors)
+    low_v, high_v = first.values['voltage_limits']
+    device = torch_device(configuration['device'])
+    # every trainer is a process with a context of its own on the device: one a motor would fill it
+    taught_on = device if device is not None and count >= DEVICE_FROM else CPU
+    rules = TrainingRules(
+        variant=Variant(configuration['variant']),
+        horizon_s=configuration['horizon_s'],
+        voltage_limits_v=(low_v, high_v),
+        device=taught_on,
+        **configuration.group('training'),
+    )
+    initial, seed = np.array(first.initial()), _seed(configuration, first)
+    job = {
+        'white_box': white_box.to_dict(),
+        'rules': rules.to_dict(),
+        'theta_reference': initial.tolist(),
+        'seed': seed,
+    }
+    measured = white_box.speed_measured
+    return Predictor(
+        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
+    )  # fmt: skip
+
+
+def _seed(configuration: Configuration, motor: MotorConfiguration) -> int:
+    """A seed of the motor's own."""
+    seed = [configuration['seed'], *motor.name.encode()]
+    return int(np.random.SeedSequence(seed).generate_state(1)[0])

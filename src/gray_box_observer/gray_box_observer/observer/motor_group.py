@@ -1,0 +1,126 @@
+"""Motors that come in the same messages: their pairing, their observer, and what comes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.observer.motor_observer import Aftermath, MotorObserver
+from gray_box_observer.predictor import Prediction
+from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples.stopped import StoppedPairing
+from gray_box_observer.white_box.interface import Array
+
+
+@dataclass(slots=True)
+class Group:
+    """Motors that are computed together; a motor that comes alone is a group of one.
+
+    Attributes:
+        names: in the order of the motor axis.
+        pairing: makes their samples; of motors that have stopped, counts what comes.
+        observer: learns them; None before the first, and of motors that have stopped.
+    """
+
+    names: tuple[str, ...]
+    pairing: Pairing | StoppedPairing
+    observer: MotorObserver | None = None
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing has come for any of them yet."""
+        return self.is_open and not (self.pairing.received_voltage or self.pairing.received_torque)
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether a defect has stopped them."""
+        return isinstance(self.pairing, StoppedPairing)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it may still be settled otherwise who belongs together: nothing was learnt yet."""
+        return self.observer is None and not self.is_stopped
+
+
+class Result(NamedTuple):
+    """What one sample of one motor has led to.
+
+    Attributes:
+        motor: its name.
+        sample: the sample that was learnt.
+        prediction: what had been predicted of it; None without predictor.
+        estimate: the new estimate; None where the sample did not change it.
+        alarm: whether the alarm on the prediction's residual stands after the sample.
+    """
+
+    motor: str
+    sample: Sample
+    prediction: Prediction | None
+    estimate: Estimate | None
+    alarm: bool = False
+
+
+@dataclass(slots=True)
+class GroupResult:
+    """What one sample of a group has led to; iterating gives it motor by motor.
+
+    Attributes:
+        group: the motors.
+        sample: the sample that was learnt.
+        prediction: what had been predicted of it; None without predictor.
+        changed: places on the motor axis of those whose estimate has changed.
+        estimate: their new estimates, in that order; None where there is none.
+        aftermath: what it leaves to be done.
+    """
+
+    group: Group
+    sample: Sample
+    prediction: Prediction | None
+    changed: NDArray[np.intp]
+    estimate: Estimate | None
+    aftermath: Aftermath
+
+    @property
+    def alarm(self) -> NDArray[np.bool_]:
+        """Shape (motor,): whether the alarm on the prediction's residual stands after the sample.
+
+        Ask when all else of the result has gone out: it takes the work that was left for then.
+        """
+        if self.aftermath.alarm is None and self.group.observer is not None:
+            self.group.observer.settle()
+        assert self.aftermath.alarm is not None
+        return self.aftermath.alarm
+
+    def __iter__(self) -> Iterator[Result]:
+        names, sample, prediction = self.group.names, self.sample, self.prediction
+        if len(names) == 1:
+            yield Result(names[0], sample, prediction, self.estimate, bool(self.alarm[0]))
+            return
+        row = dict(zip(self.changed.tolist(), range(self.changed.size), strict=True))
+        for motor, name in enumerate(names):
+            if sample.present is not None and not sample.present[motor]:
+                continue
+            one = slice(motor, motor + 1)
+            said = None
+            if prediction is not None:
+                said = Prediction(
+                    prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None
+                )
+            estimate = (
+                self.estimate.of(row[motor]) if self.estimate is not None and motor in row else None
+            )
+            alone = Sample(
+                sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one], sample.torque_nm[one],
+                sample.speed_rad_s[one],
+            )  # fmt: skip
+            yield Result(name, alone, said, estimate, bool(self.alarm[motor]))
+
+
+def _rollout_of(prediction: Prediction, one: slice) -> Array:
+    return prediction.white_box_torque_nm[one]

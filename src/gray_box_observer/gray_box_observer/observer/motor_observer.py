@@ -1,0 +1,457 @@
+"""The observer of motors that are sampled together: white box, context nodes and predictor, one
+sample at a time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
+from gray_box_observer.safe_io.saved_state import entry, flag, group
+from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
+
+
+@dataclass(slots=True)
+class Aftermath:
+    """What a sample leaves to be done when its prediction and estimates are known; see
+    :meth:`MotorObserver.settle`.
+
+    Attributes:
+        sample: the sample.
+        prediction: what had been predicted of it; None without predictor.
+        theta, covariance, identified: what was believed before it was learnt.
+        followed: whether the predictor has gone on from it.
+        alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
+            sample; None: to be done.
+    """
+
+    sample: Sample
+    prediction: Prediction | None
+    theta: Array
+    covariance: Array
+    identified: NDArray[np.bool_]
+    followed: bool = False
+    alarm: NDArray[np.bool_] | None = None
+
+
+class MotorObserver:
+    """White box, context nodes and predictor of motors that are sampled together.
+
+    Whoever waits for a sample's prediction and estimates gets them first: alarm, scores and
+    training follow when something of them is asked for (:attr:`predictor`, :attr:`alarm`), with
+    :meth:`settle`, or before the next sample. What comes of it is the same whenever that is.
+
+    Args:
+        white_box: the physics.
+        context_nodes: the rule that learns the parameters.
+        predictor: forecasts torque; None where there is none.
+        delay: asks whether voltage and torque are shifted against each other.
+        fit: asks whether the white box explains the data, and lets estimates say no more than that.
+        alarm: watches the prediction's residual; None where no prediction is good enough to judge
+            by.
+
+    Attributes:
+        motors: how many they are.
+        changed: whose estimates the last sample has changed, by their places on the motor axis.
+    """
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        context_nodes: ContextUpdate,
+        predictor: Predictor | None,
+        delay: DelayWatch | DelayRound,
+        fit: FitMonitor,
+        alarm: ResidualAlarm | None = None,
+    ) -> None:
+        self.white_box = white_box
+        self.context_nodes = context_nodes
+        self._predictor = predictor
+        self.delay = delay
+        self._fit = fit
+        self._tests: list[int] = []
+        self._retested: set[int] = set()
+        self._alarm = alarm
+        self._aftermath: Aftermath | None = None
+        self._frozen = False
+        self._foreseen: tuple[bytes, Prediction] | None = None
+        self._interval_s, self._evenly = np.empty(0), False
+        self.motors = context_nodes.theta.shape[0]
+        self._places = np.arange(self.motors)
+        self._nobody = np.zeros(self.motors, dtype=bool)
+        self._identified = self._nobody
+        self._known_parameters = np.zeros((self.motors, len(white_box.parameters)), dtype=bool)
+        self.changed: NDArray[np.intp] = _NOBODY
+        self._know(self.estimate(), slice(None))
+
+    def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
+        """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
+        if self._predictor is None:
+            return None
+        if self._predictor.training.due_next:
+            self.settle()
+        self._follow()
+        question = interval_s.tobytes() + voltage_v.tobytes()
+        if self._foreseen is None or self._foreseen[0] != question:
+            self._foreseen = question, self._predictor.predict(interval_s, voltage_v, self._theta)
+        return self._foreseen[1]
+
+    def foresee(self, voltage_v: Any) -> None:
+        """Work out the next prediction while nobody waits for it; changes nothing but when it is
+        done.
+
+        What will be asked is known where samples come evenly: the interval is that of the last two
+        once more. Where it is not, this does nothing.
+
+        Args:
+            voltage_v: voltage in force from the last sample on.
+        """
+        if self._evenly:
+            self.predict(self._interval_s, np.atleast_1d(voltage_v))
+
+    def forecast_held(
+        self, ahead: tuple[Any, Any] | None, horizon_s: float, voltage_v: Any
+    ) -> Array | None:
+        """Forecast the torque after a voltage has been held for a while; changes nothing.
+
+        Args:
+            ahead: interval in s and mean voltage in V from the last sample to where the voltage
+                begins to act; None where it begins with the last sample.
+            horizon_s: how long it is held.
+            voltage_v: the voltage.
+        """
+        if self.predictor is None:
+            return None
+        since = (
+            None
+            if ahead is None
+            else self.predict(*(np.full(self.motors, value) for value in ahead))
+        )
+        return self.predictor.forecast(
+            horizon_s, np.full(self.motors, voltage_v), self._theta, since
+        )
+
+    def step(self, sample: Sample) -> tuple[Aftermath, Estimate | None]:
+        """Predict the sample, then learn it.
+
+        Returns:
+            What is left to be done, the prediction among it, and, where they have changed, the
+            estimates.
+        """
+        if self._aftermath is not None or self._tests:
+            self.settle()
+        prediction = (
+            None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
+        )
+        left = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
+        estimate = self.repeat(sample)
+        self._aftermath = left
+        return left, estimate
+
+    def settle(self) -> None:
+        """Judge and learn the prediction of the last sample, where that is still to be done."""
+        tests, self._tests = self._tests, []
+        for motor in tests:
+            self._test(motor)
+            one = slice(motor, motor + 1)
+            self._know(
+                self._fit.judged(
+                    self.context_nodes, self.context_nodes.estimate(one), self._places[one]
+                ),
+                one,
+            )
+        left = self._aftermath
+        if left is None:
+            return
+        self._follow()
+        self._aftermath = None
+        sample, prediction = left.sample, left.prediction
+        if self._alarm is not None and prediction is not None:
+            self._alarm.take(
+                sample.torque_nm - prediction.torque_nm, sample.interval_s, left.identified
+            )
+        left.alarm = self.alarmed
+        if self._predictor is not None and prediction is not None:
+            self._predictor.study(sample, prediction, left.theta, left.covariance)
+
+    def _follow(self) -> None:
+        """Let the predictor go on from the last sample, where that is still to be done."""
+        left = self._aftermath
+        if left is None or left.followed:
+            return
+        left.followed = True
+        if self._predictor is not None and left.prediction is not None:
+            try:
+                self._predictor.follow(left.sample, left.prediction)
+            except (
+                ConfigurationError
+            ):  # what a device has failed at is not tried again: a checkpoint is to be kept
+                self._aftermath = None
+                raise
+
+    @property
+    def predictor(self) -> Predictor | None:
+        """Forecasts torque, all samples learnt; None where there is none."""
+        self.settle()
+        return self._predictor
+
+    @property
+    def alarm(self) -> ResidualAlarm | None:
+        """Watches the prediction's residual, all samples taken; None where no prediction is good
+        enough to judge by.
+        """
+        self.settle()
+        return self._alarm
+
+    def repeat(self, sample: Sample) -> Estimate | None:
+        """Learn a sample, which has been predicted and scored; return the estimates that have
+        changed.
+        """
+        changed = self.context_nodes.learn(sample)
+        if self._predictor is not None:
+            self._foreseen = None
+            self._evenly = np.array_equal(sample.interval_s, self._interval_s)
+            self._interval_s = sample.interval_s
+        if not changed:
+            self.changed = _NOBODY
+            return None
+        self.changed = _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
+        which: Any = slice(None) if self.changed.size == self.motors else self.changed
+        estimate = self._tested(self.context_nodes.estimate(which))
+        self._know(estimate, which)
+        return estimate
+
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values of all motors or of some, believed as far as the fit lets them
+        be.
+        """
+        self.settle()
+        estimate = self.context_nodes.estimate(which)
+        return self._fit.judged(self.context_nodes, estimate, self._places[which])
+
+    def _tested(self, estimate: Estimate) -> Estimate:
+        """Test the fit of motors whose estimates have changed; return these as far as they may be
+        believed.
+
+        Who waits for nothing is tested when the sample's results are out.
+        """
+        for motor in self._fit.due(self.context_nodes, estimate, self.changed):
+            if self._fit.is_urgent(motor):
+                self._test(motor)
+            else:
+                self._tests.append(motor)
+        return self._fit.judged(self.context_nodes, estimate, self.changed)
+
+    def retested(self) -> list[int]:
+        """Return whose fit was tested since this was asked last: what is believed of them may be
+        another.
+        """
+        self.settle()
+        motors, self._retested = sorted(self._retested), set()
+        return motors
+
+    def _test(self, motor: int) -> None:
+        self._retested.add(motor)
+        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
+
+    def _know(self, estimate: Estimate, which: Any) -> None:
+        """Keep what is believed of some motors, and whether all is identified, which freezing does
+        not undo.
+
+        What was believed before may still be needed: it is replaced, never written to.
+        """
+        if not self._frozen:
+            self._identified = self._identified.copy()
+            self._known_parameters[which] = [
+                [v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts
+            ]
+            self._identified[which] = self._known_parameters[which].all(axis=1)
+        if estimate.value.shape[0] == self.motors:
+            self._theta, self._covariance = estimate.value, estimate.covariance
+        else:
+            self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
+            self._theta[which], self._covariance[which] = estimate.value, estimate.covariance
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning, of the context nodes and of the predictor; predictions and the
+        alarm go on.
+        """
+        self.settle()
+        self._frozen = frozen
+        self.context_nodes.freeze(frozen)
+        if self.predictor is not None:
+            self.predictor.training.freeze(frozen)
+
+    @property
+    def identified(self) -> bool:
+        """Whether every parameter was identified when learning went on last: freezing does not make
+        it unknown.
+        """
+        return bool(self._identified.all())
+
+    def identified_of(self, motor: int) -> bool:
+        """The same of one motor."""
+        return bool(self._identified[motor])
+
+    def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
+        """The same of every parameter of one motor."""
+        return tuple(self._known_parameters[motor].tolist())
+
+    def fit_of(self, motor: int) -> FitAssessment:
+        """How well the white box explains the data of one motor."""
+        self.settle()
+        return self._fit.assessment(motor)
+
+    def delay_of(self, motor: int) -> DelayEstimate:
+        """What is known of the delay of one motor."""
+        return (
+            self.delay.estimate
+            if isinstance(self.delay, DelayWatch)
+            else self.delay.estimate_of(motor)
+        )
+
+    def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
+        """Take over settings that may change at any time; what was learnt stays."""
+        self.context_nodes.verdict_rules = verdicts
+        self._know(self.estimate(), slice(None))
+        if self.alarm is not None:
+            self.alarm.rules = alarm
+        if self.predictor is not None:
+            self.predictor.training.share(core_share)
+
+    @property
+    def alarmed(self) -> NDArray[np.bool_]:
+        """For which of these motors the alarm stands, shape (motor,)."""
+        if self._alarm is None:
+            return self._nobody
+        self.settle()
+        return self._alarm.raised
+
+    def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
+        """Start over with new context nodes from samples that were paired anew; the network is
+        trained on from there.
+
+        The nodes are given all but the last sample as what they remember and learn the last: the
+        recursive rule then fits everything at once, which takes a fraction of the time of learning
+        one sample after another.
+        """
+        if not samples:
+            return
+        self.settle()
+        content = ReplayBuffer.of(samples).content()
+        plain, arrays = context_nodes.state()
+        context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
+        context_nodes.learn(samples[-1])
+        self.context_nodes = context_nodes
+        if self.predictor is not None:
+            self.predictor.training.refill(content)
+        if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
+            self.alarm.relearn()
+        self._fit.forget()
+        self._retested.update(range(self.motors))
+        self._know(self.estimate(), slice(None))
+        self._foreseen = None
+
+    def white_box_of(self, motor: int) -> MotorWhiteBox:
+        """Return the physics of one motor, its constants plain numbers."""
+        if self.motors == 1:
+            return self.white_box
+        known = {name: float(value[motor]) for name, value in self.white_box.known.items()}
+        return replace(
+            self.white_box,
+            torque_constant=float(self.white_box.torque_constant[motor]),
+            known=known,
+        )
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
+        self.settle()
+        plain, arrays = self.context_nodes.state(motor)
+        network = {} if self.predictor is None else self.predictor.state(motor)
+        delay = (
+            self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
+        )
+        content = {
+            'white_box': self.white_box_of(motor).to_dict(),
+            'context_nodes': plain,
+            'delay': delay,
+            'fit': self._fit.state(motor, int(self.context_nodes.replay.received[motor])),
+            'identified': self.identified_of(motor),
+            'identified_parameters': list(self.parameters_identified_of(motor)),
+        }
+        alarm = {} if self.alarm is None else self.alarm.state(motor)
+        groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
+        return content, {
+            f'{group}/{name}': array
+            for group, part in groups.items()
+            for name, array in part.items()
+        }
+
+    def close(self) -> None:
+        """Stop training."""
+        if self._predictor is not None:
+            self._predictor.training.close()
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave, for one motor.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters, or by other rules.
+            CheckpointError: it is no state that could have been learnt.
+        """
+        which = slice(motor, motor + 1)
+        flag(plain, 'identified')
+        known = entry(plain, 'identified_parameters')
+        if not isinstance(known, list) or [type(one) for one in known] != [bool] * len(
+            self.white_box.parameters
+        ):
+            raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
+        self.context_nodes.restore(
+            dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
+        )
+        estimate = self.context_nodes.estimate(which)
+        if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
+            raise CheckpointError('what is believed is no estimate: it is not finite')
+        self._fit.restore(
+            dict(group(plain, 'fit')), motor, int(self.context_nodes.replay.received[motor])
+        )
+        self._know(self.estimate(which), which)
+        if self._frozen:  # verdicts tell it no more
+            self._identified = self._identified.copy()
+            self._identified[which] = plain['identified']
+            self._known_parameters[which] = known
+        if self.predictor is not None:
+            self.predictor.restore(_group(arrays, 'network'), motor)
+        alarm = _group(arrays, 'alarm')
+        if self.alarm is not None and alarm:
+            self.alarm.restore(alarm, motor)
+        if isinstance(self.delay, DelayWatch):
+            self.delay.restore(dict(group(plain, 'delay')))
+        else:
+            self.delay.restore(dict(group(plain, 'delay')), motor)
+
+
+_NOBODY = np.arange(0)
+_FIRST = np.arange(1)
+
+
+def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:
+    """Take one group out of what :meth:`MotorObserver.state` named."""
+    return {
+        name.removeprefix(f'{group}/'): array
+        for name, array in arrays.items()
+        if name.startswith(f'{group}/')
+    }

@@ -1,0 +1,160 @@
+"""One motor, alone or of a group, to look at: what diagnostics, reports and checkpoints read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.samples import ReplayBuffer
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingView:
+    """How the training of the motor's network goes.
+
+    Attributes:
+        failure: why it has stopped; None where it has not.
+        jobs_done: networks taken over.
+        jobs_late: those that came late.
+        residual_nm: root mean square of what is learnt beside the physics, in N m.
+    """
+
+    failure: str | None
+    jobs_done: int
+    jobs_late: int
+    residual_nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmView:
+    """The alarm on the prediction's residual.
+
+    Attributes:
+        armed: whether it has learnt the residual.
+        raised: whether it stands.
+        std_nm: standard deviation of the residual in N m.
+        count: how often it was raised.
+    """
+
+    armed: bool
+    raised: bool
+    std_nm: float
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class MotorView:
+    """What is known of one motor; every reading is of the present moment.
+
+    Attributes:
+        observer: of the motor, or of the group that it belongs to.
+        place: on the motor axis.
+    """
+
+    observer: MotorObserver
+    place: int
+
+    @property
+    def white_box(self) -> MotorWhiteBox:
+        """Its physics."""
+        return self.observer.white_box_of(self.place)
+
+    @property
+    def estimate(self) -> Estimate:
+        """The present values with covariance and verdicts."""
+        return self.observer.estimate(self._one)
+
+    @property
+    def theta(self) -> Array:
+        """The present values, shape (1, parameter)."""
+        return self.observer.context_nodes.theta[self._one]
+
+    @property
+    def identified(self) -> bool:
+        """Whether every parameter was identified when learning went on last."""
+        return self.observer.identified_of(self.place)
+
+    @property
+    def parameters_identified(self) -> tuple[bool, ...]:
+        """The same of every parameter."""
+        return self.observer.parameters_identified_of(self.place)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What the rule has met so far, by a name for diagnostics."""
+        return self.observer.context_nodes.counters(self.place)
+
+    @property
+    def changes(self) -> int:
+        """How often it was found changed."""
+        return self.counters.get('motor changes', 0)
+
+    @property
+    def delay(self) -> DelayEstimate:
+        """What is known of its delay."""
+        return self.observer.delay_of(self.place)
+
+    @property
+    def fit(self) -> FitAssessment:
+        """How well the white box explains its data."""
+        return self.observer.fit_of(self.place)
+
+    def fit_percent(self) -> float | None:
+        """Return the fit of the free run to the samples remembered, in per cent (NRMSE); None: not
+        known.
+        """
+        replay = self.remembered()
+        if len(replay) < 2:
+            return None
+        interval_s, voltage_v, torque_nm, speed_rad_s = replay.newest(len(replay))[:, 0]
+        run_nm = white_box_torque(
+            self.white_box, self.theta[0], interval_s, voltage_v, torque_nm, speed_rad_s
+        )
+        return fit_percent(np.where(interval_s > 0.0, torque_nm, np.nan), run_nm)
+
+    @property
+    def training(self) -> TrainingView | None:
+        """How its network is trained; None where there is no predictor."""
+        predictor = self.observer.predictor
+        if predictor is None:
+            return None
+        size_nm = float(predictor.residual.size_nm[self.place])
+        training = predictor.training
+        return TrainingView(training.failure, training.jobs_done, training.jobs_late, size_nm)
+
+    @property
+    def alarm(self) -> AlarmView | None:
+        """Its alarm; None where no prediction is good enough to judge by."""
+        alarm, at = self.observer.alarm, self.place
+        if alarm is None:
+            return None
+        return AlarmView(
+            bool(alarm.armed[at]),
+            bool(alarm.raised[at]),
+            float(alarm.spread[at]),
+            int(alarm.count[at]),
+        )
+
+    def remembered(self) -> ReplayBuffer:
+        """Return a copy of the samples that are remembered of it."""
+        content = self.observer.context_nodes.replay.content(self._one)
+        made = ReplayBuffer(1, max(1, content.shape[2]))
+        made.refill(content)
+        return made
+
+    def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt of it, for a checkpoint."""
+        return self.observer.state(self.place)
+
+    @property
+    def _one(self) -> slice:
+        return slice(self.place, self.place + 1)

@@ -1,0 +1,583 @@
+"""The observer: feeds every group of motors that come in the same messages to a motor observer,
+sample by sample.
+
+One core, three doors: live topics, a replayed bag and the offline command all feed this object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.delay import DelayEstimate
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.observer.builder import (
+    TrainingFactory,
+    alarm_rules,
+    context_nodes,
+    initial_estimate,
+    motor_observer,
+    verdict_rules,
+)
+from gray_box_observer.observer.grouping import Grouping, Part, Values
+from gray_box_observer.observer.incident import Incident
+from gray_box_observer.observer.motor_group import Group, GroupResult, Result
+from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.predictor import Skill
+from gray_box_observer.samples import Pairing, Sample
+from gray_box_observer.samples.counts import PairingCounts
+from gray_box_observer.samples.sample import nanoseconds
+from gray_box_observer.samples.stopped import StoppedPairing
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.device import torch_device
+from gray_box_observer.white_box.interface import Array
+
+__all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
+
+T = TypeVar('T')
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Torque expected of one motor at a stamp that is still to come."""
+
+    motor: str
+    stamp_ns: int
+    torque_nm: float
+
+
+class Observer:
+    """Observes the configured motors.
+
+    Args:
+        configuration: parameters of the observer and of every motor.
+        training: makes the trainer of a motor from its configuration; None: no predictor.
+
+    Whatever escapes inside the observer of a group stops that group, and no other. It learns and
+    predicts no more, its motors leave :attr:`motors`, and what comes for them is refused.
+    :class:`ConfigurationError` goes through: a device that is gone ends everything.
+
+    Attributes:
+        configuration: as above.
+        motors: every motor that has been seen and has not stopped.
+        incidents: what has stopped motors, by their names; a restored state sets them going again.
+
+    Raises:
+        ConfigurationError: there is no such device as the configuration asks for.
+    """
+
+    def __init__(
+        self, configuration: Configuration, training: TrainingFactory | None = None
+    ) -> None:
+        torch_device(configuration['device'])  # said before the first sample comes
+        self.configuration = configuration
+        self._training = training if configuration['predictor'] else None
+        self._frozen = bool(configuration['freeze'])
+        self._grouping = Grouping(configuration)
+        self.motors: dict[str, MotorView] = {}
+        self.incidents: dict[str, Incident] = {}
+
+    def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
+        """Take one armature voltage; part of the Python API.
+
+        Args:
+            motor: its name, as configured.
+            stamp_ns: stamp in ns; the voltage holds from here to the stamp of the next one.
+            voltage_v: in V. One that is not finite, or late, is refused and counted
+                (:meth:`counts`).
+
+        Returns:
+            One result for each sample that it completes; none while torque has still to come.
+
+        Raises:
+            KeyError: there is no motor of that name.
+            ConfigurationError: the device has failed.
+        """
+        return self._flat(
+            self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None)
+        )
+
+    def torque(
+        self, motor: str, stamp_ns: int, torque_nm: float, speed_rad_s: float = math.nan
+    ) -> list[Result]:
+        """Take one torque, with the speed where it is measured; part of the Python API.
+
+        Args:
+            motor: its name, as configured.
+            stamp_ns: stamp in ns: the torque is that of this instant.
+            torque_nm: in N m. One that is not finite, or late, is refused and counted
+                (:meth:`counts`).
+            speed_rad_s: in rad/s; NaN: not measured.
+
+        Returns:
+            One result for each sample that it completes. ``estimate`` in it is None where nothing
+            has changed.
+
+        Raises:
+            KeyError: there is no motor of that name.
+            ConfigurationError: the device has failed, or a speed that must be measured is missing.
+        """
+        return self._flat(
+            self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s])
+        )
+
+    def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
+        """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
+        return self._flat(
+            self._take([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None)
+        )
+
+    def take(
+        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
+    ) -> list[GroupResult]:  # fmt: skip
+        """Take what one message says of a signal.
+
+        Args:
+            signal: ``voltage``, ``torque`` or ``speed``.
+            names: motors that the message speaks of; those not configured are passed over.
+            stamp_ns: its stamp.
+            values: one a name, in SI units.
+            speeds: of a torque message, in rad/s, where it brings them.
+
+        Returns:
+            What the samples that it completes have led to, group by group.
+        """
+        return self._take(
+            self._grouping.parts(signal, names, speeds), signal, stamp_ns, values, speeds
+        )
+
+    def groups(self, names: tuple[str, ...]) -> list[Group]:
+        """Return the groups that the motors of a message belong to."""
+        return self._grouping.spoken_of(names)
+
+    def group_of(self, motor: str) -> Group:
+        """Return the group that a motor belongs to; one that comes alone is a group of its own."""
+        return self._grouping.place(motor)[0]
+
+    def counts(self, motor: str) -> PairingCounts:
+        """Return what became of a motor's messages."""
+        group, place = self._grouping.place(motor)
+        return group.pairing.of(place)
+
+    def flush(self) -> list[Result]:
+        """Learn what still waits for a voltage (end of a bag)."""
+        return self._flat([result for group in self.every_group for result in self._flush(group)])
+
+    def results(self, result: GroupResult) -> list[Result]:
+        """Return what a sample of a group has led to, motor by motor; nothing where the group has
+        stopped since.
+        """
+        return self.contain(result.group, lambda: list(result)) or []
+
+    def contain(
+        self, group: Group, action: Callable[[], T], samples: Sequence[Sample] = ()
+    ) -> T | None:
+        """Do something inside the observer of a group; where that fails, stop the group.
+
+        Args:
+            group: the motors.
+            action: what to do.
+            samples: those that are at hand, for the report.
+
+        Returns:
+            What the action gives; None where the group has stopped, now or before.
+
+        Raises:
+            ConfigurationError: a device that is gone.
+        """
+        if group.is_stopped:
+            return None
+        try:
+            return action()
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            self.stop(group, error, samples)
+            return None
+
+    def stop(self, group: Group, error: Exception, samples: Sequence[Sample] = ()) -> None:
+        """Stop the motors of a group because of an error; the others go on. The first error counts."""
+        if group.is_stopped:
+            return
+        incident = Incident.from_error(group, error, samples)
+        counts = [group.pairing.of(place) for place in range(len(group.names))]
+        if group.observer is not None:
+            with suppress(Exception):  # it is broken
+                group.observer.close()
+        group.observer, group.pairing = None, StoppedPairing(counts)
+        for name in group.names:
+            self.motors.pop(name, None)
+            self.incidents[name] = incident
+
+    def forecast_group(self, group: Group, stamp_ns: int) -> Array | None:
+        """Predict the torque of every motor of a group at a stamp that is still to come, shape
+        (motor,); NaN: unknown.
+
+        None where the voltage is not known up to the stamp; changes nothing.
+        """
+        try:
+            ahead = group.pairing.ahead(stamp_ns)
+            if group.observer is None or ahead is None:
+                return None
+            prediction = group.observer.predict(*(np.atleast_1d(value) for value in ahead))
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            self.stop(group, error)
+            return None
+        return None if prediction is None else prediction.torque_nm
+
+    def foresee(self, group: Group) -> None:
+        """Work out the next prediction of a group before it is asked for, where it can be told what
+        will be asked.
+
+        Changes nothing but when it is done: for whoever has time now and none when the next voltage
+        has come.
+        """
+        newest, pairing = group.pairing.newest_voltage, group.pairing
+        if (
+            group.observer is not None
+            and newest is not None
+            and newest[0] == pairing.newest_sample_ns
+        ):
+            try:
+                group.observer.foresee(newest[1])
+            except ConfigurationError:
+                raise
+            except Exception as error:
+                self.stop(group, error)
+
+    def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
+        """Predict the torque at a stamp whose voltage is known and whose torque is still to come;
+        changes nothing.
+        """
+        group, place = self._grouping.place(motor)
+        torque_nm = self.forecast_group(group, stamp_ns)
+        if torque_nm is None or not math.isfinite(torque_nm[place]):
+            return None
+        return Forecast(motor, stamp_ns, float(torque_nm[place]))
+
+    def forecast_held(self, motor: str, horizon_s: float) -> Forecast | None:
+        """Predict the torque after the newest voltage has been held for a while; changes nothing.
+
+        The stamp is that of the voltage (shifted by the delay, where there is one) plus the
+        horizon. Torque measured at or before the voltage's stamp must not be waited for: what is
+        not measured yet is predicted on the way.
+
+        Args:
+            motor: its name.
+            horizon_s: how long the voltage is held.
+
+        Returns:
+            None before the second sample of a signal history, where no predictor runs, or where the
+            voltage came so late that torque has been learnt beyond it.
+
+        Raises:
+            ConfigurationError: the network is one of the thesis, which goes from sample to sample
+                only.
+        """
+        group, place = self._grouping.place(motor)
+        found = self.forecast_group_held(group, horizon_s)
+        if found is None or not math.isfinite(found[1][place]):
+            return None
+        return Forecast(motor, found[0], float(found[1][place]))
+
+    def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
+        """Return stamp and torques, shape (motor,), of :meth:`forecast_held` for every motor of a
+        group.
+        """
+        return self.contain(group, lambda: self._forecast_held(group, horizon_s))
+
+    def _forecast_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
+        observer, pairing = group.observer, group.pairing
+        newest = pairing.newest_voltage
+        if observer is None or newest is None:
+            return None
+        since_ns, voltage_v = newest
+        ahead = pairing.ahead(since_ns)
+        if ahead is None and since_ns != pairing.newest_sample_ns:
+            return None
+        torque_nm = observer.forecast_held(ahead, horizon_s, voltage_v)
+        return None if torque_nm is None else (since_ns + nanoseconds(horizon_s), torque_nm)
+
+    def group_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
+        """Return names and present estimates of every group that has been seen."""
+        found = []
+        for group in self.every_group:
+            observer = group.observer
+            if observer is None:
+                continue
+            estimate = self.contain(group, observer.estimate)
+            if estimate is not None:
+                found.append((group.names, estimate))
+        return found
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Return the present estimate of every motor that has been seen, by its name; part of the
+        Python API.
+
+        Each has a motor axis of one: ``value`` and ``std`` have shape (1, parameter),
+        ``covariance`` has shape (1, parameter, parameter), all in SI units. ``parameters`` names
+        the columns, ``verdicts[0]`` judges them.
+        """
+        return self._of_every_motor(lambda motor: motor.estimate)
+
+    def known(self, motor: str) -> tuple[Estimate, bool]:
+        """Return what is known of a motor and whether all of it is identified; of one not seen yet,
+        what was given.
+        """
+        seen = self.motors.get(motor)
+        if seen is None:
+            given = initial_estimate(self.configuration, self.configuration.motors[motor])
+            return given, given.identified(0)
+        return seen.estimate, seen.identified
+
+    def parameters_identified(self, motor: str) -> tuple[bool, ...]:
+        """Return which parameters of a motor are identified; of one not seen yet, by what was
+        given.
+        """
+        seen = self.motors.get(motor)
+        if seen is not None:
+            return seen.parameters_identified
+        given = initial_estimate(self.configuration, self.configuration.motors[motor])
+        return tuple(verdict in COUNTS_AS_KNOWN for verdict in given.verdicts[0])
+
+    def fit(self, motor: str) -> FitAssessment:
+        """Return how well the white box explains the data of a motor; untested where it was not
+        seen yet.
+        """
+        seen = self.motors.get(motor)
+        return FitAssessment() if seen is None else seen.fit
+
+    def delays(self) -> dict[str, DelayEstimate]:
+        """Return what is known of the delay between voltage and torque of every motor that has been
+        seen.
+        """
+        return self._of_every_motor(lambda motor: motor.delay)
+
+    def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
+        """Return something of every motor that has been seen; what has stopped is left out."""
+        found = {
+            name: self.contain(self.group_of(name), partial(get, motor))
+            for name, motor in [*self.motors.items()]
+        }
+        return {name: value for name, value in found.items() if value is not None}
+
+    def alarm(self, motor: str) -> bool:
+        """Whether the alarm on the prediction's residual stands; never where nothing is predicted
+        by the physics.
+        """
+        if motor not in self._grouping:
+            return False
+        group, place = self._grouping.place(motor)
+        observer = group.observer
+        return observer is not None and bool(self.contain(group, lambda: observer.alarmed[place]))
+
+    def skill(self, motor: str) -> Skill | None:
+        """Return the predictor's scores; None where there is no predictor."""
+        group, place = self._grouping.place(motor)
+        return self.contain(group, lambda: self._skill(group, place))
+
+    @staticmethod
+    def _skill(group: Group, place: int) -> Skill | None:
+        if group.observer is None or group.observer.predictor is None:
+            return None
+        return group.observer.predictor.scores.skill(place)
+
+    @property
+    def frozen(self) -> bool:
+        """Whether learning is stopped."""
+        return self._frozen
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning of every motor; predictions go on."""
+        self._frozen = frozen
+        for group in self.every_group:
+            if group.observer is not None:
+                self.contain(group, partial(group.observer.freeze, frozen))
+
+    def reconfigure(self, configuration: Configuration) -> None:
+        """Take over the values of parameters that may change at any time; what was learnt stays."""
+        self.configuration = configuration
+        self._grouping.reconfigure(configuration)
+        verdicts, alarm = verdict_rules(configuration), alarm_rules(configuration)
+        for group in self.every_group:
+            if group.observer is not None:
+                core_share = configuration['training.core_share']
+                self.contain(
+                    group, partial(group.observer.reconfigure, verdicts, alarm, core_share)
+                )
+        if configuration['freeze'] != self._frozen:
+            self.freeze(configuration['freeze'])
+
+    def restore(
+        self,
+        saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
+        together: Sequence[Sequence[str]] = (),
+    ) -> None:
+        """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
+
+        Args:
+            saved: plain values and arrays, by motor.
+            together: motors that were computed together: they came in the same messages, what
+                others do nobody knows.
+
+        Raises:
+            ConfigurationError: something was learnt with another white box or other parameters.
+        """
+        places = self._grouping.places
+        made: list[tuple[Group, MotorObserver]] = []
+        try:
+            for names in together:
+                self._grouping.gather(names)
+            affected = [
+                group for group in self.every_group if any(name in saved for name in group.names)
+            ]
+            made.extend((group, self._restored(group, saved)) for group in affected)
+        except BaseException:
+            for _, observer in made:
+                observer.close()
+            self._grouping.put_back(places)
+            raise
+        for group, observer in made:  # all good: take over
+            self._flush(group)  # what still waited belongs to the old signal history
+            if group.observer is not None:
+                self.contain(group, group.observer.settle)
+            if group.observer is not None:
+                group.observer.close()
+            if isinstance(group.pairing, StoppedPairing):  # what is restored did not fail
+                group.pairing = self._grouping.pairing_of(group)
+            group.pairing.restart(observer.delay_of(0).applied_s)
+            self._adopt(group, observer)
+            for name in group.names:
+                self.incidents.pop(name, None)
+
+    def _restored(
+        self, group: Group, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
+    ) -> MotorObserver:
+        """Make the observer of a group from what was saved; what was not saved stays as it is."""
+        states = dict(saved)
+        for motor, name in enumerate(group.names):
+            if name not in states and group.observer is not None:
+                states[name] = group.observer.state(motor)
+        told = {
+            bool(states[name][0]['white_box']['speed_measured'])
+            for name in group.names
+            if name in states
+        }
+        made = self._make(group, any(told))
+        try:
+            for motor, name in enumerate(group.names):
+                if name not in states:
+                    continue
+                plain, arrays = states[name]
+                if made.white_box_of(motor).to_dict() != plain['white_box']:
+                    raise ConfigurationError(
+                        f'motor {name}: the checkpoint was learnt with other known constants or '
+                        'terms'
+                    )
+                made.restore(plain, arrays, motor)
+        except BaseException:
+            made.close()
+            raise
+        return made
+
+    def close(self) -> None:
+        """Stop whatever trains in the background."""
+        for group in self.every_group:
+            if group.observer is not None:
+                self.contain(group, group.observer.close)
+
+    @property
+    def every_group(self) -> list[Group]:
+        """Every group once; a motor that comes alone is a group of its own."""
+        return self._grouping.groups
+
+    def _take(
+        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values, speeds: Values | None
+    ) -> list[GroupResult]:  # fmt: skip
+        """Let every group have its part of a message."""
+        results: list[GroupResult] = []
+        for part in parts:
+            samples: list[Sample] = []
+            try:
+                samples = part.take(signal, stamp_ns, values, speeds)
+                if samples:
+                    results += self._learn(part.group, samples)
+            except ConfigurationError:
+                raise
+            except Exception as error:
+                self.stop(part.group, error, samples)
+        return results
+
+    def _flush(self, group: Group) -> list[GroupResult]:
+        """Learn what still waits for a voltage."""
+        return self.contain(group, lambda: self._learn(group, group.pairing.flush())) or []
+
+    def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
+        results: list[GroupResult] = []
+        waiting, pairing = deque(samples), group.pairing
+        assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
+        while waiting:
+            sample = waiting.popleft()
+            if group.observer is None:
+                self._adopt(group, self._make(group, bool(np.isfinite(sample.speed_rad_s).any())))
+            observer = group.observer
+            assert observer is not None
+            if pairing.repeats(sample):  # it was predicted, scored and reported before
+                again = observer.repeat(sample)
+                if again is not None and results:
+                    results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
+                continue
+            left, estimate = observer.step(sample)
+            if estimate is not None and not estimate.is_finite:
+                raise ArithmeticError('an estimate that is not finite')
+            results.append(
+                GroupResult(group, sample, left.prediction, observer.changed, estimate, left)
+            )
+            delay_s = None
+            if not self._frozen:
+                delay_s = observer.delay.take(
+                    pairing.history, sample.stamp_ns, awaited=estimate is not None
+                )
+            if delay_s is not None:
+                known, rest = pairing.redelay(delay_s, sample.stamp_ns)
+                motors = [self.configuration.motors[name] for name in group.names]
+                observer.relearn(
+                    context_nodes(self.configuration, motors, observer.white_box), known
+                )
+                estimate = observer.estimate()
+                results[-1] = replace(
+                    results[-1], estimate=estimate, changed=np.arange(len(group.names))
+                )
+                waiting = deque(rest)
+        return results
+
+    def _adopt(self, group: Group, observer: MotorObserver) -> None:
+        """Let a group be observed from now on."""
+        group.observer = observer
+        group.pairing.needs_speed = observer.white_box.speed_measured
+        self.motors.update(
+            {name: MotorView(observer, place) for place, name in enumerate(group.names)}
+        )
+
+    def _make(self, group: Group, measured: bool) -> MotorObserver:
+        motors = [self.configuration.motors[name] for name in group.names]
+        made = motor_observer(self.configuration, motors, self._training, measured=measured)
+        made.freeze(self._frozen)
+        return made
+
+    def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
+        """Results of groups, motor by motor."""
+        return [one for result in results for one in self.results(result)]

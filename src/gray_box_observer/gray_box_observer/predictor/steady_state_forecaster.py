@@ -1,0 +1,141 @@
+"""Variant ``physics`` in streaming: the network carries a predicted current towards where the
+physics leads it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.predictor.elementwise import Axis
+from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, check_weights, step
+from gray_box_observer.predictor.steady_state import INPUTS, Course, after, relaxation
+from gray_box_observer.white_box.interface import Array, WhiteBox
+
+
+class RelaxingForecaster:
+    """See :class:`~gray_box_observer.predictor.forecaster.Forecaster`. Useful from the second
+    sample of a history on.
+
+    Args:
+        white_box: the physics.
+        motors: number of motors.
+        weights: the network to begin with.
+        device: torch's, on which it runs; None: by numpy.
+    """
+
+    def __init__(
+        self, white_box: WhiteBox, motors: int, weights: Weights, device: str | None = None
+    ) -> None:
+        self._axis = Axis(motors, device)
+        self._white_box = self._axis.white_box(white_box)
+        self._run(weights)
+        self._memory = self._blank()
+        self._current = self._axis.take(np.full(motors, np.nan))
+
+    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+        """Let the current relax over the interval, in one step however long it is."""
+        axis, ops = self._axis, self._axis.ops
+        current, memory = self._origin(question)
+        start = ops.where(question.usable, current, 0.0)
+        interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
+        interval = relaxation(ops, self._white_box, question.way, start, interval_s)
+        columns = interval.inputs(ops)
+        inputs = np.array([columns]) if axis.single else ops.stack(columns).T
+        readout, memory = advance(axis.arrays, self._matrices, memory, inputs)
+        end = after(ops, interval, axis.take(readout))
+        torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
+        return axis.give(torque_nm), memory
+
+    def path(self, question: Question, instants_s: Array) -> Array:
+        """Forecast torques on the way through a held voltage, each in one step from where the motor
+        is.
+
+        Args:
+            question: what is held; the length of its interval is left aside.
+            instants_s: shape (instant,): time since the start.
+
+        Returns:
+            Shape (motor, instant), in N m; NaN where the question cannot be answered.
+        """
+        current, memory = self._origin(question)
+        motors, count = memory.hidden.shape[0], instants_s.size
+        usable, way = np.reshape(question.usable, (motors, 1)), question.way
+        if not self._axis.single:
+            theta = [column[:, None] for column in way.theta]
+            way = Course(theta, *(signal[:, None] for signal in way.signals))
+        start = np.broadcast_to(
+            np.where(usable, np.reshape(current, (motors, 1)), 0.0), (motors, count)
+        )
+        interval = relaxation(np, self._white_box, way, start, instants_s)
+        inputs = np.stack(interval.inputs(np), axis=-1).reshape(motors * count, INPUTS)
+        repeated = Memory(
+            np.repeat(memory.hidden, count, axis=0), np.repeat(memory.cell, count, axis=0)
+        )
+        readout, _ = step(self._weights, repeated, inputs)
+        end = after(np, interval, readout.reshape(motors, count))
+        return self._white_box.output(np.where(usable, end, np.nan))
+
+    def _origin(self, question: Question) -> tuple[Any, Memory]:
+        """Current and memory at the start of the interval."""
+        if question.origin is None:
+            return self._current, self._memory
+        torque_nm, memory = question.origin
+        return self._white_box.state(self._axis.take(torque_nm)), memory
+
+    def remember(
+        self,
+        torque_nm: Array,
+        measured_nm: Array,
+        anew: Mask,
+        memory: Memory | None,
+        present: Mask | None = None,
+    ) -> None:
+        """Go on from the forecast; from the measured torque where a history begins."""
+        axis, begins = self._axis, anew | ~np.isfinite(torque_nm)
+        before = self._memory, self._current
+        self._memory = self._memory if memory is None else memory
+        if begins.any():
+            torque_nm = np.where(begins, measured_nm, torque_nm)
+            self._memory = self._memory.cleared(axis.array(begins), axis.arrays)
+        self._current = self._white_box.state(axis.take(torque_nm))
+        if present is not None:
+            present = axis.array(present)
+            self._memory = self._memory.where(present, before[0], axis.arrays)
+            self._current = axis.arrays.where(present, self._current, before[1])
+
+    def adopt(self, result: dict[str, Any]) -> None:
+        """Let a better network run from here on."""
+        self._run(Weights.of(result))
+
+    def _run(self, weights: Weights) -> None:
+        self._weights = weights
+        self._matrices = [self._axis.array(matrix) for matrix in weights.matrices]
+
+    def _blank(self) -> Memory:
+        blank = Memory.blank(self._axis.motors, self._weights.hidden)
+        return Memory(self._axis.array(blank.hidden), self._axis.array(blank.cell))
+
+    def state(self) -> dict[str, Array]:
+        """The network."""
+        return self._weights.arrays()
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back the network, if there was one."""
+        if 'input' not in arrays:
+            return
+        if any(name.startswith('range_') for name in arrays):
+            raise ConfigurationError(
+                'the checkpoint holds a network of the thesis, expected variant physics: see '
+                'variant'
+            )
+        check_weights(arrays)
+        self._run(Weights.of(arrays, self._weights.hidden, INPUTS))
+        self._memory = self._blank()
+
+    def start(self) -> dict[str, Any]:
+        """The network, for a job."""
+        return {f'start_{name}': array for name, array in self._weights.arrays().items()}

@@ -1,0 +1,322 @@
+"""Training while the motors run: which samples a network and a correction are taught, when, and
+what comes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.predictor.forecaster import Forecaster
+from gray_box_observer.predictor.lag_features import LONGEST
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
+from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.residual_model import ResidualForecaster
+from gray_box_observer.predictor.training.residual_schedule import (
+    ResidualSchedule,
+    have_moved,
+    newest,
+)
+from gray_box_observer.predictor.training.saved_training import check_job, check_learning
+from gray_box_observer.predictor.training.segments import SEGMENT, SIGNALS
+from gray_box_observer.predictor.training.training_backend import Training
+from gray_box_observer.safe_io.saved_state import MOST, check_array, counts, positive
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.interface import Array
+
+
+class OnlineTraining:
+    """Remembers samples, hands them over as jobs, one at a time, and lets run what the jobs have
+    made.
+
+    Nothing of a motor is learnt twice: what is settled rests until the motor or its range moves.
+
+    Args:
+        motors: number of motors; they take turns, a job is of one motor.
+        rules: settings.
+        training: where jobs run.
+        forecaster: runs the network.
+        residual: runs the correction, which is learnt of a single motor only.
+        speed_measured: whether speed is a signal; else whoever predicts sees none, and nobody must
+            be taught with it.
+
+    Attributes:
+        replay: samples that jobs are made of.
+        jobs_done: jobs whose result was taken.
+        jobs_late: how often a job was not done when the next one was due.
+        loss: of the newest job; None before the first.
+    """
+
+    def __init__(
+        self, motors: int, rules: TrainingRules, training: Training, forecaster: Forecaster,
+        residual: ResidualForecaster, *, speed_measured: bool,
+    ) -> None:  # fmt: skip
+        self._motors = motors
+        self._rules = rules
+        self._training = training
+        self._forecaster = forecaster
+        self._residual = residual
+        self._no_speed = None if speed_measured else np.full(motors, np.nan)
+        self._schedule = ResidualSchedule(motors, rules)
+        # of a group no residual is learnt, and a job carries its newest samples only
+        self.replay = ReplayBuffer(
+            motors, rules.replay_capacity if motors == 1 else rules.job_samples
+        )
+        self.jobs_done = 0
+        self.jobs_late = 0
+        self.loss: float | None = None
+        self._frozen = False
+        self._resumes: NDArray[np.bool_] | None = None  # whose history begins anew
+        self._seen = OperatingRange()
+        self._start_from: dict[str, Any] = {}
+        self._settled: dict[int, tuple[Array, OperatingRange]] = {}
+        self._turn = 0
+        self._job: dict[str, Any] = {}
+        self._learning: dict[str, Array] = {}
+
+    def take(
+        self,
+        sample: Sample,
+        speed_rad_s: Array,
+        physics_nm: Array,
+        theta: Array,
+        covariance: Array | None = None,
+    ) -> None:
+        """Remember a sample, and start or finish a job when one is due.
+
+        Args:
+            sample: what came.
+            speed_rad_s: shape (motor,): speed at its stamp, the one before where none came.
+            physics_nm: shape (motor,): what the physics had said of it; NaN where nothing.
+            theta: shape (motor, parameter): context nodes before the sample is learnt.
+            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at
+                all.
+        """
+        if self._frozen:
+            return
+        speed_rad_s = speed_rad_s if self._no_speed is None else self._no_speed
+        if self._resumes is not None:
+            sample, self._resumes = sample.resuming(self._resumes)
+        self.replay.append(sample, speed_rad_s)
+        self._schedule.follow(self.replay, physics_nm)
+        if self.replay.total % self._rules.period == 0:
+            self._train(
+                theta,
+                np.zeros((*theta.shape, theta.shape[1])) if covariance is None else covariance,
+            )
+
+    @property
+    def due_next(self) -> bool:
+        """Whether a job may start or finish with the next sample."""
+        return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume; what comes while frozen is not remembered, a new signal history follows
+        it.
+        """
+        if frozen == self._frozen:
+            return
+        self._frozen = frozen
+        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
+
+    def refill(self, content: Array) -> None:
+        """Remember these samples instead, which were paired anew; what the others taught beside the
+        physics is void.
+
+        Args:
+            content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
+        """
+        if self._no_speed is not None:
+            content = content.copy()
+            content[SIGNALS.index('speed_rad_s')] = np.nan
+        self.replay.refill(content)
+        self._begin_residual_anew(from_number=self.replay.total - len(self.replay))
+
+    def share(self, core_share: float) -> None:
+        """Change the share of a core that jobs in the background may use."""
+        self._training.share = core_share
+
+    def close(self) -> None:
+        """Stop for good."""
+        self._training.close()
+
+    @property
+    def failure(self) -> str | None:
+        """Why training has ended for good, if it has."""
+        return self._training.failure
+
+    def state(self, motor: int = 0) -> dict[str, Array]:
+        """Where the motors have run and everything that training one of them depends on but what
+        runs, as arrays.
+
+        A job whose result is still to come is saved as it was handed over: it is run again.
+        """
+        common = {
+            **_named('seen', self._seen.to_dict()),
+            'replay': self.replay.content(slice(motor, motor + 1)),
+            'total': np.array(self.replay.total),
+        }
+        if motor in self._settled:
+            theta, seen = self._settled[motor]
+            common |= {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
+        if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
+            return common
+        return {
+            **common,
+            **{f'schedule_{name}': array for name, array in self._schedule.state().items()},
+            **self._learning,
+            **{
+                f'job_{name}': np.asarray(value)
+                for name, value in self._job.items()
+                if name != 'seen'
+            },
+            **_named('job_seen', self._job.get('seen', {})),
+        }
+
+    def restore(self, arrays: Mapping[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave of one motor, after what runs; training goes on from
+        there.
+
+        Raises:
+            CheckpointError: it is no state that could have been.
+        """
+        self._check(arrays)
+        if 'replay' in arrays:  # a network alone may be taken over too
+            self.replay.refill(arrays['replay'], slice(motor, motor + 1))
+        self._settled.pop(motor, None)
+        if 'settled_theta' in arrays:
+            self._settled[motor] = (
+                arrays['settled_theta'].copy(),
+                saved_range(arrays, 'settled_seen'),
+            )
+        if self._motors > 1:
+            self._seen = self._seen.joined(saved_range(arrays, 'seen'))
+            self._start_from = self._forecaster.start()
+            return
+        self._seen = saved_range(arrays, 'seen')
+        if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
+            self.replay.total = int(arrays['total'])
+            self._schedule.restore(
+                {name[9:]: array for name, array in arrays.items() if name.startswith('schedule_')}
+            )
+        self._learning = {
+            name: array for name, array in arrays.items() if name.startswith('learning_')
+        }
+        self._start_from = {
+            **self._forecaster.start(),
+            **{f'start_{name}': array for name, array in self._learning.items()},
+        }
+        job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
+        if job:
+            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
+            residual = bool(job['residual'])
+            self._submit({**kept, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()})
+
+    def _check(self, arrays: Mapping[str, Array]) -> None:
+        """Refuse a saved state that could not have been.
+
+        Raises:
+            CheckpointError: an array is missing, of another shape or out of range.
+        """
+        if 'replay' in arrays:
+            check_signals('replay', arrays['replay'])
+        if 'settled_theta' in arrays:
+            check_array('settled_theta', arrays['settled_theta'], positive(1, None))
+        check_learning(arrays, self._rules.variant)
+        check_job(arrays)
+        if 'schedule_theta' in arrays:
+            check_array('total', arrays.get('total'), counts())
+            total = int(arrays['total'])
+            for name in ('schedule_asked', 'schedule_from'):
+                check_array(name, arrays.get(name), counts(low=-MOST, high=total))
+            if 'schedule_first' in arrays:
+                check_array(
+                    'schedule_first',
+                    arrays['schedule_first'],
+                    counts(None, low=-MOST, high=total - SEGMENT),
+                )
+
+    def _train(self, theta: Array, covariance: Array) -> None:
+        """Adopt the finished job's network and hand the next one over; a job that is late is waited
+        for next time.
+        """
+        signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
+        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
+        if self._training.busy:
+            result = self._training.collect()
+            if result is None:
+                self.jobs_late += 1
+                return
+            self._adopt(result)
+        if self._schedule.moved(
+            theta, covariance
+        ):  # what was learnt of other parameters is worth nothing now
+            self._begin_residual_anew(from_number=self.replay.total)
+        residual = self._schedule.due(self.replay)
+        turn, which = self._turn, slice(self._turn, self._turn + 1)
+        self._turn = (self._turn + 1) % self._motors
+        idle = self._nothing_to_gain(turn, theta[which], covariance[which]) and not residual
+        remembered = int(self.replay.remembered(which)[0])
+        if self._training.resting or idle or remembered < self._rules.length:
+            return
+        anew = residual and self._schedule.anew
+        count = min(remembered, self._rules.job_samples)
+        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
+        self._submit(
+            {
+                **samples,
+                'theta': theta[which].copy(),
+                'covariance': covariance[which].copy(),
+                'seen': self._seen.to_dict(),
+                'residual': residual,
+                'residual_anew': anew,
+                'motor': turn,
+            }
+        )
+
+    def _begin_residual_anew(self, from_number: int) -> None:
+        self._schedule.begin_anew(from_number)
+        self._residual.correction = None
+
+    def _submit(self, job: dict[str, Any]) -> None:
+        self._job = job
+        self._training.submit({**job, **self._start_from})
+        self._start_from = {}
+
+    def _nothing_to_gain(self, motor: int, theta: Array, covariance: Array) -> bool:
+        if motor not in self._settled:
+            return False
+        settled, seen = self._settled[motor]
+        return seen == self._seen and not have_moved(theta, settled, covariance)
+
+    def _adopt(self, result: dict[str, Any]) -> None:
+        self.jobs_done += 1
+        job, self._job = self._job, {}
+        motor = int(job['motor'])
+        if (
+            'input' in result and not Weights.of(result).finite
+        ):  # the trainer begins anew from the network that runs
+            self._learning, self._start_from = {}, self._forecaster.start()
+            return
+        self._learning = {
+            name: array for name, array in result.items() if name.startswith('learning_')
+        }
+        self._settled.pop(motor, None)
+        if result.get('settled'):
+            # for what the job was of: the motor and its range may have moved while it ran
+            self._settled[motor] = job['theta'], OperatingRange.from_dict(job['seen'])
+        self.loss = result.get('loss', self.loss)
+        if not self._schedule.anew:  # else it was learnt of parameters that are no more
+            self._residual.adopt(result, newest(self.replay, LONGEST))
+        if 'input' in result:
+            self._forecaster.adopt(result)
+
+
+def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
+    """Name the entries of an operating range as arrays."""
+    return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}

@@ -1,0 +1,146 @@
+"""The physics as a teacher: what the white box does along the network's own prediction (thesis
+4.2.4, variant 1).
+
+Measured torque has no part in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from gray_box_observer.predictor.network import Memory, Weights, step
+from gray_box_observer.predictor.steady_state import (
+    Course,
+    Relaxation,
+    after,
+    course,
+    flow,
+    relaxation,
+)
+from gray_box_observer.predictor.training.synthetic_sequences import Sequences
+from gray_box_observer.white_box.interface import Array
+
+EXACT = 0.1
+"""Step of the flow that is taught, see :data:`relaxation.FLOW_STEP`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lesson:
+    """Intervals along the network's own prediction, each with where the white box would have gone.
+
+    Attributes:
+        inputs: shape (sequence, time, input).
+        intervals: fields of shape (sequence, time), the distance in units of the sequence's spread.
+        moved: shape (sequence, time): exact change of the current, in units of the sequence's
+            spread.
+    """
+
+    inputs: Array
+    intervals: Relaxation
+    moved: Array
+
+    @classmethod
+    def joined(cls, parts: list[Lesson]) -> Lesson:
+        """Return the sequences of several lessons of equal length as one."""
+        intervals = Relaxation(
+            **{
+                f.name: np.concatenate([getattr(p.intervals, f.name) for p in parts])
+                for f in fields(Relaxation)
+            }
+        )
+        inputs, moved = (
+            np.concatenate([getattr(p, name) for p in parts]) for name in ('inputs', 'moved')
+        )
+        return cls(inputs, intervals, moved)
+
+
+def free_run(weights: Weights, sequences: Sequences) -> tuple[Array, list[Relaxation]]:
+    """Let the network predict every sequence from its voltages alone, by the code that streams.
+
+    Returns:
+        Predicted currents at the ends, shape (sequence, time), and each interval's dimensionless
+        form.
+    """
+    way = _courses(sequences)
+    state, memory = sequences.start_a, Memory.blank(sequences.start_a.size, weights.hidden)
+    predicted, intervals = np.empty_like(sequences.voltage_v), []
+    for k in range(predicted.shape[1]):
+        interval = relaxation(
+            np, sequences.white_box, _at(way, k), state, sequences.interval_s[:, k]
+        )
+        readout, memory = step(weights, memory, np.stack(interval.inputs(np), axis=-1))
+        state = predicted[:, k] = after(np, interval, readout)
+        intervals.append(interval)
+    return predicted, intervals
+
+
+def exact_run(sequences: Sequences) -> Array:
+    """Currents of the white box itself at the ends of the intervals, shape (sequence, time)."""
+    way, state = _courses(sequences), sequences.start_a
+    exact = np.empty_like(sequences.voltage_v)
+    for k in range(exact.shape[1]):
+        at = _at(way, k)
+        state = exact[:, k] = flow(
+            np, sequences.white_box, at, state, sequences.interval_s[:, k], EXACT
+        )
+    return exact
+
+
+def spread(sequences: Sequences, current_a: Array) -> Array:
+    """Spread of the current that a sequence's voltages ask for, in A, shape (sequence,): the
+    measure of errors.
+    """
+    levels = np.concatenate(
+        [sequences.start_a[:, None], current_a, _courses(sequences).steady_a], axis=1
+    )
+    size: Array = levels.std(axis=1) + 1e-3 * np.abs(levels).mean(axis=1) + 1e-30
+    return size
+
+
+def free_run_error(weights: Weights, sequences: Sequences, exact_a: Array) -> float:
+    """Mean error of the free run in units of each sequence's spread."""
+    error = np.abs(free_run(weights, sequences)[0] - exact_a).mean(axis=1)
+    return float(np.mean(error / spread(sequences, exact_a)))
+
+
+def lesson(weights: Weights, sequences: Sequences) -> Lesson:
+    """Run the network freely and ask the white box where each of its intervals should have ended."""
+    predicted, parts = free_run(weights, sequences)
+    size = spread(sequences, predicted)[:, None]
+    intervals = Relaxation(
+        **{f.name: np.stack([getattr(p, f.name) for p in parts], 1) for f in fields(Relaxation)}
+    )
+    end = flow(
+        np, sequences.white_box, _courses(sequences), intervals.state, sequences.interval_s, EXACT
+    )
+    moved = (end - intervals.state) / size
+    inputs = np.stack(intervals.inputs(np), axis=-1)
+    scaled = Relaxation(
+        **{
+            f.name: getattr(intervals, f.name) / (size if f.name in ('state', 'distance') else 1.0)
+            for f in fields(Relaxation)
+        }
+    )
+    return Lesson(inputs, scaled, moved)
+
+
+def steady_currents(sequences: Sequences) -> Array:
+    """Currents in A at which the voltage balances, shape (sequence, time)."""
+    steady: Array = _courses(sequences).steady_a
+    return steady
+
+
+def _courses(sequences: Sequences) -> Course:
+    """Where every interval leads; fields of shape (sequence, time), the parameters of shape
+    (sequence, 1).
+    """
+    theta = [column[:, None] for column in sequences.columns]
+    guess = np.zeros_like(sequences.voltage_v)
+    return course(np, sequences.white_box, theta, sequences.voltage_v, sequences.speed_rad_s, guess)
+
+
+def _at(way: Course, k: int) -> Course:
+    theta = [column[:, 0] for column in way.theta]
+    return Course(theta, *(signal[:, k] for signal in way.signals))

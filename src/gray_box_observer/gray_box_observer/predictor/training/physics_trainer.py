@@ -1,0 +1,229 @@
+"""Training of variant ``physics``: teaches on drawn sequences, and lets a new network run only
+where it is better.
+
+The physics needs no recorded torque, so recorded samples are all held out: they judge, they never
+teach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gray_box_observer.predictor.initial_network import first_network
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.operating_range import OperatingRange
+from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.training import random_state
+from gray_box_observer.predictor.training.histories import histories, newest_history
+from gray_box_observer.predictor.training.physics_batches import (
+    Lesson,
+    exact_run,
+    free_run,
+    free_run_error,
+    lesson,
+)
+from gray_box_observer.predictor.training.residual_trainer import ResidualTrainer
+from gray_box_observer.predictor.training.synthetic_sequences import (
+    Sequences,
+    draw_around,
+    draw_family,
+)
+from gray_box_observer.predictor.training.trainer import Message
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
+
+if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
+    from gray_box_observer.predictor.training.teaching import Pupil
+
+LENGTH = 24
+"""Intervals of a drawn sequence."""
+
+HELD_OUT = 48
+"""Held-out sequences of either kind."""
+
+ENOUGH = 5e-4
+"""Mean error of the free run, in units of the spread, below which no motor is known well enough to
+gain from more."""
+
+BETTER = 0.98
+"""Factor by which a new network's error must fall short of the running one's."""
+
+FORGETS = 1.05
+"""Largest factor by which its error on the whole family may rise: what was learnt of other regimes
+stays."""
+
+
+class PhysicsTrainer:
+    """Holds the network that runs, the one under training, and what both are judged by.
+
+    Args:
+        configuration: see :func:`~gray_box_observer.predictor.training.trainer.make_trainer`.
+    """
+
+    def __init__(self, configuration: Mapping[str, Any]) -> None:
+        self._group = MotorWhiteBox.from_dict(configuration['white_box'], _constant)
+        self._white_box = self._group
+        self._rules = TrainingRules.from_dict(configuration['rules'])
+        self._seed = int(configuration['seed'])
+        self._random = np.random.default_rng([self._seed, 1])
+        self._running = first_network(self._rules, self._seed)
+        self._pupil: Pupil | None = None
+        self._refused = 0
+        self._residual = ResidualTrainer(self._seed, self._rules.device)
+        self._family = _HeldOut(
+            draw_family(np.random.default_rng([self._seed, 2]), HELD_OUT, LENGTH)
+        )
+
+    def train(self, job: Message) -> Message:
+        """Run one job; see :meth:`~gray_box_observer.predictor.training.trainer.Trainer.train`.
+
+        Raises:
+            ImportError: there is something to learn, and no torch to learn it with.
+        """
+        if 'motor' in job:
+            motor = int(job['motor'])
+            self._white_box = self._group.of_motors(slice(motor, motor + 1))
+        told = self._teach(job)
+        if job.get('residual_anew'):
+            self._residual = ResidualTrainer(self._seed, self._rules.device)
+        if job.get('residual'):
+            told |= self._residual.learn(self._running, histories(self._white_box, job))
+        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
+
+    def _teach(self, job: Message) -> Message:
+        """Teach the physics; say what came of it."""
+        if 'start_input' in job:
+            self._running = Weights(
+                **{name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}
+            )
+            self._restore(
+                {
+                    name[15:]: array
+                    for name, array in job.items()
+                    if name.startswith('start_learning_')
+                }
+            )
+        seen = OperatingRange.from_dict(job['seen'])
+        if not seen.tells(self._white_box.speed_measured):
+            return {'windows': 0, 'settled': False}
+        own = _HeldOut(self._draw(np.random.default_rng([self._seed, 3]), job, seen, HELD_OUT))
+        now = own.error(self._running)
+        if now <= ENOUGH:
+            return {'windows': 0, 'settled': True, 'error': now}
+        if self._pupil is None:
+            self._pupil = self._enrol()
+        losses = [self._pupil.learn(self._lesson(job, seen)) for _ in range(self._rules.steps)]
+        told: Message = {
+            'windows': 2 * self._rules.steps * self._rules.minibatch,
+            'loss': float(np.mean(losses)),
+        }
+        candidate = self._pupil.weights
+        if self._better(candidate, own, now, job):
+            self._running, self._refused = candidate, 0
+            told |= self._running.arrays()
+        else:
+            self._refused += 1
+        settled = self._refused >= self._rules.patience
+        if settled:
+            self._pupil, self._refused = None, 0
+        return {**told, 'settled': settled, 'error': own.error(self._running)}
+
+    def _state(self) -> dict[str, Array]:
+        """Everything but the running network that the next job depends on."""
+        pupil = (
+            {} if self._pupil is None else {f'pupil_{k}': v for k, v in self._pupil.state().items()}
+        )
+        residual = {f'residual_{k}': v for k, v in self._residual.state().items()}
+        return {
+            **pupil,
+            **residual,
+            'refused': np.array(self._refused),
+            'random': random_state.pack(self._random),
+        }
+
+    def _restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`_state` gave; start over where that was not saved."""
+        self._pupil = None
+        self._residual = ResidualTrainer(self._seed, self._rules.device)
+        if 'random' not in arrays:
+            return
+        self._random, self._refused = random_state.unpack(arrays['random']), int(arrays['refused'])
+        self._residual.restore(
+            {name[9:]: array for name, array in arrays.items() if name.startswith('residual_')}
+        )
+        pupil = {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
+        if pupil:
+            from gray_box_observer.predictor.training.teaching import Pupil
+
+            rules = self._rules
+            self._pupil = Pupil.of(pupil, rules.learning_rate, rules.gradient_clip, rules.device)
+
+    def _enrol(self) -> Pupil:
+        from gray_box_observer.predictor.training.teaching import Pupil
+
+        rules = self._rules
+        return Pupil(self._running, rules.learning_rate, rules.gradient_clip, rules.device)
+
+    def _draw(
+        self, random: np.random.Generator, job: Message, seen: OperatingRange, count: int
+    ) -> Sequences:
+        limits_v = seen.voltages(self._rules.voltage_limits_v)
+        return draw_around(
+            random,
+            self._white_box,
+            job['theta'],
+            job['covariance'],
+            seen,
+            limits_v,
+            self._rules.horizon_s,
+            count,
+            LENGTH,
+        )
+
+    def _lesson(self, job: Message, seen: OperatingRange) -> Lesson:
+        """Half of what is taught is of these motors, half of all the family: other regimes are not
+        forgotten.
+        """
+        assert self._pupil is not None
+        weights, count = self._pupil.weights, self._rules.minibatch
+        drawn = [
+            self._draw(self._random, job, seen, count),
+            draw_family(self._random, count, LENGTH),
+        ]
+        return Lesson.joined([lesson(weights, sequences) for sequences in drawn])
+
+    def _better(self, candidate: Weights, own: _HeldOut, now: float, job: Message) -> bool:
+        """Whether a network beats the running one on drawn sequences and does no worse on what was
+        measured.
+        """
+        if not own.error(candidate) <= BETTER * now:
+            return False
+        if not self._family.error(candidate) <= FORGETS * self._family.error(self._running):
+            return False
+        measured = newest_history(self._white_box, job)
+        if measured is None:
+            return True
+        said = [free_run(weights, measured.sequences)[0] for weights in (candidate, self._running)]
+        errors = [np.abs(predicted - measured.current_a) for predicted in said]
+        worse = errors[0] - errors[1]
+        return bool(worse.mean() <= worse.std() / np.sqrt(worse.size))
+
+
+class _HeldOut:
+    """Sequences that never teach, with where the white box itself goes in them."""
+
+    def __init__(self, sequences: Sequences) -> None:
+        self._sequences = sequences
+        self._exact_a = exact_run(sequences)
+
+    def error(self, weights: Weights) -> float:
+        return free_run_error(weights, self._sequences, self._exact_a)
+
+
+def _constant(value: Any) -> Any:
+    """A scalar stays a plain number; one entry a motor becomes an array."""
+    array = np.asarray(value, dtype=float)
+    return float(array) if array.ndim == 0 else array

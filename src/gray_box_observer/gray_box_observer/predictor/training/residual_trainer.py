@@ -1,0 +1,317 @@
+"""Learning the residual from recorded samples, and finding out how much of it is real.
+
+The linear part is learnt at once, in closed form; the network, round by round, what it leaves. The
+samples fall into blocks in time; every fourth block teaches nothing and judges. The correction is
+used as far as it makes these blocks better, and not at all unless it makes them better by more than
+chance would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.predictor import lag_features
+from gray_box_observer.predictor.linear_part import LinearPart, features
+from gray_box_observer.predictor.network import Memory, Weights, step
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, Correction, cells
+from gray_box_observer.predictor.significance import PARTS, borne_out
+from gray_box_observer.predictor.training import random_state
+from gray_box_observer.predictor.training.histories import History
+from gray_box_observer.predictor.training.physics_batches import free_run, steady_currents
+from gray_box_observer.settings.device import CPU
+from gray_box_observer.white_box.interface import Array
+
+if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
+    from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+
+HIDDEN = 8
+LIMIT = 1.0
+"""Largest correction, as a fraction of the size of the measured current: of the predicted one it
+could not be, for what the physics lacks most (a rotor that runs up, where no speed is measured) is
+what it predicts least of. Where the physics misses by more than all there is, of the size of what
+it misses."""
+
+OWN_LIMIT = 5.0
+"""And as a multiple of the residual's own root mean square: the network's answers are of order one.
+"""
+
+OUTGROWN = 1.5
+"""Growth of any size after which the network is taught anew in units of the new ones."""
+
+FEWEST = 400
+"""Samples below which nothing is learnt."""
+
+SMALL = 1e-3
+"""Residuals below this fraction of the current's spread are left to themselves."""
+
+SHORTEST = 24
+"""Samples of a signal history, at least, that tell anything."""
+
+LAGS = 16
+STRUCTURE = 64.0
+"""Portmanteau statistic (Ljung and Box 1978) of LAGS lags that white noise passes once in ten
+million times."""
+
+BLOCK = 64
+"""Samples of a block in time."""
+
+EVERY = 4
+"""One block in so many judges."""
+
+STEPS = 150
+"""Training steps of a round."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Signal histories one after another, with what the physics says of them; arrays of shape
+    (motor, time).
+
+    ``number``, ``anew``, ``cut`` and ``heard`` have shape (time,): which sample it is, counted
+    since the beginning, where a history begins, where it goes on from samples that are lost, and
+    whether what is said of it counts: it does not while the memory fills that streams full.
+    """
+
+    number: NDArray[np.int64]
+    anew: NDArray[np.bool_]
+    cut: NDArray[np.bool_]
+    heard: NDArray[np.bool_]
+    interval_s: Array
+    voltage_v: Array
+    speed_rad_s: Array
+    current_a: Array
+    predicted_a: Array
+    steady_a: Array
+    residual_a: Array
+
+
+class ResidualTrainer:
+    """Holds the correction under training.
+
+    Args:
+        seed: of everything random.
+        device: torch's, on which the network is taught.
+    """
+
+    def __init__(self, seed: int, device: str = CPU) -> None:
+        self._random = np.random.default_rng([seed, 5])
+        self._seed = seed
+        self._device = device
+        self._pupil: ResidualPupil | None = None
+        self._sizes: tuple[Array, float] | None = None
+        self._best: list[Correction] = []
+
+    def learn(
+        self, weights: Weights, measured: Sequence[History], steps: int = STEPS
+    ) -> dict[str, Any]:
+        """Run one round.
+
+        Args:
+            weights: of the network that knows the physics.
+            measured: signal histories; the numbers of their samples settle for good which of them
+                judge.
+            steps: training steps.
+
+        Returns:
+            The correction's arrays; empty where there is too little to tell.
+
+        Raises:
+            ImportError: there is something to learn, and no torch to learn it with.
+        """
+        told = [history for history in measured if history.number.size >= SHORTEST]
+        if sum(history.number.size for history in told) < FEWEST:
+            return {}
+        run = _against_physics(weights, told)
+        if self._pupil is None and not worth_learning(
+            run.residual_a[:, run.heard], run.predicted_a[:, run.heard]
+        ):
+            return {}
+        taught = self._taught(run, steps)
+        weights = taught.weights
+        silent = replace(
+            weights,
+            output=np.zeros_like(weights.output),
+            output_bias=np.zeros_like(weights.output_bias),
+        )
+        linear_alone = replace(taught, weights=silent)
+        judged = [_judge(candidate, run) for candidate in (linear_alone, taught, *self._best)]
+        self._best = [min(judged, key=lambda pair: pair[1])[0]]
+        return self._best[0].arrays()
+
+    def state(self) -> dict[str, Array]:
+        """Everything that the next round depends on, as arrays."""
+        state: dict[str, Array] = {'random': random_state.pack(self._random)}
+        if self._pupil is not None and self._sizes is not None:
+            state |= {'size': self._sizes[0], 'limit_a': np.array(self._sizes[1])}
+            state |= {f'pupil_{name}': array for name, array in self._pupil.state().items()}
+        for best in self._best:
+            state |= {f'best_{name}': array for name, array in best.arrays().items()}
+        return state
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave."""
+        self._random = random_state.unpack(arrays['random'])
+        if 'size' in arrays:
+            from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+
+            self._sizes = arrays['size'].copy(), float(arrays['limit_a'])
+            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
+            self._pupil.restore(
+                {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
+            )
+        best = Correction.of(
+            {name[5:]: array for name, array in arrays.items() if name.startswith('best_')}
+        )
+        self._best = [] if best is None else [best]
+
+    def _taught(self, run: _Run, steps: int) -> Correction:
+        """Teach on all blocks but the judging ones."""
+        from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+
+        now = _sizes(run)
+        if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
+            self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
+        size, limit_a = self._sizes
+        pace_s = float(np.median(run.interval_s))
+        support = np.zeros((BINS, BINS))
+        blank = Correction(
+            self._pupil.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s
+        )
+        teaching = ~judging(run.number) & run.heard
+        at = (
+            cells(run.predicted_a / size[1])[:, teaching],
+            cells(run.voltage_v / size[0])[:, teaching],
+        )
+        np.add.at(support, at, 1.0)
+        seen, wanted = _features(run, pace_s), run.residual_a / limit_a
+        linear = LinearPart.learnt(seen[:, teaching], wanted[:, teaching])
+        inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
+        self._pupil.learn(
+            self._random, inputs, wanted - linear.say(seen), teaching, run.anew, steps
+        )
+        return replace(blank, weights=self._pupil.weights, linear=linear)
+
+
+def _sizes(run: _Run) -> tuple[Array, float]:
+    """Sizes of voltage, current and speed, and the largest correction in A."""
+    signals = run.voltage_v, run.predicted_a, run.speed_rad_s, run.current_a, run.residual_a
+    volt, ampere, speed, measured, missed = (
+        max(float(np.quantile(np.abs(signal), 0.95)), 1e-9) for signal in signals
+    )
+    limit_a = min(
+        LIMIT * max(measured, missed), OWN_LIMIT * float(np.sqrt(np.mean(run.residual_a**2)))
+    )
+    return np.array([volt, ampere, speed]), max(limit_a, 1e-9)
+
+
+def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
+    """Whether what was recorded since is of another size, as after a first step at the end of a
+    long rest.
+    """
+    return bool(np.any(new[0] > OUTGROWN * old[0]) or new[1] > OUTGROWN * old[1])
+
+
+def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
+    """Return the correction with the share of it that the judging blocks bear out, and the error
+    they are left with.
+    """
+    said = _said(replace(correction, share=1.0), run)
+    judges = judging(run.number) & run.heard
+    residual, said = run.residual_a[:, judges], said[:, judges]
+    share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
+    before, after = np.abs(residual), np.abs(residual - share * said)
+    had, gains = (
+        np.array([p.mean() for p in np.array_split(a, PARTS, axis=1)])
+        for a in (before, before - after)
+    )
+    real = borne_out(had, gains)
+    return replace(correction, share=share if real else 0.0), float(
+        (after if real else before).mean()
+    )
+
+
+def worth_learning(residual: Array, predicted: Array) -> bool:
+    """Whether residuals are not small, and hang together in time, as all does that voltage and
+    motion cause.
+
+    Args:
+        residual: shape (motor, time).
+        predicted: shape (motor, time): what they are small against.
+    """
+    if np.all(residual.std(axis=1) < SMALL * predicted.std(axis=1)):
+        return False
+    centred = residual - residual.mean(axis=1, keepdims=True)
+    n, power = residual.shape[1], np.sum(centred**2, axis=1)
+    statistic = np.zeros(residual.shape[0])
+    for lag in range(1, LAGS + 1):
+        correlation = np.sum(centred[:, lag:] * centred[:, :-lag], axis=1) / np.maximum(
+            power, 1e-300
+        )
+        statistic += n * (n + 2.0) * correlation**2 / (n - lag)
+    return bool(np.any(statistic > STRUCTURE))
+
+
+def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which samples judge, shape (time,), by their number since the beginning: no sample ever does
+    both.
+    """
+    judges: NDArray[np.bool_] = (number // BLOCK) % EVERY == EVERY - 1
+    return judges
+
+
+def _against_physics(weights: Weights, measured: Sequence[History]) -> _Run:
+    parts = []
+    for history in measured:
+        sequences, current_a, number = history.sequences, history.current_a, history.number
+        predicted, _ = free_run(weights, sequences)
+        anew = number == number[0]
+        cut = anew & history.cut
+        heard = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
+        speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
+        signals = (
+            sequences.interval_s,
+            sequences.voltage_v,
+            speed,
+            current_a,
+            predicted,
+            steady,
+            current_a - predicted,
+        )
+        parts.append((number, anew, cut, heard, *signals))
+    return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
+
+
+def _features(run: _Run, pace_s: float) -> Array:
+    """What the linear part sees along the histories, shape (motor, time, FEATURES)."""
+    first, parts = np.flatnonzero(run.anew), []
+    for begin, end in pairwise([*first.tolist(), run.anew.size]):
+        voltage_v, speed, interval_s = (
+            x[:, begin:end] for x in (run.voltage_v, run.speed_rad_s, run.interval_s)
+        )
+        start = (
+            lag_features.presumed(voltage_v, speed)
+            if run.cut[begin]
+            else lag_features.blank(voltage_v.shape[0])
+        )
+        parts.append(lag_features.along(voltage_v, speed, interval_s / pace_s, start))
+    passed = np.concatenate(parts, axis=1)
+    return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, passed)
+
+
+def _said(correction: Correction, run: _Run) -> Array:
+    """What a correction says along the histories, by the code that streams, shape (motor, time)."""
+    inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
+    memory, readout = (
+        Memory.blank(inputs.shape[0], correction.weights.hidden),
+        np.empty_like(run.voltage_v),
+    )
+    for k in range(inputs.shape[1]):
+        memory = memory.cleared(np.full(inputs.shape[0], run.anew[k]))
+        readout[:, k], memory = step(correction.weights, memory, inputs[:, k])
+    return correction.current(readout, _features(run, correction.interval_s))

@@ -1,0 +1,180 @@
+"""Where training runs: inline, or in a process of its own, out of the way of sampling."""
+
+from __future__ import annotations
+
+import queue
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import Any, Protocol
+
+from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.predictor.training import worker_messages
+from gray_box_observer.predictor.training.trainer import make_trainer
+
+
+class Training(Protocol):
+    """Takes one job at a time and gives its result back later."""
+
+    share: float
+    """Share of a core that it may use."""
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Start a job."""
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the finished job's result, or None while it still runs."""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs whose result has not been collected."""
+
+    @property
+    def resting(self) -> bool:
+        """Whether no job should be submitted yet, for the share of a core that training may use is
+        used up.
+        """
+
+    @property
+    def failure(self) -> str | None:
+        """Why training has ended for good, if it has."""
+
+    def close(self) -> None:
+        """Stop training for good."""
+
+
+class InlineTraining:
+    """Trains while the caller waits: for the offline command, where there is nothing else to do."""
+
+    resting = False
+
+    def __init__(self, configuration: dict[str, Any]) -> None:
+        try:
+            self._trainer = make_trainer(configuration)
+        except ImportError as error:
+            raise GrayBoxError(TORCH_MISSING) from error
+        self._result: dict[str, Any] | None = None
+        self.failure: str | None = None
+        self.share = 1.0  # the caller waits: nothing else wants the core
+
+    @property
+    def busy(self) -> bool:
+        """Whether a result waits to be collected."""
+        return self._result is not None
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Run a job to its end."""
+        if self.failure is not None:
+            return
+        try:
+            self._result = self._trainer.train(job)
+        except ImportError:
+            self.failure = TORCH_MISSING
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the result."""
+        result, self._result = self._result, None
+        return result
+
+    def close(self) -> None:
+        """Nothing runs behind the caller's back."""
+
+
+class ProcessTraining:
+    """Trains in a child process, so that neither torch's import nor its work ever holds up a
+    sample.
+    """
+
+    def __init__(self, configuration: dict[str, Any]) -> None:
+        command = [sys.executable, '-m', 'gray_box_observer.predictor.training.worker']
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        self._jobs: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._results: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+        self._busy = False
+        self.share = float(configuration['rules']['core_share'])
+        self._rest_until_s = 0.0
+        self.failure: str | None = None
+        self._complaints: list[str] = []
+        threading.Thread(target=self._write, daemon=True, name='training jobs').start()
+        self._listener = threading.Thread(
+            target=self._listen, daemon=True, name='training messages'
+        )
+        self._listener.start()
+        threading.Thread(target=self._read, daemon=True, name='training results').start()
+        self._jobs.put(configuration)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job runs whose result has not been collected."""
+        return self._busy
+
+    def submit(self, job: dict[str, Any]) -> None:
+        """Hand a job over; returns at once. Its arrays are copied, for the caller's buffer moves
+        on.
+        """
+        if self.failure is None:
+            self._busy = True
+            self._jobs.put({k: v.copy() if hasattr(v, 'copy') else v for k, v in job.items()})
+
+    def collect(self) -> dict[str, Any] | None:
+        """Return the result if it is there; never waits."""
+        try:
+            result = self._results.get_nowait()
+        except queue.Empty:
+            return None
+        self._busy = False
+        self._rest_until_s = time.monotonic() + result.pop('cpu_s') * (1.0 / self.share - 1.0)
+        return result
+
+    @property
+    def resting(self) -> bool:
+        """Whether the child still has to make up for the time that its last job took."""
+        return time.monotonic() < self._rest_until_s
+
+    def close(self) -> None:
+        """End the child, which has nothing to save; returns at once.
+
+        It ends at its low priority, which takes long on a busy machine: the thread that reads its
+        results waits for it.
+        """
+        self._jobs.put(None)
+        self._process.kill()
+
+    def _write(self) -> None:
+        assert self._process.stdin is not None
+        while (job := self._jobs.get()) is not None:
+            try:
+                worker_messages.write(self._process.stdin, job)  # type: ignore[arg-type]
+            except (BrokenPipeError, OSError, ValueError):
+                return
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while (result := worker_messages.read(self._process.stdout)) is not None:  # type: ignore[arg-type]
+            self._results.put(result)
+        self._listener.join(timeout=1.0)
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout=1.0)
+        reason = self._complaints[-1] if self._complaints else f'exit status {self._process.poll()}'
+        self.failure = (
+            TORCH_MISSING
+            if 'torch' in reason and 'No module' in reason
+            else f'training ended: {reason}'
+        )
+
+    def _listen(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._complaints = [*self._complaints[-20:], line.decode(errors='replace').rstrip()]
+
+
+TORCH_MISSING = (
+    'training of the predictor needs torch, which this Python does not have: install it with "pip '
+    'install torch", '
+    'or go on without: variant physics predicts untrained, predictor:=false or identify '
+    '--skip-predictor not at all'
+)

@@ -1,0 +1,1 @@
+"""The report of one run. Read `page.py` first."""

@@ -1,0 +1,261 @@
+"""Collects what a report draws while the observer runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
+from gray_box_observer.fit_test.assumptions import assumptions
+from gray_box_observer.fit_test.whole_run import autocorrelation, white_box_torque
+from gray_box_observer.observer.motor_view import MotorView
+from gray_box_observer.observer.observer import Observer, Result
+from gray_box_observer.predictor.alarm import REMEDY
+from gray_box_observer.report.run.history import (
+    FitHistory,
+    FloatArray,
+    MotorHistory,
+    ParameterHistory,
+    Truth,
+)
+from gray_box_observer.white_box import TERMS
+
+MOST_TIMES = 10
+"""Alarms and changes that are named one by one."""
+
+
+@dataclass
+class _Course:
+    """The course of one motor so far; one row a sample, and one entry an estimate."""
+
+    start_ns: int
+    shift_ns: int = 0
+    samples: list[tuple[float, float, float, float, float, float, float]] = field(
+        default_factory=list
+    )
+    estimates: list[tuple[float, Estimate]] = field(default_factory=list)
+    alarms_s: list[float] = field(default_factory=list)
+    alarmed: bool = False
+
+
+class Collector:
+    """Listens to results and turns them into histories.
+
+    Args:
+        truth: true parameters by motor and name, where they are known.
+    """
+
+    def __init__(self, truth: Mapping[str, Mapping[str, Truth]] | None = None) -> None:
+        self._truth = truth or {}
+        self._courses: dict[str, _Course] = {}
+
+    def __call__(self, result: Result) -> None:
+        """Take one result."""
+        sample = result.sample
+        course = self._courses.setdefault(result.motor, _Course(sample.stamp_ns))
+        time_s = (sample.stamp_ns - course.start_ns + course.shift_ns) / 1e9
+        if (
+            course.samples and time_s < course.samples[-1][0]
+        ):  # the clock jumped back: go on where we were
+            course.shift_ns += round((course.samples[-1][0] - time_s) * 1e9)
+            time_s = course.samples[-1][0]
+        prediction = result.prediction
+        course.samples.append(
+            (
+                time_s,
+                float(sample.voltage_v[0]),
+                float(sample.torque_nm[0]),
+                float(prediction.torque_nm[0]) if prediction is not None else np.nan,
+                float(prediction.white_box_torque_nm[0]) if prediction is not None else np.nan,
+                float(sample.speed_rad_s[0]),
+                float(sample.interval_s[0]),
+            )
+        )
+        if result.estimate is not None:
+            course.estimates.append((time_s, result.estimate))
+        if result.alarm and not course.alarmed:
+            course.alarms_s.append(time_s)
+        course.alarmed = result.alarm
+
+    def histories(
+        self,
+        observer: Observer,
+        rejected: Mapping[str, Mapping[str, int]],
+        changes_s: Mapping[str, Sequence[float]] | None = None,
+    ) -> tuple[MotorHistory, ...]:
+        """Return the history of every motor that has not stopped.
+
+        Args:
+            observer: at the end of the run.
+            rejected: counts by motor and reason.
+            changes_s: when each motor was found changed, in s of the time that its samples cover.
+        """
+        changes = changes_s or {}
+        return tuple(
+            self._history(name, observer, rejected.get(name, {}), changes.get(name, ()))
+            for name in self._courses
+            if name in observer.motors
+        )
+
+    def _history(
+        self, name: str, observer: Observer, rejected: Mapping[str, int], changes_s: Sequence[float]
+    ) -> MotorHistory:
+        course = self._courses[name]
+        columns = np.array(course.samples).T
+        motor = observer.motors[name]
+        run_nm = white_box_torque(
+            motor.white_box,
+            motor.theta[0],
+            columns[6],
+            columns[1],
+            columns[2],
+            np.nan_to_num(columns[5]),
+        )
+        found_s = _on_axis(changes_s, columns[6], columns[0])
+        skill = observer.skill(name)
+        scores = {} if skill is None else skill.to_dict()
+        return MotorHistory(
+            name=name,
+            time_s=columns[0],
+            voltage_v=columns[1],
+            torque_nm=columns[2],
+            predicted_torque_nm=columns[3],
+            white_box_torque_nm=columns[4],
+            parameters=self._parameters(name, course),
+            speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
+            rejected=dict(rejected),
+            scores={
+                key: float(v) for key, v in scores.items() if v is not None and key != 'samples'
+            },
+            notes=(*_alarm_notes(course.alarms_s), *_change_notes(found_s), *notes(name, observer)),
+            sensitivity=_sensitivity(motor),
+            current_a=np.asarray(motor.white_box.state(columns[2])),
+            free_run_torque_nm=run_nm,
+            changes_s=found_s,
+            fit=_fit(motor, columns[2], run_nm),
+        )
+
+    def _parameters(self, name: str, course: _Course) -> tuple[ParameterHistory, ...]:
+        if not course.estimates:
+            return ()
+        time_s = np.array([t for t, _ in course.estimates])
+        value = np.array([e.value[0] for _, e in course.estimates])
+        std = np.array([e.std[0] for _, e in course.estimates])
+        return tuple(
+            ParameterHistory(
+                p.name,
+                p.unit,
+                time_s,
+                value[:, j],
+                std[:, j],
+                [e.verdicts[0][j].value for _, e in course.estimates],
+                self._truth.get(name, {}).get(p.name),
+            )
+            for j, p in enumerate(course.estimates[-1][1].parameters)
+        )
+
+
+def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
+    """Return whether the white box explains the data, with the correlation of the newest residual."""
+    correlated = autocorrelation(torque_nm - run_nm)
+    found, band = (None, 0.0) if correlated is None else correlated
+    return FitHistory(motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), found, band)
+
+
+def _on_axis(
+    covered_s: Sequence[float], interval_s: FloatArray, time_s: FloatArray
+) -> tuple[float, ...]:
+    """Return where on the axis of the report something is, of which it is known after how much
+    covered time it was.
+    """
+    covered = np.cumsum(interval_s)
+    at = np.minimum(np.searchsorted(covered, covered_s), len(time_s) - 1)
+    return tuple(float(time_s[place]) for place in at)
+
+
+def _change_notes(times_s: Sequence[float]) -> list[str]:
+    """Say when the motor was found changed."""
+    if not times_s:
+        return []
+    return [
+        f'The motor was found changed at {_times(times_s)}: what changed was learnt anew, the '
+        'rest was kept.'
+    ]
+
+
+def _times(times_s: Sequence[float]) -> str:
+    when = ', '.join(f'{time_s:.2f} s' for time_s in times_s[:MOST_TIMES])
+    return when + (
+        f' and {len(times_s) - MOST_TIMES} times more' if len(times_s) > MOST_TIMES else ''
+    )
+
+
+def _sensitivity(motor: MotorView) -> dict[str, dict[str, float]] | None:
+    """How an error of the known constants goes into the estimate, from what the rule remembers."""
+    return sensitivity(motor.white_box, motor.remembered(), motor.theta)
+
+
+def _alarm_notes(times_s: list[float]) -> list[str]:
+    """Say when the alarm on the residual was raised."""
+    if not times_s:
+        return []
+    return [f'Alarm at {_times(times_s)}: {REMEDY}']
+
+
+def notes(name: str, observer: Observer) -> list[str]:
+    """Say in plain words what a reader of one motor's result has to keep in mind."""
+    values = observer.configuration.motors[name].values
+    motor = observer.motors[name]
+    others = [term for term in motor.white_box.known if term != 'back_emf_constant']
+    scaling = (
+        '' if others else ': every parameter scales with it (1 % more of it, 1 % more of each)'
+    )
+    said = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
+    if 'back_emf_constant' not in values['context_nodes']:
+        kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
+        where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
+        said.append(
+            f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its '
+            f'error goes into {where}.'
+        )
+    for term in others:
+        what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
+        said.append(f'{what} is taken as known: its error goes into the estimates.')
+    taken = assumptions(observer.configuration.motors[name], motor.white_box)
+    said += [f'{text[0].upper()}{text[1:]}.' for text in taken.values()]
+    delay = motor.delay
+    complaint = delay.complaint(name)
+    if complaint is not None:
+        said.append(f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.')
+    elif delay.asked:
+        found = (
+            'the data do not tell it'
+            if math.isnan(delay.value_s)
+            else (f'{1e3 * delay.value_s:.4g} ms ± {1e3 * delay.std_s:.2g} ms in the newest data')
+        )
+        said.append(
+            f'The delay from voltage to torque is estimated: {found}; {1e3 * delay.applied_s:.4g} '
+            'ms are taken off.'
+        )
+    elif delay.applied_s:
+        said.append(
+            f'Voltage is taken to act on torque {1e3 * delay.applied_s:.4g} ms later than it is '
+            'stamped.'
+        )
+    pairing = observer.counts(name)
+    if pairing.restarts:
+        said.append(
+            f'The clock jumped back {pairing.restarts} times; the signal history started anew, '
+            'estimates stayed.'
+        )
+    training = motor.training
+    if training is not None and training.jobs_late:
+        said.append(
+            f'{training.jobs_late} training jobs were late; the running network stayed in service '
+            'meanwhile.'
+        )
+    return said

@@ -1,0 +1,1 @@
+"""The report of motors over many runs. Read `trend_page.py` first."""

@@ -1,0 +1,124 @@
+"""What :mod:`gray_box_observer.settings.parameters` lists, on a node: declared, checked as a set,
+changed while it runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.ros.unknown_parameters import settle
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.parameters import (
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    ParameterSpec,
+)
+
+
+def declare(node: Node) -> Configuration:
+    """Declare every parameter on the node, with description, range and read-only flag, and check
+    them as a set.
+
+    Raises:
+        ConfigurationError: a value of the wrong type or out of its range, values that do not fit
+            together, or a name that nobody declared.
+    """
+    given = {
+        name: parameter.value
+        for name, parameter in getattr(node, '_parameter_overrides', {}).items()
+    }
+    configuration = Configuration.from_flat(given)
+    declared = [
+        (spec.name, configuration[spec.name], describe(spec)) for spec in OBSERVER_PARAMETERS
+    ]
+    described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
+    for name, motor in configuration.motors.items():
+        declared += [
+            (f'{name}.{own}', motor.values[own], descriptor)
+            for own, descriptor in described.items()
+        ]
+    # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
+    # as it was understood
+    node.declare_parameters('', declared, ignore_override=True)
+    settle(node, configuration.unknown, configuration.alike)
+    return configuration
+
+
+def describe(spec: ParameterSpec) -> ParameterDescriptor:
+    """Turn one declaration into a ROS descriptor."""
+    descriptor = ParameterDescriptor(description=spec.description, read_only=not spec.live)
+    if spec.choices:
+        descriptor.additional_constraints = f'one of: {", ".join(spec.choices)}'
+    if spec.words:  # a number or a word: the type is settled by configuration.py, and a range would refuse the word
+        descriptor.dynamic_typing = True
+        words = ' or '.join(spec.words)
+        descriptor.additional_constraints = (
+            f'a number from {spec.minimum:g} to {spec.maximum:g}, or {words}'
+        )
+        return descriptor
+    if isinstance(spec.default, bool) or spec.minimum is None:
+        return descriptor
+    maximum = spec.minimum if spec.maximum is None else spec.maximum
+    if isinstance(spec.default, float):
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(spec.minimum), to_value=float(maximum))
+        ]
+    elif isinstance(spec.default, int):
+        upper = 2**62 if spec.maximum is None else int(spec.maximum)
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(spec.minimum), to_value=upper, step=1)
+        ]
+    return descriptor
+
+
+class LiveParameters:
+    """Lets parameters change while the node runs: all that are set at once are checked as a set,
+    then take effect.
+
+    Args:
+        node: the node.
+        configuration: as it stands.
+        check: refuses what only the node can judge, by a ConfigurationError; must change nothing.
+        apply: takes the new configuration over.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        configuration: Configuration,
+        check: Callable[[Configuration], None],
+        apply: Callable[[Configuration], None],
+    ) -> None:
+        self._configuration = configuration
+        self._check = check
+        self._apply = apply
+        node.add_on_set_parameters_callback(self._judge)
+        node.add_post_set_parameters_callback(self._take_over)
+
+    def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            self._check(self._changed(parameters))
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_over(self, parameters: list[Parameter]) -> None:
+        changed = self._changed(parameters)
+        if changed != self._configuration:
+            self._configuration = changed
+            self._apply(changed)
+
+    def _changed(self, parameters: list[Parameter]) -> Configuration:
+        return self._configuration.changed(
+            {parameter.name: parameter.value for parameter in parameters}
+        )

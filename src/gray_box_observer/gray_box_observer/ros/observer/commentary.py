@@ -1,0 +1,232 @@
+"""What the node's log tells while it runs: motors found, verdicts that change, signals that miss.
+
+It looks round with every round of diagnostics, outside the way of samples, and speaks once in five
+seconds at most: what has come together since then is one line.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.ros.observer.traffic import Traffic
+from gray_box_observer.safe_io.finite import words_of
+
+PERIOD_S = 5.0
+"""Between two lines, and how long a signal may be missing before it is told."""
+
+MOST_NAMED = 10
+"""Motors named in a line."""
+
+MOST_DESCRIBED = 3
+"""Motors whose parameters stand in a line, one by one."""
+
+WITH_VALUE = (Verdict.IDENTIFIED, Verdict.CONVERGING, Verdict.NEGLIGIBLE, Verdict.FROZEN)
+"""Verdicts of numbers that are worth telling."""
+
+DOUBTFUL = (Verdict.MISFIT, Verdict.IMPLAUSIBLE)
+"""Verdicts that are told as a warning."""
+
+Verdicts = tuple[Verdict, ...]
+Why = Callable[[Iterable[str]], str]
+"""Says why nothing comes of these signals; empty where that is not known."""
+
+
+class Commentary:
+    """Watches what changes, and tells it.
+
+    Args:
+        motors: names of the configured motors.
+        tell: takes a line.
+        warn: takes a line that somebody should act upon.
+        why: says why signals are missing.
+        speed_has_topic: whether speed is expected on a topic of its own.
+        clock: monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        motors: Sequence[str],
+        tell: Callable[[str], object],
+        warn: Callable[[str], object],
+        why: Why,
+        *,
+        speed_has_topic: bool = False,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._motors = tuple(motors)
+        self._tell = tell
+        self._warn = warn
+        self._why = why
+        self._speed_has_topic = speed_has_topic
+        self._clock = clock
+        self._began_s: float | None = None
+        self._told_s = -PERIOD_S
+        self._heard_s: dict[tuple[str, str], float] = {}
+        self._missing: set[tuple[str, str]] = set()
+        self.forget()
+
+    def listen(self) -> None:
+        """Begin to wait for signals: now the node listens."""
+        now_s = self._clock()
+        self._began_s = now_s if self._began_s is None else self._began_s
+        signals = [('voltage', motor) for motor in self._motors] + [
+            ('torque', motor) for motor in self._motors
+        ]
+        if self._speed_has_topic:
+            signals.append(('speed', ''))
+        self._heard_s = dict.fromkeys(signals, now_s)
+        self._missing = set()
+
+    def forget(self) -> None:
+        """Begin anew with an observer that knows nothing."""
+        self._seen: set[str] = set()
+        self._found: set[str] = set()
+        self._verdicts: dict[str, Verdicts] = {}
+
+    def look(self, observer: Observer, traffic: Traffic) -> None:
+        """Take in what has come since the last look, and tell what there is to tell.
+
+        Args:
+            observer: as it is now.
+            traffic: since the last look.
+        """
+        now_s = self._clock()
+        for motor, of_motor in traffic.motors.items():
+            if of_motor.used:
+                self._seen.add(motor)
+            for signal, count in of_motor.received.items():
+                if count:
+                    self._heard_s[signal, motor] = now_s
+        if self._speed_has_topic and traffic.messages['speed']:
+            self._heard_s['speed', ''] = now_s
+        if now_s - self._told_s < PERIOD_S:
+            return
+        back = self._back(now_s)
+        found = self._newly_found()
+        missing = self._newly_missing(now_s, observer)
+        changed, is_doubtful = self._changed(observer)
+        news = [*found, *back, *missing, *changed]
+        if news:
+            self._told_s = now_s
+            line = '; '.join(news)
+            if missing or is_doubtful:  # rclpy refuses one place of the code that tells and warns
+                self._warn(line)
+            else:
+                self._tell(line)
+
+    def summary(self, observer: Observer) -> str:
+        """Sum up in one line what came of it all."""
+        counts = [observer.counts(motor) for motor in self._motors]
+        used, refused = sum(c.used for c in counts), sum(c.rejected.total() for c in counts)
+        now_s = self._clock()
+        after_s = now_s - (now_s if self._began_s is None else self._began_s)
+        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} rejected'
+        estimates = [
+            (name, e.of(k))
+            for names, e in observer.group_estimates()
+            for k, name in enumerate(names)
+        ]
+        if len(estimates) > MOST_DESCRIBED:
+            known = sum(estimate.identified(0) for _, estimate in estimates)
+            return f'{line}; every parameter identified of {known} of {len(self._motors)}'
+        told = [
+            f'{name}: {_described(estimate, range(len(estimate.parameters)))}'
+            for name, estimate in estimates
+        ]
+        return '; '.join([line, *told])
+
+    def _newly_found(self) -> list[str]:
+        new = self._seen - self._found
+        found = [motor for motor in self._motors if motor in new]
+        self._found |= new
+        return [f'found {_motors_in_words(found)}: samples come'] if found else []
+
+    def _changed(self, observer: Observer) -> tuple[list[str], bool]:
+        """Motors whose verdicts are others than were told, and whether one is in doubt now."""
+        changed: list[tuple[str, Estimate, list[int]]] = []
+        for names, estimate in observer.group_estimates():
+            unknown = (Verdict.UNEXCITED,) * len(estimate.parameters)
+            for place, name in enumerate(names):
+                verdicts, before = estimate.verdicts[place], self._verdicts.get(name, unknown)
+                if verdicts != before:
+                    before = before if len(before) == len(verdicts) else unknown
+                    self._verdicts[name] = verdicts
+                    others = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
+                    changed.append((name, estimate.of(place), others))
+        doubtful = any(
+            estimate.verdicts[0][j] in DOUBTFUL for _, estimate, others in changed for j in others
+        )
+        if len(changed) > MOST_DESCRIBED:
+            known = sum(estimate.identified(0) for _, estimate, _ in changed)
+            names = _motors_in_words([name for name, _, _ in changed])
+            return [
+                f'verdicts changed of {names}: every parameter identified of {known} of these'
+            ], doubtful
+        return [
+            f'{name}: {_described(estimate, others)}' for name, estimate, others in changed
+        ], doubtful
+
+    def _newly_missing(self, now_s: float, observer: Observer) -> list[str]:
+        """Signals that have been missing for long enough to be told, and were not told yet."""
+        stopped = observer.incidents
+        missing = {
+            key: now_s - heard_s
+            for key, heard_s in self._heard_s.items()
+            if now_s - heard_s >= PERIOD_S and key not in self._missing and key[1] not in stopped
+        }
+        if not missing:
+            return []
+        self._missing |= missing.keys()
+        said = []
+        for motors, names in _by_motors(missing).items():
+            longest_s = max(missing[name, motor] for name in names for motor in motors)
+            said.append(f'no {" and no ".join(names)}{_of(motors)} for {longest_s:.0f} s')
+        why = self._why(sorted({signal for signal, _ in missing}, reverse=True))
+        return [f'{"; ".join(said)}: {why}' if why else '; '.join(said)]
+
+    def _back(self, now_s: float) -> list[str]:
+        """Signals that were told to be missing and have come again; not of motors found just now."""
+        back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
+        self._missing.difference_update(back)
+        told = [(signal, motor) for signal, motor in back if motor in self._found or not motor]
+        said = []
+        for motor_list, names in _by_motors(told).items():
+            verb = 'come' if len(names) > 1 else 'comes'
+            said.append(f'{" and ".join(names)}{_of(motor_list)} {verb} again')
+        return said
+
+
+def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[str]]:
+    """Names of signals by their motors: those of the same motors are told together."""
+    motors: dict[str, list[str]] = {}
+    for signal, motor in keys:
+        motors.setdefault(signal, []).append(motor)
+    found: dict[tuple[str, ...], list[str]] = {}
+    for signal, of in sorted(motors.items(), reverse=True):  # voltage before torque
+        found.setdefault(tuple(sorted(of)), []).append(signal)
+    return found
+
+
+def _of(motors: tuple[str, ...]) -> str:
+    """Whose signal it is; nothing of one that is not told motor by motor."""
+    return '' if motors == ('',) else f' of {_motors_in_words(motors)}'
+
+
+def _motors_in_words(names: Sequence[str]) -> str:
+    """Name motors, as far as a line bears it."""
+    more = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return ', '.join(names[:MOST_NAMED]) + more
+
+
+def _described(estimate: Estimate, which: Iterable[int]) -> str:
+    """Parameters of one motor with their verdicts, and what is known of them."""
+    said = []
+    std = estimate.std
+    for j in which:
+        parameter, verdict = estimate.parameters[j], estimate.verdicts[0][j]
+        value = f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} {parameter.unit} '
+        said.append(f'{parameter.name} {value if verdict in WITH_VALUE else ""}{verdict.value}')
+    return ', '.join(said)

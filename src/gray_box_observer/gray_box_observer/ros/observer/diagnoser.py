@@ -1,0 +1,138 @@
+"""Tells operators once a second how every motor is, whatever state the node is in."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from gray_box_observer.checkpoints.checkpoint_manager import CheckpointKeeper
+from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.observer.diagnostics import NAMESAKE, Situation, idle_status, status_of
+from gray_box_observer.ros.observer.topic_inputs import Inputs
+from gray_box_observer.ros.observer.traffic import Traffic, TrafficMeter
+from gray_box_observer.ros.qos import advertise
+from gray_box_observer.safe_io.printable import printable
+
+AT_ONCE = 100
+"""Motors, at least, that one message tells of."""
+
+ROUNDS = 4
+"""Messages that tell of all motors, however many; a viewer takes what it has not heard of for 5 s
+for stale."""
+
+
+class Diagnoser:
+    """Publishes diagnostics.
+
+    Args:
+        node: whose they are.
+        motors: names of the configured motors.
+        inputs, meter, keeper: of the node.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        motors: list[str],
+        inputs: Inputs,
+        meter: TrafficMeter,
+        keeper: CheckpointKeeper,
+    ) -> None:
+        self._node = node
+        self._motors = motors
+        self._inputs = inputs
+        self._meter = meter
+        self._keeper = keeper
+        self._has_warned_of_strangers = False
+        self._has_warned_of_namesake = False
+        self._turn = 0
+        topic = topics.DIAGNOSTICS
+        self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
+
+    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> Traffic | None:
+        """Publish one round; return what has come since the last one, where the node is configured.
+
+        Args:
+            state: of the node's life cycle.
+            observer: of the node; None where it is not configured.
+            intake: likewise.
+        """
+        array, traffic = DiagnosticArray(), None
+        clock = self._node.get_clock()
+        now = clock.now()
+        array.header.stamp = now.to_msg()
+        name = self._node.get_fully_qualified_name()
+        has_namesake = self._has_namesake(name)
+        if observer is None or intake is None:
+            array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
+        else:
+            self._warn_of_strangers(observer, intake)
+            traffic = self._meter.read(observer, intake)
+            situation = Situation(
+                name,
+                state,
+                observer,
+                intake,
+                self._inputs,
+                self._meter,
+                traffic,
+                self._keeper.failure,
+                self._keeper.age_s,
+                now.nanoseconds,
+                simulated=clock.ros_time_is_active,
+                has_namesake=has_namesake,
+            )
+            array.status = [_contained_status(motor, situation) for motor in self._next()]
+        self._publisher.publish(array)
+        return traffic
+
+    def _next(self) -> list[str]:
+        """Motors that are told of in this round: all of few, in turn those of many."""
+        share = max(AT_ONCE, -(-len(self._motors) // ROUNDS))
+        first, self._turn = (
+            self._turn,
+            (self._turn + share if self._turn + share < len(self._motors) else 0),
+        )
+        return self._motors[first : first + share]
+
+    def _has_namesake(self, name: str) -> bool:
+        """Whether another node has our name, which is said once while it lasts: nobody can tell the
+        two apart.
+        """
+        found = [
+            f'{space.rstrip("/")}/{own}'
+            for own, space in self._node.get_node_names_and_namespaces()
+        ]
+        has_namesake = found.count(name) > 1
+        if has_namesake and not self._has_warned_of_namesake:
+            self._node.get_logger().warning(NAMESAKE.format(name))
+        self._has_warned_of_namesake = has_namesake
+        return has_namesake
+
+    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
+        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        for name in ('voltage', 'torque'):
+            strangers = sorted(intake.signals[name].unknown)
+            silent = [
+                motor
+                for motor in self._motors
+                if not getattr(observer.counts(motor), f'received_{name}')
+            ]
+            if strangers and silent and not self._has_warned_of_strangers:
+                self._has_warned_of_strangers = True
+                self._node.get_logger().warning(
+                    f'{intake.signals[name].topic} speaks of '
+                    f'{printable(", ".join(strangers[:5]))} and not of '
+                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
+                )
+
+
+def _contained_status(motor: str, situation: Situation) -> DiagnosticStatus:
+    """Describe one motor; one that cannot be described has stopped, and is described as that."""
+    observer = situation.observer
+    status = observer.contain(observer.group_of(motor), partial(status_of, motor, situation))
+    return status_of(motor, situation) if status is None else status

@@ -1,0 +1,115 @@
+"""Everything that diagnostics tell of a motor beside level and advice, as key-value pairs."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test.assumptions import assumptions
+from gray_box_observer.safe_io.finite import words_of
+
+if TYPE_CHECKING:
+    from gray_box_observer.ros.observer.diagnostics import Situation
+
+
+def values_of(motor: str, now: Situation) -> dict[str, str]:
+    """Everything that is known of a motor, as text."""
+    values = {**_counts(motor, now), **_balance(motor, now)}
+    seen = now.observer.motors.get(motor)
+    if seen is None:
+        return values
+    values.update(_estimates(seen.estimate))
+    values.update(_fit(seen.fit))
+    assumed = assumptions(now.observer.configuration.motors[motor], seen.white_box)
+    values['assumptions'] = '; '.join(assumed.values()) or 'none'
+    delay = seen.delay
+    values['delay in words'] = delay.words
+    values['delay [s]'] = _text(delay.value_s)
+    values['delay std [s]'] = _text(delay.std_s)
+    values['delay applied [s]'] = f'{delay.applied_s:.6g}'
+    values['delay verdict'] = delay.verdict.value
+    values.update({name: str(count) for name, count in seen.counters.items()})
+    alarm, training = seen.alarm, seen.training
+    if alarm is not None:
+        armed = 'raised' if alarm.raised else 'armed' if alarm.armed else 'learning the residual'
+        values['residual alarm'] = armed
+        values['residual std [N m]'] = _text(alarm.std_nm)
+        values['alarms raised'] = str(alarm.count)
+    skill = now.observer.skill(motor)
+    if skill is not None and training is not None:
+        values.update({name: _text(value) for name, value in skill.to_dict().items()})
+        values['training jobs done'] = str(training.jobs_done)
+        values['learnt residual, rms [N m]'] = f'{training.residual_nm:.3g}'
+        values['training jobs late'] = str(training.jobs_late)
+    return values
+
+
+def _counts(motor: str, now: Situation) -> dict[str, str]:
+    pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
+    rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
+    for counts in now.intake.rejected.values():
+        rejected.update({reason.value: n for reason, n in counts.items()})
+    newest_ns = now.meter.newest_ns.get(motor)
+    return {
+        'samples used': str(pairing.used),
+        'samples waiting for voltage': str(pairing.waiting),
+        'voltage messages': str(pairing.received_voltage),
+        'torque messages': str(pairing.received_torque),
+        'signal restarts': str(pairing.restarts),
+        'samples with voltage held': str(pairing.held),
+        'samples missing': str(0 if rhythm is None else rhythm.missing),
+        'pauses': str(0 if rhythm is None else max(0, rhythm.pauses)),
+        'sample rate [1/s]': f'{now.traffic.motors[motor].used / now.traffic.period_s:.1f}',
+        'age of newest sample [s]': _text(
+            None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9
+        ),
+        'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
+        'changes since last identified': str(now.traffic.motors[motor].changes),
+        'CPU of this process [%]': f'{100 * now.traffic.cpu:.1f}',
+        'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
+        'age of checkpoint [s]': _text(now.checkpoint_age_s),
+    }
+
+
+def _balance(motor: str, now: Situation) -> dict[str, str]:
+    """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
+    pairing, intake = now.observer.counts(motor), now.intake
+    values = {'voltages taken': str(pairing.taken_voltage)}
+    for name in ('voltage', 'torque'):
+        values[f'{name} topic: messages'] = str(intake.received[name])
+        values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
+        values[f'{name} topic: of no motor here'] = str(intake.others[name])
+        refused = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
+        values[f'{name} messages refused'] = (
+            ', '.join(f'{reason}: {n}' for reason, n in refused) or 'none'
+        )
+    return values
+
+
+def _estimates(estimate: Estimate) -> dict[str, str]:
+    values = {}
+    for j, parameter in enumerate(estimate.parameters):
+        value, std = estimate.value[0, j], estimate.std[0, j]
+        values[f'{parameter.name} [{parameter.unit}]'] = (
+            f'{words_of(value)} +- {words_of(std, ".2g")}'
+        )
+        values[f'{parameter.name} verdict'] = (
+            f'{estimate.verdicts[0][j].value} {estimate.bound_met(0, j)}'.rstrip()
+        )
+    return values
+
+
+def _fit(fit: FitAssessment) -> dict[str, str]:
+    suspects = [f'{suspect.effect} ({suspect.remedy})' for suspect in fit.suspects]
+    return {
+        'fit verdict': fit.verdict.value,
+        'fit ratio': _text(fit.ratio),
+        'fit whiteness': _text(fit.whiteness),
+        'suspects': '; '.join(suspects) or 'none',
+    }
+
+
+def _text(value: float | int | None) -> str:
+    return words_of(value, '.4g', 'unknown')

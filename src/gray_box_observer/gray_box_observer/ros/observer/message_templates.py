@@ -1,0 +1,124 @@
+"""Messages of which only numbers change, as bytes: serialised once, then the numbers are written
+into place.
+
+That takes a fraction of the time of building a message and having it converted for every sample.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
+
+from gray_box_observer.safe_io.bounded_cache import BoundedCache, size_of_names
+from gray_box_observer.samples.sample import NANOSECONDS_PER_SECOND
+from gray_box_observer.white_box import Parameter
+from gray_box_observer.white_box.interface import Array
+
+MAX_FORMS = 64
+"""Lists of names of which a form is kept."""
+
+MAX_FORM_BYTES = 8_000_000
+"""What these forms may take together."""
+
+_STAMP = struct.Struct('=iI')
+_SECONDS = range(-(2**31), 2**31)
+"""What a stamp can tell, which has 32 bits for them."""
+
+_STAMP_AT = 4
+"""Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
+
+
+class Form:
+    """One serialised message, and where its numbers stand in it.
+
+    Args:
+        make: builds the message from its numbers, which must stand in it one behind the other.
+        count: how many numbers.
+    """
+
+    def __init__(self, make: Callable[[array[float]], Any], count: int) -> None:
+        marks = array('d', (np.arange(count) + 1234.5678).tobytes())
+        self.data = bytearray(serialize_message(make(marks)))
+        at = self.data.index(marks.tobytes())
+        # a view, for it cannot be made longer or shorter, as a slice of the message would be
+        self._numbers = memoryview(self.data)[at : at + marks.itemsize * count]
+
+    def told(self, numbers: Array) -> bytes:
+        """Return the message with these numbers.
+
+        Args:
+            numbers: of double precision, as many as the form has, in any shape.
+
+        Raises:
+            ValueError: they are of another number or precision; the form stays what it was.
+        """
+        self._numbers[:] = numbers.tobytes()
+        return bytes(self.data)
+
+
+class TorqueMessages:
+    """Torques in N m at their stamp as serialised JointState messages; a form for every list of
+    names.
+    """
+
+    def __init__(self) -> None:
+        self._forms: BoundedCache[tuple[str, ...], Form] = BoundedCache(MAX_FORMS, MAX_FORM_BYTES)
+
+    def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
+        """Return the message of those motors of which there is a torque; None of none, or of a time
+        beyond all stamps.
+
+        Args:
+            names: of the motors.
+            stamp_ns: the stamp.
+            torque_nm: shape (motor,).
+        """
+        known = np.isfinite(torque_nm)
+        if not known.all():
+            names = tuple(
+                name for name, is_known in zip(names, known.tolist(), strict=True) if is_known
+            )
+            torque_nm = torque_nm[known]
+        seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
+        if not names or seconds not in _SECONDS:
+            return None
+        form = self._forms.get(names)
+        if form is None:
+            form = Form(lambda effort: JointState(name=names, effort=effort), len(names))
+            self._forms.remember(names, form, len(form.data) + size_of_names(names))
+        _STAMP.pack_into(form.data, _STAMP_AT, seconds, nanoseconds)
+        return form.told(torque_nm)
+
+
+def value_form() -> Form:
+    """Return the form of one parameter's value in SI units."""
+    return Form(lambda numbers: Float64(data=numbers[0]), 1)
+
+
+def covariance_form(parameters: tuple[Parameter, ...]) -> Form:
+    """Return the form of a covariance: square, row-major, both dimensions labelled with the
+    parameter names.
+    """
+    label, n = ','.join(p.name for p in parameters), len(parameters)
+
+    def make(numbers: array[float]) -> Float64MultiArray:
+        message = Float64MultiArray(data=numbers)
+        message.layout.dim = [
+            MultiArrayDimension(label=label, size=n, stride=n * n),
+            MultiArrayDimension(label=label, size=n, stride=n),
+        ]
+        return message
+
+    return Form(make, n * n)
+
+
+def yes_and_no() -> dict[bool, bytes]:
+    """Return both messages that say whether something holds."""
+    return {value: bytes(serialize_message(Bool(data=value))) for value in (False, True)}

@@ -1,0 +1,316 @@
+"""The topics that the observer listens to: what comes on them, and why nothing does."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible, qos_policy_name_from_kind
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import JointState
+
+from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.bag.joint_state import JointStateDecoder
+from gray_box_observer.errors import ConfigurationError, SampleError
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.message_types import message_class, missing_field
+from gray_box_observer.ros.observer.receive_memory import ReceiveMemory
+from gray_box_observer.ros.observer.receive_queue import ReceiveQueue
+from gray_box_observer.ros.qos import subscribe
+from gray_box_observer.samples import Rejection
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.parameters import SIGNALS
+
+Take = Callable[[str, Any, int], None]
+"""Takes the signal's name, the message, and the stamp in ns of one without header."""
+
+Refuse = Callable[[str, Rejection], None]
+"""Takes the signal's name of a message that is not read, and why."""
+
+Decode = Callable[[bytes], Any]
+"""Makes a message of its bytes."""
+
+VIEWED = ('position', 'velocity', 'effort')
+"""Fields of a JointState that are read from its bytes: that takes a third of the time of building
+the message."""
+
+WATCH_PERIOD_S = 0.2
+"""Between two looks at what the middleware holds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Why nothing can come on a topic.
+
+    Attributes:
+        message: what is wrong and what to do about it.
+        broken: whether somebody publishes there and will never be heard; else nobody publishes at
+            all.
+    """
+
+    message: str
+    broken: bool
+
+
+class Inputs:
+    """Subscriptions of the configured signals.
+
+    Args:
+        node: the node that listens.
+        configuration: names topics and types.
+        take: gets every message.
+        refuse: told of every message whose bytes make no sense, or are too many.
+        writers: returns the numbers of the node's own threads, whose memory is not the
+            middleware's.
+
+    Raises:
+        ConfigurationError: a message type that this environment does not have, or a field that the
+            type has not.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        configuration: Configuration,
+        take: Take,
+        refuse: Refuse,
+        writers: Callable[[], Iterable[int]] = tuple,
+    ) -> None:
+        self._node = node
+        self._take = take
+        self._refuse = refuse
+        self._topics = {
+            name: configuration[f'{name}.topic']
+            for name in SIGNALS
+            if configuration[f'{name}.topic']
+        }
+        self._types = {name: _message_type(name, configuration[f'{name}.type']) for name in SIGNALS}
+        self._fields = {
+            name: re.split(r'\W', configuration[f'{name}.field'])[0] for name in SIGNALS
+        }
+        for name, topic in self._topics.items():
+            path = FieldPath(configuration[f'{name}.field'])
+            complaint = missing_field(self._types[name], path.steps)
+            if complaint:  # said now, and not when the first message comes
+                raise ConfigurationError(f'{name}.field {path.text!r} on {topic}: {complaint}')
+        self._max_message_bytes = round(configuration['max_message_mb'] * 1e6)
+        self._queues: dict[str, ReceiveQueue] = {}
+        self._memory = ReceiveMemory(writers)
+        self._watch: Timer | None = None
+        self._refused: dict[str, str] = {}
+
+    def open(self) -> None:
+        """Begin to listen.
+
+        Raises:
+            ConfigurationError: a quality of service that cannot be had.
+        """
+        for name, topic in self._topics.items():
+            if not self._has_header(name):
+                self._node.get_logger().info(
+                    f'{self._type_name(name)} has no header: {name} is stamped by '
+                    f'{self._clock_in_words}'
+                )
+            subscribing = partial(self._subscribe, name, topic)
+            self._queues[name] = ReceiveQueue(
+                self._node, subscribing, self._max_message_bytes, self._watch_queues
+            )
+        self._memory.mark()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self._node.create_timer(WATCH_PERIOD_S, self._watch_queues, clock=steady)
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._watch is not None:
+            self._node.destroy_timer(self._watch)
+            self._watch = None
+        for queue in self._queues.values():
+            queue.close()
+        self._queues.clear()
+
+    def _watch_queues(self) -> None:
+        """Have the queues emptied where the middleware has grown by more than they may hold."""
+        budget_bytes = max((queue.budget_bytes for queue in self._queues.values()), default=0)
+        if self._memory.grown_bytes() > budget_bytes:
+            self._memory.mark()
+            for queue in self._queues.values():
+                queue.empty()
+
+    @property
+    def _subscriptions(self) -> dict[str, Subscription]:
+        """The present subscription of every signal."""
+        return {name: queue.subscription for name, queue in self._queues.items()}
+
+    @property
+    def needs_source_time(self) -> bool:
+        """Whether a signal's messages have no header, so that the middleware's source time has to
+        stamp them.
+        """
+        return not all(self._has_header(name) for name in self._topics)
+
+    @property
+    def in_words(self) -> str:
+        """Every topic by its full name."""
+        return ', '.join(self._node.resolve_topic_name(topic) for topic in self._topics.values())
+
+    def trouble(self, names: Iterable[str]) -> Trouble | None:
+        """Say why nothing comes for these signals, as far as the graph of nodes and topics tells;
+        None: no idea.
+        """
+        found = [trouble for name in names if (trouble := self._trouble(name)) is not None]
+        found.sort(key=lambda trouble: not trouble.broken)
+        same = [trouble.message for trouble in found if found and trouble.broken == found[0].broken]
+        return Trouble('; '.join(same), found[0].broken) if found else None
+
+    def _subscribe(self, name: str, topic: str, qos: QoSProfile | None) -> Subscription:
+        """Subscribe with a quality of service; None: the configured one."""
+        receive = self._receive if self._has_header(name) else self._receive_bare
+        callback = partial(receive, name, self._decoder(name))
+        asked = qos or topics.SIGNAL_QOS
+        listen = partial(
+            subscribe,
+            self._node,
+            self._types[name],
+            topic,
+            callback,
+            asked,
+            raw=True,
+            overridden=qos is None,
+        )
+        # Not message_lost: with Fast DDS 2.14, taking that event while the next one arrives locks
+        # up for good.
+        try:
+            return listen(
+                SubscriptionEventCallbacks(incompatible_qos=partial(self._incompatible, name))
+            )
+        except UnsupportedEventTypeError:  # not every middleware tells
+            return listen()
+
+    def _decoder(self, name: str) -> Decode:
+        kind = self._types[name]
+        if kind is JointState and self._fields[name] in VIEWED:
+            return JointStateDecoder()
+        return partial(_deserialized, kind)
+
+    def _receive(self, name: str, decode: Decode, data: bytes) -> None:
+        message = self._decoded(name, decode, data)
+        if message is not None:
+            self._take(name, message, 0)
+
+    def _receive_bare(self, name: str, decode: Decode, data: bytes, info: dict[str, Any]) -> None:
+        message = self._decoded(name, decode, data)
+        if message is None:
+            return
+        clock = self._node.get_clock()
+        # the middleware stamps by the wall clock, which tells nothing of simulated time
+        self._take(
+            name,
+            message,
+            clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp'],
+        )
+
+    def _decoded(self, name: str, decode: Decode, data: bytes) -> Any:
+        """Return the message of some bytes; None where they are too many or make no sense, which is
+        told.
+        """
+        queue = self._queues.get(name)
+        if queue is None:  # it waited while listening ended
+            return None
+        if len(data) > queue.unchecked_bytes and not queue.admit(len(data)):
+            self._refuse(name, Rejection.OVERSIZED)
+            return None
+        try:
+            return decode(data)
+        except SampleError:
+            self._refuse(name, Rejection.MALFORMED)
+            return None
+
+    @property
+    def _clock_in_words(self) -> str:
+        return (
+            '/clock, when it arrives'
+            if self._node.get_clock().ros_time_is_active
+            else 'the middleware'
+        )
+
+    def _has_header(self, name: str) -> bool:
+        return 'header' in self._types[name].get_fields_and_field_types()
+
+    def _type_name(self, name: str) -> str:
+        kind = self._types[name]
+        return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
+
+    def _incompatible(self, name: str, event: Any) -> None:
+        self._refused[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        self._node.get_logger().warning(self._refusal(name, self._refused[name]))
+
+    def _refusal(self, name: str, policy: str) -> str:
+        topic = self._node.resolve_topic_name(self._topics[name])
+        return (
+            f'a publisher of {topic} offers less {policy} than is asked for, so nothing comes '
+            'from it: '
+            f'change it, or start with qos_overrides.{topic}.subscription.{policy}'
+        )
+
+    def _trouble(self, name: str) -> Trouble | None:
+        topic = self._node.resolve_topic_name(self._topics[name])
+        publishers = self._node.get_publishers_info_by_topic(topic)
+        if not publishers:
+            return Trouble(
+                f'nobody publishes {topic}: start its driver, or set {name}.topic', broken=False
+            )
+        right = [
+            publisher for publisher in publishers if publisher.topic_type == self._type_name(name)
+        ]
+        if not right:
+            return Trouble(
+                f'{topic} is published as {publishers[0].topic_type}, but {name}.type is '
+                f'{self._type_name(name)}',
+                broken=True,
+            )
+        reasons = [self._mismatch(name, publisher) for publisher in right]
+        if all(reasons):
+            return Trouble(self._refusal(name, str(reasons[0])), broken=True)
+        return None
+
+    def _mismatch(self, name: str, publisher: TopicEndpointInfo) -> str:
+        """Name the policy that keeps a publisher from being heard; empty where it is heard."""
+        asked, offered = self._subscriptions[name].qos_profile, publisher.qos_profile
+        if qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR:
+            return ''
+        differing = [
+            p for p in ('reliability', 'durability') if getattr(asked, p) != getattr(offered, p)
+        ]
+        return self._refused.get(name) or (differing[0] if differing else 'quality of service')
+
+
+def _deserialized(kind: Any, data: bytes) -> Any:
+    """Return the message that some bytes are.
+
+    Raises:
+        SampleError: they are no such message.
+    """
+    try:
+        return deserialize_message(data, kind)
+    except rclpy_implementation.RMWError as error:
+        raise SampleError(f'not a message of this type: {error}') from error
+
+
+def _message_type(name: str, type_name: str) -> Any:
+    found = message_class(type_name)
+    if found is None:
+        raise ConfigurationError(
+            f'{name}.type {type_name!r} is not a message this environment knows: source the '
+            'workspace that has it'
+        )
+    return found

@@ -1,0 +1,298 @@
+"""What the observer publishes, turned from the core's results into messages."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.lifecycle import LifecycleNode
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.observer.motor_group import Group, GroupResult
+from gray_box_observer.ros import topics
+from gray_box_observer.ros.observer.latched import LatchedTopic
+from gray_box_observer.ros.observer.message_templates import (
+    Form,
+    TorqueMessages,
+    covariance_form,
+    value_form,
+    yes_and_no,
+)
+from gray_box_observer.ros.qos import advertise
+from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.white_box.interface import Array, Parameter
+
+Publish = Callable[[Any], None]
+
+UNTESTED = 0.0
+"""Ratio on ``~/<motor>/fit`` where what was tested is forgotten: no real one is so small."""
+
+NOTHING = (0.0, -1.0)
+"""Value and standard deviation on ``~/estimates`` where nothing is known: no real one is negative.
+"""
+
+
+class Outputs:
+    """Publishers of every motor; those of latched numbers go where nothing is known."""
+
+    def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
+        self._node = node
+        self._predicted = self._create(node, topics.PREDICTED_TORQUE)
+        horizon = configuration['horizon_s'] > 0.0
+        self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
+        self._estimates = LatchedTopic(node, topics.ESTIMATES)
+        told = configuration.motors if configuration['motor_topics'] else {}
+        self._identified = {m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in told}
+        self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in told}
+        self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in told}
+        self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in told}
+        self._covariances: dict[str, Form] = {}
+        self._value, self._is = value_form(), yes_and_no()
+        self._parameters = {
+            m: {
+                p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p)
+                for p in motor.values['context_nodes']
+            }
+            for m, motor in told.items()
+        }
+        self._parameter_identified = {
+            m: {
+                p: LatchedTopic(node, topics.PARAMETER_IDENTIFIED, motor=m, parameter=p)
+                for p in motor.values['context_nodes']
+            }
+            for m, motor in told.items()
+        }
+        self._published_fit: dict[str, float] = {}
+        self._published_identified: dict[str, tuple[bool, ...]] = {}
+        self._torques = TorqueMessages()
+        self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
+        self._foretold: dict[tuple[str, ...], int] = {}
+        self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+        self._told: dict[str, bool] = {}
+
+    @staticmethod
+    def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False) -> Publish:
+        publisher = advertise(node.create_lifecycle_publisher, topic.type, topic.name, topic.qos)
+        if active:
+            publisher.on_activate(None)
+        publish: Publish = publisher.publish
+        return publish
+
+    def results(self, results: Iterable[GroupResult]) -> None:
+        """Publish predictions that have not gone out as forecasts, and every changed estimate."""
+        for result in results:
+            names, awaited = result.group.names, self._awaited.setdefault(result.group.names, {})
+            foretold = awaited.pop(result.sample.stamp_ns, False)
+            if (
+                not result.sample.interval_s.any()
+            ):  # a history begins: stamps that are still awaited may come again
+                awaited.clear()
+            if result.prediction is not None and not foretold:
+                self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
+            if self._alarm and result.estimate is not None:
+                self._changed(result.group, result.changed.tolist(), result.estimate)
+
+    def alarms(self, results: Iterable[GroupResult]) -> None:
+        """Publish every changed alarm; with it all is done that these samples have left to be done."""
+        for result in results:
+            raised = result.alarm
+            if self._alarm:
+                self._alarms(result.group.names, raised)
+                self.tested(result.group)
+
+    def tested(self, group: Group) -> None:
+        """Publish what is believed of those motors of a group whose fit was tested since, and the
+        fit.
+        """
+        observer = group.observer
+        if observer is None or not self._fit:
+            return
+        for motor in observer.retested():
+            name, estimate = group.names[motor], observer.estimate(slice(motor, motor + 1))
+            self.fit(name, observer.fit_of(motor))
+            self.estimate(name, estimate, observer.identified_of(motor))
+            self.parameters_identified(
+                name, estimate.parameters, observer.parameters_identified_of(motor)
+            )
+
+    def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
+        """Publish the torques predicted of motors that come together for a stamp still without
+        torque, once.
+        """
+        awaited = self._awaited.setdefault(names, {})
+        if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
+            return
+        awaited[stamp_ns] = True
+        if len(awaited) > MAX_WAITING_VOLTAGES:  # torque that never came
+            del awaited[next(iter(awaited))]
+
+    def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
+        data = self._torques.told(names, stamp_ns, torque_nm)
+        if data is None:
+            return False
+        self._predicted(data)
+        return True
+
+    def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
+        """Publish the torques at the horizon if the newest voltage is held until then, once a
+        voltage.
+        """
+        if self._forecast is None:  # asked for while the node runs
+            self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
+        if self._foretold.get(names) == stamp_ns:
+            return
+        data = self._torques.told(names, stamp_ns, torque_nm)
+        if data is not None:
+            self._foretold[names] = stamp_ns
+            self._forecast(data)
+
+    def _changed(self, group: Group, changed: list[int], estimate: Estimate) -> None:
+        for row, motor in enumerate(changed):
+            name = group.names[motor]
+            self.estimate(name, estimate if len(changed) == 1 else estimate.of(row))
+            if group.observer is not None:
+                self.parameters_identified(
+                    name, estimate.parameters, group.observer.parameters_identified_of(motor)
+                )
+
+    def _alarms(self, names: tuple[str, ...], raised: NDArray[np.bool_]) -> None:
+        before = self._alarmed.get(names)
+        if before is not None and np.array_equal(before, raised):
+            return
+        for name, stands in zip(names, raised.tolist(), strict=True):
+            if self._told.get(name) != stands:
+                self.alarm(name, stands)
+        self._alarmed[names] = raised.copy()
+
+    def all_estimates(
+        self, motors: Sequence[str], seen: Sequence[tuple[tuple[str, ...], Estimate]]
+    ) -> None:
+        """Publish value and standard deviation of every parameter of every motor, in one message.
+
+        Args:
+            motors: names of the configured motors, which are the rows.
+            seen: names and estimates of those that have been seen; NOTHING stands for the others,
+                and for what is not finite.
+        """
+        rows, columns = {name: row for row, name in enumerate(motors)}, {}
+        for _, estimate in seen:
+            for parameter in estimate.parameters:
+                columns.setdefault(parameter.name, len(columns))
+        if not columns:
+            self._estimates.retract()
+            return
+        table = np.full((len(rows), len(columns), 2), np.nan)
+        for names, estimate in seen:
+            at = (
+                np.array([rows[name] for name in names])[:, None],
+                [columns[p.name] for p in estimate.parameters],
+            )
+            table[at] = np.stack([estimate.value, estimate.std], axis=-1)
+        table[~np.isfinite(table).all(axis=-1)] = NOTHING
+        message = Float64MultiArray(data=array('d', table.tobytes()))
+        labels, stride = (','.join(rows), ','.join(columns), 'value,std'), table.size
+        for label, size in zip(labels, table.shape, strict=True):
+            message.layout.dim.append(MultiArrayDimension(label=label, size=size, stride=stride))
+            stride //= size
+        self._estimates(message)
+
+    def estimate(self, motor: str, estimate: Estimate, identified: bool | None = None) -> None:
+        """Publish values, covariance and whether all is identified; None: by the verdicts."""
+        if motor not in self._covariance:
+            return
+        for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
+            if math.isfinite(value):
+                self._parameters[motor][parameter.name](self._value.told(value))
+        form = self._covariances.get(motor)
+        if form is None:
+            form = self._covariances[motor] = covariance_form(estimate.parameters)
+        if np.isfinite(estimate.covariance[0]).all():
+            self._covariance[motor](form.told(estimate.covariance[0]))
+        self._identified[motor](
+            self._is[estimate.identified(0) if identified is None else identified]
+        )
+
+    def fit(self, motor: str, fit: FitAssessment) -> None:
+        """Publish the ratio of a residual analysis where it has changed; UNTESTED where there is
+        none any more.
+        """
+        if motor not in self._fit:
+            return
+        if math.isnan(fit.ratio):
+            self._forget_fit(motor)
+        elif math.isinf(fit.ratio):  # tested, and no number: the topic goes
+            self._published_fit.pop(motor, None)
+            self._fit[motor].retract()
+        elif fit.ratio != self._published_fit.get(motor):
+            self._published_fit[motor] = fit.ratio
+            self._fit[motor](self._value.told(np.array([fit.ratio])))
+
+    def _forget_fit(self, motor: str) -> None:
+        """Take back the ratio, in whatever state of the life cycle; who listens has to hear of it
+        too.
+        """
+        if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
+            self._published_fit[motor] = UNTESTED
+            self._fit[motor].correct(self._value.told(np.array([UNTESTED])))
+
+    def parameters_identified(
+        self, motor: str, parameters: tuple[Parameter, ...], identified: tuple[bool, ...]
+    ) -> None:
+        """Publish which parameters are identified, where that has changed."""
+        before = self._published_identified.get(motor)
+        if identified == before or motor not in self._covariance:
+            return
+        self._published_identified[motor] = identified
+        for j, (parameter, is_identified) in enumerate(zip(parameters, identified, strict=True)):
+            if before is None or before[j] != is_identified:
+                self._parameter_identified[motor][parameter.name](self._is[is_identified])
+
+    def forget_published(self) -> None:
+        """Publish again, at the next chance, what goes out only when it changes: nobody may have
+        heard it.
+        """
+        self._published_identified.clear()
+        self._published_fit.clear()
+
+    def alarm(self, motor: str, raised: bool) -> None:
+        """Publish whether the alarm on the prediction's residual stands, whatever was published
+        before.
+        """
+        self._alarmed.clear()  # what samples have said last is not what stands there now
+        if motor in self._alarm:
+            self._told[motor] = raised
+            self._alarm[motor](self._is[raised])
+
+    def retract(self) -> None:
+        """Leave latched what is true of a node that knows nothing, in whatever state of its life
+        cycle.
+        """
+        self.retract_estimates()
+        for motor in self._identified:
+            self.retract_motor(motor)
+
+    def retract_estimates(self) -> None:
+        """Leave no number of any motor on ``~/estimates``."""
+        self._estimates.retract()
+
+    def retract_motor(self, motor: str) -> None:
+        """The same of one motor: not identified, no alarm, nothing tested, no number."""
+        if motor not in self._identified:
+            return
+        self._alarmed.clear()
+        self._told[motor] = False
+        self._identified[motor].correct(self._is[False])
+        self._alarm[motor].correct(self._is[False])
+        for latched in self._parameter_identified[motor].values():
+            latched.correct(self._is[False])
+        self._published_identified.pop(motor, None)
+        self._forget_fit(motor)
+        for latched in (*self._parameters[motor].values(), self._covariance[motor]):
+            latched.retract()

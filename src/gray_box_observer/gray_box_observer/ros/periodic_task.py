@@ -1,0 +1,73 @@
+"""Work that comes round by the clock: it shall keep no message waiting, and messages shall not
+crowd it out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+LATE = 1.5
+"""Periods after which it is done beside a message, whenever the timer will come."""
+
+NEAR_S = 0.1
+"""A timer that comes so soon after a message leaves the work to the messages, for so long: another
+one is near."""
+
+
+class Chore:
+    """Something to do every so often: right after a message, while the next is far; by the timer
+    where none come.
+
+    A timer knows nothing of messages: what it does just before one comes keeps that one waiting.
+    And the events executor of rclpy 7.1 serves messages and timers in the order in which they came,
+    so that under more messages than can be served timers fall behind by as much as messages do:
+    just when diagnostics are needed.
+
+    Args:
+        period_s: the timer's.
+        action: what to do.
+    """
+
+    def __init__(self, period_s: float, action: Callable[[], None]) -> None:
+        self._period_s = period_s
+        self._near_s = min(NEAR_S, 0.5 * period_s)
+        self._action = action
+        self._done_s = time.monotonic()
+        self._met_s = self._done_s - NEAR_S
+        self._left_s: float | None = None
+        """When it was left to the messages; None: it was not."""
+
+    def do(self) -> None:
+        """Do it."""
+        self._left_s = None
+        self._done_s = time.monotonic()
+        self._action()
+
+    def ring(self) -> None:
+        """Do it, or leave it to the messages, where one is near and none failed to come last time;
+        for the timer.
+
+        A timer that has fallen behind finds it done: not once more for that.
+        """
+        now_s = time.monotonic()
+        if now_s - self._done_s < 0.5 * self._period_s:
+            return
+        if self._left_s is not None or now_s - self._met_s >= self._near_s:
+            self.do()
+        else:
+            self._left_s = now_s
+
+    def meet(self, *, quiet: bool) -> bool:
+        """Do it if it is due or late; tell whether it was done. For whoever has served a message.
+
+        Args:
+            quiet: whether the next message is far, as far as anybody knows. Where that is never so
+                (messages that lead to nothing), it is not waited for.
+        """
+        self._met_s = time.monotonic()
+        due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
+        if not due and self._met_s - self._done_s <= LATE * self._period_s:
+            return False
+        self.do()
+        return True

@@ -1,0 +1,5 @@
+"""Every parameter, declared once, and their values, checked as a set. Read `parameters.py` first."""
+
+from gray_box_observer.settings.configuration import Configuration
+
+__all__ = ['Configuration']

@@ -1,0 +1,447 @@
+"""The values of the parameters, checked one by one and as a set. One YAML file serves the node and
+``identify``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.errors import ConfigurationError, InputError, brief
+from gray_box_observer.safe_io.bounded_yaml import read_yaml
+from gray_box_observer.settings.device import check_name
+from gray_box_observer.settings.parameters import (
+    KNOWN_PARAMETERS,
+    MOTOR_PARAMETERS,
+    OBSERVER_PARAMETERS,
+    SIGNALS,
+    ParameterSpec,
+)
+from gray_box_observer.white_box import MotorWhiteBox
+
+NODE_NAME = 'gray_box_observer'
+
+NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+"""What ROS allows between two slashes of a topic: a motor's name stands there."""
+
+RANGE = re.compile(r'([A-Za-z_][A-Za-z0-9_]*)\[(\d{1,9})\.\.(\d{1,9})\]')
+"""Many motors with a number behind their name: ``m[1..1000]``."""
+
+MOST_MOTORS = 100_000
+"""Of a whole list, ranges written out: more would take the node minutes and gigabytes before it
+hears anything."""
+
+DEFAULTS = 'defaults'
+"""Group of parameters for the motors that say nothing else in their own."""
+
+MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
+
+
+@dataclass(frozen=True)
+class MotorConfiguration:
+    """What is known of one motor beforehand.
+
+    Attributes:
+        name: its name.
+        values: by the names of MOTOR_PARAMETERS.
+        stated: names of those that the user has stated; the others have their defaults, which say
+            nothing of it.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    stated: frozenset[str] = frozenset()
+
+    def white_box(self, speed_measured: bool) -> MotorWhiteBox:
+        """Build the white box of this motor."""
+        nodes = tuple(self.values['context_nodes'])
+        known = {
+            name: self.values[parameter]
+            for name, parameter in KNOWN_PARAMETERS.items()
+            if name not in nodes and self.values[parameter] > 0.0
+        }
+        return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
+
+    def is_notable(self, spec: ParameterSpec) -> bool:
+        """Tell whether a value must be known to repeat a run: a constant, or one that was stated or
+        is no default.
+        """
+        differs = self.values[spec.name] != spec.default
+        return (
+            differs
+            or spec.name in self.stated
+            or spec.name in ('torque_constant', 'back_emf_constant')
+        )
+
+    @property
+    def estimates_delay(self) -> bool:
+        """Whether the delay between voltage and torque is estimated instead of declared."""
+        return isinstance(self.values['delay'], str)
+
+    @property
+    def delay_s(self) -> float:
+        """The declared delay in s; 0 to begin with where it is estimated."""
+        return 0.0 if self.estimates_delay else float(self.values['delay'])
+
+    def initial(self) -> list[float]:
+        """Where identification starts, in the order of the context nodes."""
+        return [float(self.values[f'initial.{name}']) for name in self.values['context_nodes']]
+
+    def initial_relative_std(self) -> list[float]:
+        """How well these are known, relative to them, in the same order; 0: nothing is said."""
+        return [
+            float(self.values[f'initial_relative_std.{name}'])
+            for name in self.values['context_nodes']
+        ]
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """The whole configuration.
+
+    Attributes:
+        values: by the names of OBSERVER_PARAMETERS.
+        motors: one entry a motor.
+        unknown: names that were given but nobody declared, for the caller to warn of: a file with
+            ``/**`` may hold parameters of other nodes.
+    """
+
+    values: Mapping[str, Any]
+    motors: Mapping[str, MotorConfiguration] = field(default_factory=dict)
+    unknown: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[name]
+
+    def notable(self) -> dict[str, Any]:
+        """Return what sets this configuration apart, by dotted names: values that are not the
+        default, or stated.
+        """
+        found = {
+            spec.name: self.values[spec.name]
+            for spec in OBSERVER_PARAMETERS
+            if self.values[spec.name] != spec.default
+        }
+        for name, motor in self.motors.items():
+            found.update(
+                {
+                    f'{name}.{spec.name}': motor.values[spec.name]
+                    for spec in MOTOR_PARAMETERS
+                    if motor.is_notable(spec)
+                }
+            )
+        return found
+
+    def group(self, prefix: str) -> dict[str, Any]:
+        """Return the values below a prefix, by the rest of their names."""
+        return {
+            name[len(prefix) + 1 :]: v
+            for name, v in self.values.items()
+            if name.startswith(f'{prefix}.')
+        }
+
+    @classmethod
+    def from_flat(cls, given: Mapping[str, Any]) -> Configuration:
+        """Build the configuration from dotted names; what is not given has its default.
+
+        Raises:
+            ConfigurationError: a value out of range, or motors that fit no white box.
+        """
+        rest = {name: value for name, value in given.items() if not _is_foreign(name)}
+        values = {
+            spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS
+        }
+        names = values['motors'] = expanded(values['motors'])
+        if (
+            not names
+            or len(set(names)) != len(names)
+            or not all(isinstance(n, str) and NAME.fullmatch(n) and n != DEFAULTS for n in names)
+        ):
+            raise ConfigurationError(
+                'motors must be distinct names that can stand in a topic (letters, digits, _; '
+                f'not {DEFAULTS}), got '
+                f'{brief(names)}'
+            )
+        reserved = [name for name in names if name in RESERVED]
+        if reserved:
+            raise ConfigurationError(
+                f'motors: {reserved[0]} is the name of parameters of the observer itself; give '
+                'the motor another one'
+            )
+        if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
+            raise ConfigurationError(
+                'parameter verdict.identified_relative_std must not be above '
+                'verdict.excited_relative_std, got '
+                f'{values["verdict.identified_relative_std"]} and '
+                f'{values["verdict.excited_relative_std"]}'
+            )
+        for small, large in FITS_TWICE:
+            if 2 * values[small] > values[large]:
+                raise ConfigurationError(
+                    f'parameter {large} must be at least twice {small}, got {values[large]} and '
+                    f'{values[small]}'
+                )
+        if values['horizon_s'] > 0.0 and values['variant'] != 'physics':
+            raise ConfigurationError(
+                f'parameter horizon_s must be 0 with variant {values["variant"]}, got '
+                f'{values["horizon_s"]!r}: '
+                'only variant physics looks beyond the next sample'
+            )
+        check_name(values['device'])
+        for name in SIGNALS:
+            _check_signal(name, values)
+        shared = _stated(DEFAULTS, rest)
+        common = {
+            spec.name: rest.pop(f'{DEFAULTS}.{spec.name}', spec.default)
+            for spec in MOTOR_PARAMETERS
+        }
+        motors = _motors(names, rest, common, shared)
+        _check_rule(values['context_update'], motors)
+        return cls(values, motors, tuple(sorted(rest)))
+
+    def changed(self, given: Mapping[str, Any]) -> Configuration:
+        """Return the configuration with some values changed, by their dotted names; others than
+        ours are passed over.
+
+        Raises:
+            ConfigurationError: as in :meth:`from_flat`.
+        """
+        flat = dict(self.values)
+        for name, motor in self.motors.items():
+            flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
+        changes = {name: value for name, value in given.items() if name in flat}
+        made = self.from_flat(flat | changes)
+        motors = {
+            name: replace(motor, stated=self.motors[name].stated | _stated(name, changes))
+            for name, motor in made.motors.items()
+        }
+        return replace(made, motors=motors, unknown=self.unknown)
+
+    def alike(self, name: str) -> list[str]:
+        """Return declared names that an unknown one may have been meant for.
+
+        A motor that is not listed may be one of another node; it is taken for a slip of a motor of
+        which nothing is stated, and of no other.
+        """
+        found = [spec.name for spec in OBSERVER_PARAMETERS]
+        group = name.partition('.')[0]
+        if group in self.motors or group == DEFAULTS:
+            groups = [group]
+        else:
+            groups = [DEFAULTS, *(motor for motor, of in self.motors.items() if not of.stated)][
+                :MOST_ALIKE
+            ]
+        return found + [f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS]
+
+    @classmethod
+    def from_yaml(cls, path: Path) -> Configuration:
+        """Read a ROS parameter file (``/**`` or the node's name, then ``ros__parameters``).
+
+        Raises:
+            ConfigurationError: no such file, not YAML, or a value that does not fit.
+        """
+        return cls.from_flat(read_parameter_file(path))
+
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """What a ROS parameter file gives to the observer, by dotted names.
+
+    Raises:
+        ConfigurationError: no such file, not YAML, or nothing for the observer in it.
+    """
+    try:
+        document = read_yaml(path)
+    except InputError as error:
+        raise ConfigurationError(f'parameter file {error}') from None
+    given: dict[str, Any] = {}
+    for node, content in document.items() if isinstance(document, dict) else ():
+        if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
+            if not isinstance(content, dict) or not isinstance(
+                content.get('ros__parameters'), dict
+            ):
+                raise ConfigurationError(f'{path}: expected ros__parameters below {brief(node)}')
+            try:
+                given.update(flatten(content['ros__parameters']))
+            except ConfigurationError as error:
+                raise ConfigurationError(f'parameter file {path}: {error}') from None
+    if not given:
+        raise ConfigurationError(
+            f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"'
+        )
+    return given
+
+
+SMALLEST_RELATIVE_STD = 1e-6
+"""No initial value is known better; and the arithmetic would not bear it."""
+
+FITS_TWICE = (
+    ('recursive.block', 'recursive.replay_capacity'),
+    ('gradient.window', 'gradient.replay_capacity'),
+    ('gradient.batch_size', 'gradient.replay_capacity'),
+    ('training.context', 'training.replay_capacity'),
+)
+"""What has to fit twice into what: a memory must hold more than one piece of work on it."""
+
+MOST_ALIKE = 100
+"""Motors of which an unknown name is looked up."""
+
+FOREIGN_PARAMETERS = frozenset({'use_sim_time', 'start_type_description_service'})
+"""Parameters that rclpy declares itself."""
+
+FOREIGN_GROUPS = ('qos_overrides.',)
+"""Groups of parameters that rclpy declares itself."""
+
+
+RESERVED = frozenset(
+    name.partition('.')[0]
+    for name in (*(spec.name for spec in OBSERVER_PARAMETERS), *FOREIGN_PARAMETERS, *FOREIGN_GROUPS)
+)
+"""Names that no motor may have: its parameters would be the observer's."""
+
+
+def _is_foreign(name: str) -> bool:
+    return name in FOREIGN_PARAMETERS or name.startswith(FOREIGN_GROUPS)
+
+
+def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Turn nested groups into dotted names.
+
+    Raises:
+        ConfigurationError: a name is there twice, once with a dot and once as a group.
+    """
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        dotted = f'{prefix}{name}'
+        values = flatten(value, f'{dotted}.') if isinstance(value, Mapping) else {dotted: value}
+        twice = next((repeated for repeated in values if repeated in flat), None)
+        if twice is not None:
+            raise ConfigurationError(f'parameter {brief(twice)} stands twice')
+        flat.update(values)
+    return flat
+
+
+def _check_signal(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse what no message could ever be read by, before any is waited for or read."""
+    if not values[f'{name}.topic'] and name != 'speed':
+        raise ConfigurationError(
+            f'parameter {name}.topic is empty: voltage and torque each need a topic'
+        )
+    if not MESSAGE_TYPE.fullmatch(values[f'{name}.type']):
+        raise ConfigurationError(
+            f'parameter {name}.type must be a message type such as sensor_msgs/msg/JointState, '
+            f'got {brief(values[f"{name}.type"])}'
+        )
+    scale = values[f'{name}.scale']
+    if not math.isfinite(scale) or scale == 0.0:
+        raise ConfigurationError(
+            f'parameter {name}.scale must be a finite number other than 0, got {scale!r}'
+        )
+    try:
+        FieldPath(values[f'{name}.field'])
+    except ConfigurationError as error:
+        raise ConfigurationError(f'parameter {name}.field: {error}') from error
+
+
+def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
+    """Refuse to be told what the rule could not make use of."""
+    told = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
+    if rule != 'recursive' and told:
+        raise ConfigurationError(
+            f'motor {told[0]}: initial_relative_std needs context_update recursive, got {rule}: '
+            'the gradient rule has no prior'
+        )
+
+
+def expanded(names: Any) -> Any:
+    """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3; what is no list of names
+    stays as it is.
+    """
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        return names
+    ranges = [RANGE.fullmatch(name) for name in names]
+    counts = [max(0, int(r[3]) - int(r[2]) + 1) if r else 1 for r in ranges]
+    if sum(counts) > MOST_MOTORS:  # before any is written out
+        raise ConfigurationError(
+            f'motors: {brief(names)} stands for {sum(counts)} motors, expected {MOST_MOTORS} at '
+            'most'
+        )
+    written: list[str] = []
+    for name, found, count in zip(names, ranges, counts, strict=True):
+        numbers = range(int(found[2]), int(found[3]) + 1) if found else range(0)
+        written += [f'{found[1]}{number}' for number in numbers] if found and count else [name]
+    return written
+
+
+def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
+    """Return the names of MOTOR_PARAMETERS that a group states among dotted names."""
+    return frozenset(spec.name for spec in MOTOR_PARAMETERS if f'{group}.{spec.name}' in flat)
+
+
+def _motors(
+    names: Sequence[str], rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+) -> dict[str, MotorConfiguration]:
+    """Configure every motor; those without a group of their own are checked once, for they are
+    alike.
+    """
+    named = {name.partition('.')[0] for name in rest}
+    motors: dict[str, MotorConfiguration] = {}
+    alike: dict[str, Any] = {}
+    lists: list[str] = []
+    for name in names:
+        if name in named:
+            motors[name] = _motor(name, rest, common, shared)
+            continue
+        if not alike:
+            alike = dict(_motor(name, rest, common, shared).values)
+            lists = [key for key, value in alike.items() if isinstance(value, list)]
+        motors[name] = MotorConfiguration(
+            name, alike | {key: list(alike[key]) for key in lists}, shared
+        )
+    return motors
+
+
+def _motor(
+    name: str, rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+) -> MotorConfiguration:
+    """Take one motor's group out of the values that are left; what is not in it is that of all
+    motors.
+    """
+    stated = shared | _stated(name, rest)
+    values = {
+        spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.')
+        for spec in MOTOR_PARAMETERS
+    }
+    motor = MotorConfiguration(name, values, stated)
+    for node in values['context_nodes']:
+        if values.get(f'known.{node}', 0.0) > 0.0:
+            raise ConfigurationError(
+                f'motor {name}: {node} is among context_nodes and has known.{node}: leave one of '
+                'them out'
+            )
+        std = values.get(f'initial_relative_std.{node}', 0.0)
+        if 0.0 < std < SMALLEST_RELATIVE_STD:
+            raise ConfigurationError(
+                f'parameter {name}.initial_relative_std.{node} must be 0 or at least '
+                f'{SMALLEST_RELATIVE_STD:g}, got '
+                f'{std:g}: take a constant that is known for certain out of context_nodes'
+            )
+    limits_v = values['voltage_limits']
+    if len(limits_v) != 2 or limits_v[0] > limits_v[1]:
+        raise ConfigurationError(
+            f'parameter {name}.voltage_limits must be [lowest, highest] in V, got {brief(limits_v)}'
+        )
+    try:
+        motor.white_box(speed_measured=values['speed_source'] != 'torque_constant')
+    except ConfigurationError as error:
+        raise ConfigurationError(f'motor {name}: {error}') from error
+    return motor
+
+
+def _own(value: Any) -> Any:
+    """A list of one's own: what is common to all must not be changed by one."""
+    return list(value) if isinstance(value, (list, tuple)) else value

@@ -1,0 +1,120 @@
+"""Where large groups of motors are computed: by numpy and compiled code, or by torch on a device of
+its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from gray_box_observer.errors import ConfigurationError, brief
+
+CPU = 'cpu'
+"""No device of its own: numpy and compiled code; networks are taught by torch on the processor."""
+
+DEVICE_FROM = 8192
+"""Motors at once from which on a device is taken to be worth its while; a guess, for nobody has
+measured one yet. However few they are, a block of samples or a prediction is hundreds of calls,
+thousands where motors differ."""
+
+DEVICE_TURN = 65_536
+"""Motors whose blocks a device learns at once, and at one sample of the group unless there are more
+than a million. What it works with on the way is then some 2 GB."""
+
+NAME = re.compile(r'cpu|cuda(:(0|[1-9]\d{0,3}))?')
+"""Names of devices: ``cpu``, ``cuda`` (the one that is current), ``cuda:1`` (the second one)."""
+
+
+def check_name(name: str) -> None:
+    """Refuse what names no device; whether there is one is another question.
+
+    Raises:
+        ConfigurationError: neither ``cpu`` nor ``cuda`` nor ``cuda:N``.
+    """
+    if not NAME.fullmatch(name):
+        raise ConfigurationError(
+            f'parameter device must be cpu, cuda or cuda:N (such as cuda:0), got {brief(name)}'
+        )
+
+
+def torch_device(name: str) -> str | None:
+    """Return the device of torch that large groups are computed on; None for ``cpu``, which needs
+    no torch.
+
+    Raises:
+        ConfigurationError: the name is none, torch is missing, it sees no such device, or that does
+            not compute.
+    """
+    check_name(name)
+    if name == CPU:
+        return None
+    try:
+        import torch
+    except (ImportError, OSError) as error:  # OSError: a library is missing that it was built for
+        raise ConfigurationError(
+            f'parameter device is {name}, which needs torch, and this Python cannot import it: '
+            f'{_reason(error)}: '
+            'install it with "pip install torch", or set device to cpu'
+        ) from error
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if count == 0:
+        built = (
+            ''
+            if torch.version.cuda or torch.version.hip
+            else f' (torch {torch.__version__} is built without CUDA)'
+        )
+        raise ConfigurationError(
+            f'parameter device is {name}, but torch sees no GPU{built}: install a driver and a '
+            'torch built for it, or '
+            'set device to cpu'
+        )
+    number = int(name.partition(':')[2] or 0)
+    if number >= count:
+        raise ConfigurationError(
+            f'parameter device is {name}, but torch sees {count} of them, cuda:0 to '
+            f'cuda:{count - 1}: name one of '
+            'these, or set device to cpu'
+        )
+    try:
+        _try_out(name)
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f'parameter device is {name}, but it does not compute: {_reason(error)}: install a '
+            'torch built for it, '
+            'or set device to cpu'
+        ) from error
+    return name
+
+
+@contextmanager
+def watched(device: str) -> Iterator[None]:
+    """Tell in one line of what fails on a device: out of memory, a GPU that is lost. Decorates
+    functions too.
+
+    Raises:
+        ConfigurationError: instead of torch's `RuntimeError`.
+    """
+    try:
+        yield
+    except RuntimeError as error:
+        raise ConfigurationError(
+            f'device {device} failed: {_reason(error)}: set device to cpu, or let it have fewer '
+            'motors'
+        ) from error
+
+
+def _try_out(device: str) -> None:
+    """Compute something as blocks do, in double precision: a GPU that torch sees may have no
+    kernels in it.
+    """
+    import torch
+
+    square = torch.eye(2, dtype=torch.float64, device=device)
+    torch.linalg.solve_ex(square, square)[0].cpu()
+
+
+def _reason(error: Exception) -> str:
+    """The first line of what torch says; the others are advice on how to debug it."""
+    lines = str(error).strip().splitlines()
+    return lines[0].strip().rstrip('.') if lines else type(error).__name__

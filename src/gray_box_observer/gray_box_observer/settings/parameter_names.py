@@ -1,0 +1,62 @@
+"""Names of parameters that nobody declared: whether they are slips of one that is, and of which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from difflib import SequenceMatcher, get_close_matches
+
+from gray_box_observer.errors import brief
+
+ALIKE = 0.7
+"""Share of letters that two parts of a name have in common where one may be a slip of the other."""
+
+SUGGESTED = 0.5
+"""The same of whole names, where there is none of which it may be a slip."""
+
+MOST_TOLD = 8
+
+
+def slip_of(name: str, known: Iterable[str]) -> str:
+    """Return the known name that a name is a slip of: all parts but one are the same, one is alike.
+
+    Args:
+        name: parts joined by dots.
+        known: likewise.
+
+    Returns:
+        The name that is most alike; empty where there is none.
+    """
+    parts = name.split('.')
+    found, alike = '', ALIKE
+    for other in known:
+        others = other.split('.')
+        differing = [pair for pair in zip(parts, others, strict=False) if pair[0] != pair[1]]
+        if len(parts) == len(others) and len(differing) == 1:
+            ratio = SequenceMatcher(None, *differing[0]).ratio()
+            if ratio >= alike and (not found or ratio > alike):
+                found, alike = other, ratio
+    return found
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the known name that comes nearest to a name; empty where none is anything like it."""
+    names = list(known)
+    return slip_of(name, names) or next(iter(get_close_matches(name, names, 1, SUGGESTED)), '')
+
+
+def in_words(names: Mapping[str, str]) -> str:
+    """Tell unknown names, each with the one that may have been meant.
+
+    Args:
+        names: by the unknown name, the known one; empty where there is none.
+    """
+    said = [
+        f'{_short(name)} (did you mean {near}?)' if near else _short(name)
+        for name, near in names.items()
+    ]
+    more = f' and {len(said) - MOST_TOLD} more' if len(said) > MOST_TOLD else ''
+    return ', '.join(said[:MOST_TOLD]) + more
+
+
+def _short(name: str) -> str:
+    return brief(name)[1:-1]

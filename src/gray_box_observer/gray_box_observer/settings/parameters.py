@@ -1,0 +1,479 @@
+"""Every parameter of the observer, declared once: node, ``identify``, YAML, documentation and tests
+read this list.
+
+Names are those of ROS parameters; each motor has a group of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from gray_box_observer.errors import ConfigurationError, brief
+from gray_box_observer.white_box import TERMS
+
+SIGNALS = ('voltage', 'torque', 'speed')
+"""What is measured; each has a group of parameters that say where it comes from."""
+
+LONGEST_TEXT = 4096
+"""Of a text; no path may be longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter as a user sees it.
+
+    Attributes:
+        name: dotted ROS parameter name; for a motor's parameters, below the motor's name.
+        default: value and, by its type, the type.
+        description: what it does, with its unit.
+        minimum, maximum: inclusive range of a number.
+        choices: allowed values of a string.
+        words: words that may stand in place of a number.
+        live: whether it may be changed while the node runs.
+    """
+
+    name: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    live: bool = False
+
+    def check(self, value: Any, where: str = '') -> Any:
+        """Return the value in the declared type.
+
+        Raises:
+            ConfigurationError: wrong type, outside the range, or not among the choices.
+        """
+        name = f'{where}{self.name}'
+        if isinstance(self.default, float):
+            value = _as_float(value)
+        if isinstance(self.default, list) and isinstance(value, tuple):
+            value = list(value)
+        if (
+            isinstance(self.default, list)
+            and isinstance(self.default[0], float)
+            and isinstance(value, list)
+        ):
+            value = [_as_float(entry) for entry in value]
+        if value in self.words:
+            return value
+        if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
+            raise ConfigurationError(
+                f'parameter {name} must be a number or {" or ".join(self.words)}, got '
+                f'{brief(value)}'
+            )
+        if type(value) is not type(self.default):
+            wanted, got = type(self.default).__name__, type(value).__name__
+            raise ConfigurationError(
+                f'parameter {name} must be of type {wanted}, got {brief(value)} ({got})'
+            )
+        if isinstance(value, list) and any(
+            type(entry) is not type(self.default[0]) for entry in value
+        ):
+            wanted = type(self.default[0]).__name__
+            raise ConfigurationError(
+                f'parameter {name} must be a list of {wanted}, got {brief(value)}'
+            )
+        if self.choices and value not in self.choices:
+            raise ConfigurationError(
+                f'parameter {name} must be one of {", ".join(self.choices)}, got {brief(value)}'
+            )
+        entries = value if isinstance(value, list) else [value]
+        if any(isinstance(entry, str) and len(entry) > LONGEST_TEXT for entry in entries):
+            raise ConfigurationError(
+                f'parameter {name} must have at most {LONGEST_TEXT} characters, got {brief(value)}'
+            )
+        for number in entries:
+            if isinstance(number, (int, float)) and not isinstance(number, bool):
+                self._check_range(name, number)
+        return value
+
+    def _check_range(self, name: str, number: float) -> None:
+        if self.minimum is None and self.maximum is None:
+            return
+        above = self.minimum is None or number >= self.minimum
+        below = self.maximum is None or number <= self.maximum
+        is_finite = isinstance(number, int) or math.isfinite(number)
+        if not (above and below and is_finite):
+            low = '-inf' if self.minimum is None else f'{self.minimum:g}'
+            high = 'inf' if self.maximum is None else f'{self.maximum:g}'
+            raise ConfigurationError(
+                f'parameter {name} must be in [{low}, {high}], got {brief(number)}'
+            )
+
+
+def _as_float(value: Any) -> Any:
+    """A whole number as a float, infinite where none is so large; anything else as it is."""
+    if not isinstance(value, int) or isinstance(value, bool):
+        return value
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def _signal(name: str, topic: str, field_path: str, what: str, scale: str) -> list[ParameterSpec]:
+    """Parameters that say where a signal comes from.
+
+    Args:
+        name: of the signal.
+        topic: default of its topic.
+        field_path: default of its field.
+        what: it is, in words.
+        scale: its SI unit, and what the factor to it is in a usual case.
+    """
+    return [
+        ParameterSpec(
+            f'{name}.topic', topic, f'Topic that carries {what}; empty: none of its own.'
+        ),
+        ParameterSpec(
+            f'{name}.type', 'sensor_msgs/msg/JointState', f'Message type of {name}.topic.'
+        ),
+        ParameterSpec(
+            f'{name}.field',
+            field_path,
+            f'Field path of {what} in the message, such as data, data[0] or wrench.torque.z.',
+        ),
+        ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in {scale}.'),
+        ParameterSpec(
+            f'{name}.offset', 0.0, f'Added to {what} after the scale, in SI units.', -1e9, 1e9
+        ),
+    ]
+
+
+OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
+    ParameterSpec(
+        'motors',
+        ['motor'],
+        'Names of the motors, as in JointState.name; m[1..9] stands for m1 to m9. At most 100,000.',
+    ),
+    ParameterSpec(
+        'group_from',
+        8,
+        'From so many motors in the same messages on they are computed together: they share one '
+        'network, and no '
+        'residual is learnt.',
+        2,
+        1_000_000,
+    ),
+    ParameterSpec(
+        'motor_topics',
+        True,
+        'Publish topics of every motor; false: ~/estimates and ~/predicted_torque only.',
+    ),
+    ParameterSpec(
+        'estimates_period_s',
+        1.0,
+        'Time between two messages on ~/estimates, in s; 0: none.',
+        0.0,
+        1e6,
+    ),
+    ParameterSpec('autostart', True, 'Configure and activate the node by itself when it starts.'),
+    ParameterSpec(
+        'context_update',
+        'recursive',
+        'Rule that learns the context nodes: recursive maximum likelihood, or the gradient rule '
+        'of the thesis.',
+        choices=('recursive', 'gradient'),
+    ),
+    ParameterSpec('predictor', True, 'Train and run the LSTM predictor.'),
+    ParameterSpec(
+        'variant',
+        'physics',
+        'What the LSTM is taught on: physics over all the operating range, or a variant of the '
+        'thesis (5.1).',
+        choices=('physics', 'main', 'sees_data', 'supervised_with_parameters', 'supervised'),
+    ),
+    ParameterSpec(
+        'horizon_s',
+        0.0,
+        'Horizon of ~/forecast_torque, in s (variant physics); 0: none.',
+        0.0,
+        1e6,
+        live=True,
+    ),
+    ParameterSpec(
+        'device',
+        'cpu',
+        'Where groups of 8192 motors or more are computed, and taught: cpu, or by torch on cuda '
+        'or cuda:N.',
+    ),
+    ParameterSpec('seed', 0, 'Seed of everything random.', 0, 2**62),
+    ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),
+    ParameterSpec(
+        'gap_s',
+        0.5,
+        'Silence of torque, in s, after which the signal history starts anew.',
+        1e-6,
+        1e6,
+        live=True,
+    ),
+    ParameterSpec(
+        'hold_s',
+        0.25,
+        'How far torque may run ahead of voltage, in s, before voltage is held.',
+        0.0,
+        1e6,
+        live=True,
+    ),
+    ParameterSpec(
+        'jump_back_s',
+        1.0,
+        'Backward jump of a stamp, in s, that means a restarted clock.',
+        0.0,
+        1e6,
+        live=True,
+    ),
+    ParameterSpec(
+        'max_message_mb',
+        4.0,
+        'Larger messages are refused before they are read, in MB; of one topic 16 times as much '
+        'may wait.',
+        0.001,
+        1e6,
+    ),
+    *_signal('voltage', 'motor/voltage', 'effort', 'armature voltage', 'V; of mV: 0.001'),
+    *_signal('torque', 'motor/torque', 'effort', 'motor torque', 'N m; of a current in A: Kt'),
+    *_signal('speed', '', 'velocity', 'shaft speed', 'rad/s; of revolutions a minute: 0.10472'),
+    ParameterSpec(
+        'recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000
+    ),
+    ParameterSpec(
+        'recursive.replay_capacity', 4096, 'Samples remembered for repeated fits.', 80, 10_000_000
+    ),
+    ParameterSpec(
+        'recursive.prior_relative_std',
+        2.0,
+        "Std of initial values' logarithms where no std is given.",
+        1e-6,
+        100.0,
+    ),
+    ParameterSpec(
+        'recursive.drift_relative_std', 0.4, 'Relative std after a detected change.', 1e-6, 100.0
+    ),
+    ParameterSpec(
+        'recursive.drift_threshold', 60.0, 'Chi-square threshold of the change test.', 1.0, 1e9
+    ),
+    ParameterSpec(
+        'recursive.long_hold_s',
+        60.0,
+        'In a longer hold of the voltage, in s, the level moves only what heats.',
+        0.0,
+        1e9,
+    ),
+    ParameterSpec(
+        'gradient.batch_size',
+        25,
+        'New samples between two updates of the context nodes.',
+        1,
+        100000,
+    ),
+    ParameterSpec('gradient.window', 10, 'Samples between the two ends of a difference.', 1, 10000),
+    ParameterSpec(
+        'gradient.learning_rate', 0.02, 'Adam, on the logarithm of the parameters.', 1e-6, 1.0
+    ),
+    ParameterSpec(
+        'gradient.replay_capacity',
+        6000,
+        'Samples remembered for the context nodes.',
+        100,
+        10_000_000,
+    ),
+    ParameterSpec('training.hidden', 12, 'Hidden units of the LSTM (thesis: 2).', 1, 1024),
+    ParameterSpec(
+        'training.context', 64, 'Past samples the LSTM warms up on (thesis: 64).', 2, 100000
+    ),
+    ParameterSpec('training.period', 100, 'Samples between two training jobs.', 1, 1_000_000),
+    ParameterSpec('training.steps', 7, 'Adam steps of a training job.', 1, 100000),
+    ParameterSpec('training.minibatch', 12, 'Windows of a training step.', 1, 100000),
+    ParameterSpec(
+        'training.learning_rate', 0.005, 'Adam, on the weights (thesis: 0.001).', 1e-7, 1.0
+    ),
+    ParameterSpec(
+        'training.core_share',
+        0.1,
+        'Share of one core that background training may use.',
+        1e-4,
+        1.0,
+        live=True,
+    ),
+    ParameterSpec(
+        'training.start',
+        'shipped',
+        'What variant physics begins with: the network that comes with the package, or a fresh '
+        'one.',
+        choices=('shipped', 'fresh'),
+    ),
+    ParameterSpec(
+        'training.residual', True, 'Learn what physics does not explain, if held-out samples gain.'
+    ),
+    ParameterSpec(
+        'training.replay_capacity', 6000, 'Newest samples remembered for training.', 200, 10_000_000
+    ),
+    ParameterSpec(
+        'training.segments',
+        12,
+        'Runs of 512 samples kept of regimes that were left; 0: none.',
+        0,
+        10_000,
+    ),
+    ParameterSpec(
+        'verdict.identified_relative_std',
+        0.02,
+        'Largest relative std that is called identified.',
+        1e-9,
+        1.0,
+        live=True,
+    ),
+    ParameterSpec(
+        'verdict.excited_relative_std',
+        0.3,
+        'Relative std above which a parameter is unexcited.',
+        1e-9,
+        10.0,
+        live=True,
+    ),
+    ParameterSpec(
+        'alarm.false_a_day',
+        0.1,
+        'False alarms a day that are accepted of each motor.',
+        1e-9,
+        1e4,
+        live=True,
+    ),
+    ParameterSpec(
+        'alarm.memory',
+        3000,
+        'Samples over which the spread of the residual is followed.',
+        2,
+        10_000_000,
+        live=True,
+    ),
+    ParameterSpec(
+        'alarm.learn',
+        1000,
+        'Samples of an identified motor before the alarm is armed.',
+        2,
+        10_000_000,
+        live=True,
+    ),
+    ParameterSpec(
+        'checkpoint.folder',
+        '',
+        'Folder that checkpoints stay in; empty: that of an absolute checkpoint.path, else ~/.ros '
+        'and the node name.',
+    ),
+    ParameterSpec(
+        'checkpoint.path',
+        'gray_box_observer.safetensors',
+        'File in checkpoint.folder that save writes and load reads; ends in .safetensors.',
+        live=True,
+    ),
+    ParameterSpec(
+        'checkpoint.resume',
+        False,
+        'Continue from the checkpoint at the start, and keep it up to date from then on.',
+    ),
+    ParameterSpec(
+        'checkpoint.period_s',
+        30.0,
+        'Time between two checkpoints, in s, where checkpoint.resume is true; 0: only when the '
+        'node stops.',
+        0.0,
+        1e6,
+        live=True,
+    ),
+)
+"""Parameters of the node as a whole."""
+
+_EFFECTS = sorted(
+    (term for term in TERMS.values() if term.formula), key=lambda term: not term.known_as
+)
+"""What has a place of its own among the parameters of a motor first."""
+
+KNOWN_PARAMETERS = {
+    term.parameter.name: term.known_as or f'known.{term.parameter.name}' for term in _EFFECTS
+}
+"""Where the value of a term stands that is not among the context nodes, by the term's name; all but
+the inductance."""
+
+
+def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
+    """Yield the parameters that are known unless they are identified: with a place of their own, or
+    the others.
+    """
+    for term in _EFFECTS:
+        parameter = term.parameter
+        if bool(term.known_as) is own:
+            what = f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless among context_nodes.'
+            name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
+            yield ParameterSpec(name, term.known_value, what, 0.0, upper)
+
+
+MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
+    ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
+    *_known_values(own=True),
+    ParameterSpec(
+        'context_nodes',
+        ['inductance', 'resistance', 'hysteresis'],
+        'Parameters to identify; inductance first.',
+    ),
+    *_known_values(own=False),
+    ParameterSpec(
+        'speed_source',
+        'auto',
+        'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where '
+        'torque brings speed.',
+        choices=('auto', 'measured', 'torque_constant'),
+    ),
+    ParameterSpec(
+        'voltage_limits',
+        [0.0, 0.0],
+        'Lowest and highest voltage in V that the predictor must be ready for; equal: learnt from '
+        'what is seen.',
+        -1e6,
+        1e6,
+    ),
+    ParameterSpec(
+        'stamps_exact',
+        False,
+        'Voltage acts at the very instant of its stamp: L is believed though L/R is shorter than '
+        'a sample interval.',
+    ),
+    ParameterSpec(
+        'delay',
+        0.0,
+        'By how much voltage acts on torque later than it is stamped, in s; or the word estimate.',
+        -1.0,
+        1.0,
+        words=('estimate',),
+    ),
+    *(
+        ParameterSpec(
+            f'initial.{term.parameter.name}',
+            term.parameter.initial,
+            f'Where identification of {term.parameter.name} starts, in {term.parameter.unit}.',
+            term.parameter.lower,
+            term.parameter.upper,
+        )
+        for term in TERMS.values()
+    ),
+    *(
+        ParameterSpec(
+            f'initial_relative_std.{term.parameter.name}',
+            0.0,
+            f'Relative std of initial.{term.parameter.name} (a data sheet); 0: '
+            'recursive.prior_relative_std.',
+            0.0,
+            100.0,
+        )
+        for term in TERMS.values()
+    ),
+)
+"""Parameters of one motor, in the group under its name."""

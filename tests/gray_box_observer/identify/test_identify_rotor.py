@@ -1,0 +1,99 @@
+"""A free rotor whose speed is not measured: whatever becomes of its estimates, the result can be
+read by everybody.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.identify.command import main
+from gray_box_observer.observer.motor_view import MotorView
+
+GEAR_MOTOR = PlantParameters(
+    inductance=2.67e-3,
+    resistance=4.0,
+    hysteresis=0.0,
+    torque_constant=0.3,
+    back_emf_constant=0.3,
+    inertia=2e-3,
+    viscous_friction=2e-3,
+    coulomb_friction=0.02,
+)
+
+
+@pytest.fixture
+def free_rotor(
+    tmp_path: Path, messages_of: Callable[..., Any], write_bag: Callable[..., Path]
+) -> Path:
+    """Record a gear motor that spins freely, without its speed."""
+    simulation = Simulation(
+        {'motor': GEAR_MOTOR},
+        'R[-12,12]D[0.1,0.5]',
+        speed_mode='rotor',
+        sample_rate_hz=500.0,
+        torque_noise_std=2e-3,
+    )
+    return write_bag(tmp_path / 'free', messages_of(simulation.record(1.5)))
+
+
+def every_number(tree: Any) -> list[float]:
+    """Return every number in plain values."""
+    if isinstance(tree, dict):
+        return [number for value in tree.values() for number in every_number(value)]
+    if isinstance(tree, list):
+        return [number for value in tree for number in every_number(value)]
+    return [tree] if isinstance(tree, (int, float)) else []
+
+
+def test_a_free_rotor_gives_valid_json_and_a_report(
+    free_rotor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    params, report = tmp_path / 'p.yaml', tmp_path / 'r.html'
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor: {torque_constant: 0.3, back_emf_constant: 0.3}\n'
+    )
+    command = ['identify', str(free_rotor), '--params', str(params), '--skip-predictor']
+    assert main([*command, '--json', '-', '--report', str(report)]) == 0
+    result = json.loads(
+        capsys.readouterr().out, parse_constant=lambda word: pytest.fail(f'{word} in JSON')
+    )
+    assert all(math.isfinite(number) for number in every_number(result))
+    motor = result['motors']['motor']
+    assert {entry['verdict'] for entry in motor['parameters'].values()} & {
+        'identified',
+        'negligible',
+    } == set()
+    assert motor['fit']['verdict'] == 'misfit'
+    assert motor['fit']['suspects']
+    page = report.read_text()
+    assert 'class="fit misfit"' in page
+    assert 'NaN' not in page.split('id="figures">')[1].split('</script>')[0]
+
+
+def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
+    free_rotor: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sound = MotorView.estimate.fget
+    assert sound is not None
+
+    def broken(motor: MotorView) -> Estimate:
+        found = sound(motor)
+        found.covariance[0, 0, :] = math.nan
+        return found
+
+    monkeypatch.setattr(MotorView, 'estimate', property(broken))
+    assert main(['identify', str(free_rotor), '--skip-predictor', '--json', '-']) == 0
+    motor = json.loads(capsys.readouterr().out)['motors']['motor']
+    assert motor['parameters']['inductance']['std'] is None
+    assert motor['covariance'][0] == [None, None, None]
+    assert main(['identify', str(free_rotor), '--skip-predictor']) == 0
+    assert '+- not known H' in capsys.readouterr().out

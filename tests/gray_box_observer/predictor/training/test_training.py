@@ -1,0 +1,135 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from dc_motor_sim.simulation import Recording
+from gray_box_observer.predictor import InlineTraining, ProcessTraining, TrainingRules, Variant
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+
+TRUTH = np.array([[0.5, 1.0, 10.0]])
+SMALL = TrainingRules(variant=Variant.MAIN, hidden=4, context=8, minibatch=8, steps=10, period=50)
+
+
+PATIENCE_S = 150.0
+"""Time that a training process has; a busy machine takes some."""
+
+
+def configuration(box: MotorWhiteBox, rules: TrainingRules, seed: int = 5) -> dict[str, Any]:
+    return {
+        'white_box': box.to_dict(),
+        'rules': rules.to_dict(),
+        'theta_reference': TRUTH[0].tolist(),
+        'seed': seed,
+    }
+
+
+def job_of(samples: list[Sample]) -> dict[str, Any]:
+    names = ('voltage_v', 'interval_s', 'torque_nm', 'speed_rad_s')
+    signals = {name: np.array([getattr(s, name) for s in samples]).T for name in names}
+    seen = {'voltage_v': [-33.0, 33.0], 'interval_s': [0.1, 0.4], 'speed_rad_s': [0.0, 0.0]}
+    number = np.arange(len(samples))
+    return {
+        **signals,
+        'number': number,
+        'theta': TRUTH,
+        'covariance': np.zeros((1, 3, 3)),
+        'seen': seen,
+    }
+
+
+@pytest.fixture
+def samples(
+    record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
+) -> list[Sample]:
+    return samples_of(record('R[5,15]D[0.2,2]', 8.0))
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize('variant', [Variant.MAIN, Variant.PHYSICS])
+def test_a_process_of_its_own_trains_the_same_weights(
+    thesis_box: MotorWhiteBox, samples: list[Sample], variant: Variant
+) -> None:
+    rules = replace(SMALL, variant=variant, start='fresh')
+    jobs = [job_of(samples[:400]), job_of(samples[:800])]
+    inline = InlineTraining(configuration(thesis_box, rules))
+    process = ProcessTraining(configuration(thesis_box, rules))
+    try:
+        for job in jobs:
+            inline.submit(job)
+            assert inline.busy
+            expected = inline.collect()
+            assert not inline.busy
+            process.submit(job)
+            deadline = time.monotonic() + PATIENCE_S
+            while (result := process.collect()) is None:
+                assert process.busy
+                assert process.failure is None, process.failure
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+            assert not process.busy
+            assert expected is not None
+            assert set(result) == set(expected)
+            for name, value in expected.items():
+                np.testing.assert_array_equal(result[name], value) if isinstance(
+                    value, np.ndarray
+                ) else None
+                assert isinstance(value, np.ndarray) or result[name] == value
+    finally:
+        process.close()
+
+
+@pytest.mark.timeout(300)
+def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteBox) -> None:
+    process = ProcessTraining({**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}})
+    try:
+        deadline = time.monotonic() + PATIENCE_S
+        while process.failure is None:
+            assert process.collect() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert process.failure.startswith('training ended: ')
+        assert '\n' not in process.failure
+        process.submit({'theta': TRUTH})
+        assert process.collect() is None
+    finally:
+        process.close()
+
+
+@pytest.mark.timeout(300)
+def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhiteBox) -> None:
+    before = set(psutil.Process().children())
+    process = ProcessTraining(configuration(thesis_box, SMALL))
+    (child,) = set(psutil.Process().children()) - before
+    process.close()
+    deadline = time.monotonic() + PATIENCE_S
+    while psutil.pid_exists(child.pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.timeout(300)
+def test_training_rests_until_its_share_of_a_core_is_kept(
+    thesis_box: MotorWhiteBox, samples: list[Sample]
+) -> None:
+    process = ProcessTraining(configuration(thesis_box, replace(SMALL, core_share=1e-4)))
+    try:
+        assert not process.resting
+        process.submit(job_of(samples))
+        deadline = time.monotonic() + PATIENCE_S
+        while (result := process.collect()) is None:
+            assert process.failure is None, process.failure
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert 'cpu_s' not in result
+        assert process.resting  # ten steps take longer than 1e-4 of what has passed
+        assert not InlineTraining(configuration(thesis_box, SMALL)).resting
+    finally:
+        process.close()

@@ -1,0 +1,366 @@
+"""The parameter `device`: what it asks for is said to be missing in one line, and reaches
+everything that computes.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes.native.regular_block import WRITTEN
+from gray_box_observer.context_nodes.recursive import block_updater, device_blocks
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.observer import builder, observer
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.predictor import (
+    InlineTraining,
+    Predictor,
+    TrainingRules,
+    predictor,
+    steady_state_forecaster,
+)
+from gray_box_observer.predictor.network import Weights
+from gray_box_observer.predictor.training import online_training
+from gray_box_observer.predictor.training.torch_network import TorchNetwork
+from gray_box_observer.samples import Sample
+from gray_box_observer.settings import device
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.device import torch_device
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.torch_ops import TorchOps
+
+
+def sees(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """Let torch see so many GPUs."""
+    monkeypatch.setattr(torch.cuda, 'is_available', lambda: count > 0)
+    monkeypatch.setattr(torch.cuda, 'device_count', lambda: count)
+
+
+def test_the_processor_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, 'torch', None)
+    assert torch_device('cpu') is None
+    with pytest.raises(ConfigurationError, match='pip install torch') as caught:
+        torch_device('cuda')
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('kind', [ImportError, OSError])
+def test_a_torch_that_cannot_be_imported_is_told_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, kind: type[Exception]
+) -> None:
+    class Broken:
+        def find_spec(self, name: str, *_: Any) -> None:
+            if name == 'torch':
+                raise kind('libcudart.so.12: cannot open shared object file\nand more')
+
+    monkeypatch.delitem(sys.modules, 'torch')
+    monkeypatch.setattr(sys, 'meta_path', [Broken(), *sys.meta_path])
+    with pytest.raises(ConfigurationError) as caught:
+        torch_device('cuda')
+    assert str(caught.value) == (
+        'parameter device is cuda, which needs torch, and this Python cannot import it: '
+        'libcudart.so.12: cannot open '
+        'shared object file: install it with "pip install torch", or set device to cpu'
+    )
+
+
+def test_a_device_that_torch_does_not_see_is_refused_with_the_remedy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sees(monkeypatch, 0)
+    with pytest.raises(
+        ConfigurationError, match=r'device is cuda:1, but torch sees no GPU.*set device to cpu'
+    ):
+        Observer(Configuration.from_flat({'device': 'cuda:1'}))
+    sees(monkeypatch, 2)
+    monkeypatch.setattr(device, '_try_out', lambda name: None)
+    assert [torch_device(name) for name in ('cuda', 'cuda:1')] == ['cuda', 'cuda:1']
+    with pytest.raises(
+        ConfigurationError, match=r'cuda:2, but torch sees 2 of them, cuda:0 to cuda:1'
+    ):
+        torch_device('cuda:2')
+
+
+def test_a_device_that_does_not_compute_is_refused_before_the_first_sample(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device._try_out('cpu')  # what is tried is something that torch can do
+    sees(monkeypatch, 1)
+    eye = torch.eye
+
+    def on(*shape: Any, dtype: torch.dtype, device: str) -> torch.Tensor:
+        assert (dtype, device) == (torch.float64, 'cuda')
+        return eye(*shape, dtype=dtype)
+
+    def no_kernel(*_: Any) -> None:
+        raise RuntimeError(
+            'CUDA error: no kernel image is available\nCompile with TORCH_USE_CUDA_DSA.'
+        )
+
+    monkeypatch.setattr(torch, 'eye', on)
+    assert torch_device('cuda') == 'cuda'
+    monkeypatch.setattr(torch.linalg, 'solve_ex', no_kernel)
+    with pytest.raises(ConfigurationError) as caught:
+        Observer(Configuration.from_flat({'device': 'cuda'}))
+    assert str(caught.value) == (
+        'parameter device is cuda, but it does not compute: CUDA error: no kernel image is '
+        'available: install a torch '
+        'built for it, or set device to cpu'
+    )
+
+
+def out_of_memory(*_: Any, **__: Any) -> None:
+    raise torch.OutOfMemoryError(
+        'CUDA out of memory. Tried to allocate 2 GiB.\nSee the documentation.'
+    )
+
+
+FAILED = '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have fewer motors'
+
+
+@pytest.mark.parametrize(
+    'place',
+    ['making', 'learning', 'predicting', 'following', 'white box', 'training'],
+    ids=lambda place: place,
+)
+def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_be_kept(
+    monkeypatch: pytest.MonkeyPatch, torch_name: str, place: str
+) -> None:
+    for module in (observer, builder):
+        monkeypatch.setattr(module, 'torch_device', lambda name: torch_name)
+    for module in (block_updater, predictor):
+        monkeypatch.setattr(module, 'DEVICE_FROM', 2)
+    names = ('a', 'b')
+    r = Simulation({name: PlantParameters() for name in names}, 'R[5,15]D[0.2,3]', seed=3).record(
+        4.0
+    )
+    told = {'motors': list(names), 'group_from': 2, 'device': 'cuda', 'training.period': 50}
+    one = Observer(Configuration.from_flat(told), InlineTraining)
+
+    def run(first: int, last: int) -> None:
+        for k in range(first, last):
+            one.take('voltage', names, int(r.stamp_ns[k]), r.voltage_v[:, k])
+            one.take('torque', names, int(r.stamp_ns[k]), r.torque_nm[:, k])
+
+    failing = {
+        'making': (steady_state_forecaster.RelaxingForecaster, '_blank'),
+        'learning': (device_blocks.DeviceBlocks, '_conclude'),
+        'predicting': (steady_state_forecaster, 'relaxation'),
+        'following': (steady_state_forecaster.RelaxingForecaster, 'remember'),
+        'white box': (predictor, 'flow_each'),
+        'training': (online_training.OnlineTraining, '_train'),
+    }
+    if place != 'making':
+        run(0, 200)
+    with monkeypatch.context() as patch:
+        patch.setattr(*failing[place], out_of_memory)
+        with pytest.raises(ConfigurationError, match=f'^device {torch_name}{FAILED}$'):
+            run(0 if place == 'making' else 200, 400)
+        if place == 'making':
+            return
+        saved = checkpoint.capture(one)  # while it goes on failing
+    assert saved is not None
+    theta = one.group_of('a').observer.context_nodes.theta
+    np.testing.assert_allclose(theta, np.tile([0.5, 1.0, 10.0], (2, 1)), rtol=0.1)
+
+
+def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, torch_name: str
+) -> None:
+    monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
+    box = MotorWhiteBox(
+        ('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01}
+    )
+    rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
+    one = Predictor(
+        box, 2, theta[0], rules, InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
+        speed_measured=False, device=torch_name,
+    )  # fmt: skip
+    voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)
+    for k in range(2):
+        sample = Sample(k * 10_000_000, interval * k, voltage, torque, 0.0 * torque)
+        one.learn(sample, one.predict(sample.interval_s, voltage, theta), theta)
+    said, state = one.predict(interval, voltage, theta), one.state()
+    assert np.isfinite(one.forecast(0.1, voltage, theta)).all()
+    monkeypatch.setattr(steady_state_forecaster, 'relaxation', out_of_memory)
+    monkeypatch.setattr(steady_state_forecaster.RelaxingForecaster, '_blank', out_of_memory)
+    monkeypatch.setattr(predictor, 'flow_each', out_of_memory)
+    asked: list[Callable[[], Any]] = [
+        lambda: one.predict(interval, voltage, theta),
+        lambda: one.forecast(0.1, voltage, theta),
+        lambda: said.white_box_torque_nm,
+        lambda: one.restore(state),
+    ]
+    for ask in asked:
+        with pytest.raises(ConfigurationError, match=FAILED):
+            ask()
+
+
+@pytest.mark.parametrize('at', [0, 1, 2], ids=['at once', 'in the second turn', 'on the way back'])
+def test_of_blocks_that_a_device_fails_at_nothing_is_learnt(
+    monkeypatch: pytest.MonkeyPatch, torch_name: str, at: int
+) -> None:
+    monkeypatch.setattr(block_updater, 'DEVICE_FROM', 1)
+    monkeypatch.setattr(device_blocks, 'DEVICE_TURN', 2)
+    motors = 4
+    r = Simulation(
+        {f'm{k}': PlantParameters() for k in range(motors)}, 'R[5,15]D[0.2,3]', seed=3
+    ).record(10.0)
+    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), np.full(motors, 0.01), {
+        'back_emf_constant': np.full(motors, 0.01)
+    })  # fmt: skip
+    nodes = RecursiveUpdate(box, np.tile([0.5, 1.0, 10.0], (motors, 1)), device=torch_name)
+    blocks = nodes._learner._on_device
+    given, learn = [], blocks.learn
+    monkeypatch.setattr(blocks, 'learn', lambda *of: given.append(of) or learn(*of))
+    interval = np.full(motors, 0.01)
+    samples = [
+        Sample(
+            int(r.stamp_ns[k]),
+            interval * (k > 0),
+            r.voltage_v[:, max(k - 1, 0)],
+            r.torque_nm[:, k],
+            0.0 * interval,
+        )
+        for k in range(r.stamp_ns.size)
+    ]
+    waiting = iter(samples)
+    while len(given) < 3:
+        nodes.learn(next(waiting))
+    calls, conclude, cpu = [], device_blocks.DeviceBlocks._conclude, torch.Tensor.cpu
+
+    def now() -> dict[str, Any]:
+        believed = {path: attrgetter(path)(nodes._learnt).copy() for path in WRITTEN.values()}
+        return {**believed, 'at': nodes._learnt.at.copy(), 'due': nodes._due.copy()}
+
+    def fails(*of: Any) -> Any:
+        calls.append(now())
+        if at < 2 and len(calls) > at:
+            out_of_memory()
+        if at == 2:
+            backs = iter(range(100))
+            monkeypatch.setattr(
+                torch.Tensor, 'cpu', lambda t: out_of_memory() if next(backs) == 5 else cpu(t)
+            )
+        return conclude(*of)
+
+    monkeypatch.setattr(device_blocks.DeviceBlocks, '_conclude', fails)
+    with pytest.raises(ConfigurationError, match=FAILED):
+        for sample in waiting:
+            nodes.learn(sample)
+    monkeypatch.setattr(torch.Tensor, 'cpu', cpu)
+    assert len(calls) == (2 if at == 1 else 1)
+    for name, after in now().items():
+        np.testing.assert_array_equal(after, calls[0][name], err_msg=name)
+
+
+def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in (observer, builder):
+        monkeypatch.setattr(module, 'torch_device', lambda name: name)
+    for module in (block_updater, builder):
+        monkeypatch.setattr(module, 'DEVICE_FROM', 1)
+    blocks: list[str] = []
+    monkeypatch.setattr(device_blocks, 'DeviceBlocks', lambda *given: blocks.append(given[-1]))
+    asked: list[dict[str, Any]] = []
+
+    def training(job: dict[str, Any]) -> InlineTraining:
+        asked.append(job)
+        return InlineTraining({**job, 'rules': {**job['rules'], 'device': 'cpu'}})
+
+    one = Observer(Configuration.from_flat({'device': 'cuda:1'}), training)
+    for k in range(3):
+        one.voltage('motor', k * 10_000_000, 9.0)
+        one.torque('motor', k * 10_000_000, 0.01 * k)
+    assert [job['rules']['device'] for job in asked] == ['cuda:1']
+    assert set(blocks) == {'cuda:1'}
+
+
+@pytest.mark.parametrize(('motors', 'device'), [(1, 'cpu'), (2, 'cpu'), (3, 'cuda:1')])
+def test_only_large_groups_are_taught_on_a_device(
+    monkeypatch: pytest.MonkeyPatch, motors: int, device: str
+) -> None:
+    for module in (observer, builder):
+        monkeypatch.setattr(module, 'torch_device', lambda name: name)
+    monkeypatch.setattr(builder, 'DEVICE_FROM', 3)
+    names = tuple(f'm{k}' for k in range(motors))
+    asked: list[str] = []
+
+    def training(job: dict[str, Any]) -> InlineTraining:
+        asked.append(job['rules']['device'])
+        return InlineTraining({**job, 'rules': {**job['rules'], 'device': 'cpu'}})
+
+    one = Observer(
+        Configuration.from_flat({'motors': list(names), 'group_from': 2, 'device': 'cuda:1'}),
+        training,
+    )
+    for k in range(3):
+        one.take('voltage', names, k * 10_000_000, np.full(motors, 9.0))
+        one.take('torque', names, k * 10_000_000, np.full(motors, 0.01 * k))
+    assert asked == [device]
+
+
+def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
+    assert {p.device.type for p in TorchNetwork(5, 3, 'meta').parameters()} == {'meta'}
+    weights = Weights.initial(5, 3, 1)
+    for name, array in TorchNetwork.of(weights, 'cpu').export().arrays().items():
+        np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
+
+
+def test_a_group_is_observed_alike_by_torch_and_without(
+    monkeypatch: pytest.MonkeyPatch, torch_name: str
+) -> None:
+    """The whole observer, with torch on the processor where there is no GPU: estimates,
+    predictions, training.
+    """
+    for module in (observer, builder):
+        monkeypatch.setattr(
+            module, 'torch_device', lambda name: None if name == 'cpu' else torch_name
+        )
+    for module in (block_updater, predictor):
+        monkeypatch.setattr(module, 'DEVICE_FROM', 2)
+    names = ('a', 'b', 'c')
+    plants = {name: PlantParameters(resistance=1.0 + 0.2 * k) for k, name in enumerate(names)}
+    r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=3, torque_noise_std=1e-4).record(20.0)
+    both = [
+        Observer(
+            Configuration.from_flat({'motors': list(names), 'group_from': 2, 'device': device}),
+            InlineTraining,
+        )
+        for device in ('cpu', 'cuda')
+    ]
+    compared = 0
+    for k, stamp_ns in enumerate(r.stamp_ns.tolist()):
+        said = []
+        for one in both:
+            one.take('voltage', names, stamp_ns, r.voltage_v[:, k])
+            said.append(one.forecast_group(one.group_of('a'), stamp_ns))
+            one.take('torque', names, stamp_ns, r.torque_nm[:, k])
+        if said[0] is not None and said[1] is not None:
+            np.testing.assert_allclose(said[1], said[0], rtol=1e-6, atol=1e-12)
+            compared += 1
+    assert compared > 1000
+    ours, theirs = (one.group_of('a').observer.predictor for one in both)
+    interval, voltage = np.full(3, 0.01), np.full(3, 9.0)
+    made = [
+        one.predict(interval, voltage, np.tile([0.5, 1.0, 10.0], (3, 1))) for one in (ours, theirs)
+    ]
+    assert [type(one._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
+    assert [type(prediction.memory.hidden) for prediction in made] == [np.ndarray, torch.Tensor]
+    for name in names:
+        (ours, _), (theirs, _) = (one.known(name) for one in reversed(both))
+        np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-9)
+        np.testing.assert_allclose(ours.covariance, theirs.covariance, rtol=1e-6, atol=1e-30)
+        assert ours.verdicts == theirs.verdicts
+        np.testing.assert_allclose(ours.value[0], [0.5, plants[name].resistance, 10.0], rtol=0.02)
