@@ -15,7 +15,9 @@ typedef double Real __attribute__((vector_size(8 * LANES)));
 typedef int64_t Mask __attribute__((vector_size(8 * LANES))); /* all bits of a lane, or none */
 
 #define INLINE static inline __attribute__((always_inline))
+#ifndef UNROLL
 #define UNROLL _Pragma("GCC unroll 8")
+#endif
 
 /* Functions that are built for several kinds of processor, the best of which is chosen when the library is loaded. */
 #if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__) && __GNUC__ >= 12

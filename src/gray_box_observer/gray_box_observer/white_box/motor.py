@@ -124,6 +124,15 @@ class MotorWhiteBox:
         return tuple(name for name in self.known if name not in self.context_nodes)
 
     @cached_property
+    def codes(self) -> tuple[int, ...]:
+        """Places in TERMS of the unknown terms without inductance, then of the known ones.
+
+        Compiled code calls terms by these.
+        """
+        places = list(TERMS)
+        return tuple(places.index(name) for name in (*self.context_nodes[1:], *self.given))
+
+    @cached_property
     def states(self) -> tuple[State, ...]:
         """The states that this motor has, in the order of their numbers: those whose storage is a
         context node.

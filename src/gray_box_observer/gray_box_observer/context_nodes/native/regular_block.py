@@ -28,7 +28,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import FAR, KICK
 from gray_box_observer.samples.noise_floor import STILL
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box import forms
-from gray_box_observer.white_box.declaration import COMPILED, TERMS
+from gray_box_observer.white_box.declaration import COMPILED
 from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS
 from gray_box_observer.white_box.interface import WhiteBox, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -203,7 +203,7 @@ class RegularBlocks:
             memories=keep.size,
             known_terms=len(told),
             speed_measured=int(white_box.speed_measured),
-            codes=tuple(_codes(white_box)),
+            codes=white_box.codes,
             heats=tuple(heating(white_box.parameters).tolist()),
             lower=tuple(lower.tolist()),
             upper=tuple(upper.tolist()),
@@ -322,11 +322,5 @@ def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(found.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in _codes(white_box))
+        and all(found.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
     )
-
-
-def _codes(white_box: MotorWhiteBox) -> list[int]:
-    """Codes of the unknown terms without inductance, then of the known ones: their places in TERMS."""
-    places = list(TERMS)
-    return [places.index(name) for name in (*white_box.context_nodes[1:], *white_box.given)]

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes.native import interval_motion
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.declaration import COMPILED, State
-from gray_box_observer.white_box.flow import flow
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 STATES = len(COMPILED)
@@ -192,9 +192,8 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
         about: shape (motor, k + 1): states to linearise about.
     """
     speed, start = stretch.speed_rad_s, about[:, :-1]
-    moved = flow(
-        white_box, p, [start], stretch.voltage_v, speed[:, :-1], speed[:, 1:], stretch.interval_s
-    )
+    ends = speed[:, :-1], speed[:, 1:]
+    moved = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
     end, by_state, forced = moved.of_state(CURRENT)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
     if not (
@@ -322,6 +321,9 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
     Returns:
         Shape (row, motor, k + 1), beginning with the start.
     """
+    result = interval_motion.recurrence(factor, inputs, start)
+    if result is not None:
+        return result
     rows, motors, k = inputs.shape
     if k > LONG:
         return _in_parts(factor, inputs, start)

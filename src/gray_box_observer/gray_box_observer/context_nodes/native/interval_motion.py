@@ -1,0 +1,163 @@
+"""The motion over many intervals at once by compiled code, `interval_motion.c`; numpy stands behind.
+
+Batch fits and the search for a delay linearise every interval of a window. Numpy's
+:func:`~gray_box_observer.white_box.flow.flow` does it for every white box; this does it for the
+motors whose terms compiled code knows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+
+import numpy as np
+
+from gray_box_observer.context_nodes.native import compiled
+from gray_box_observer.white_box import forms
+from gray_box_observer.white_box.declaration import COMPILED
+from gray_box_observer.white_box.flow import LARGEST_STEP, MAX_STEPS, Linear, flow
+from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+MOST_COORDINATES, MOST_KNOWN = 5, 8
+"""Room in `white_box/physics.h`."""
+
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+_INPUTS = ('p', 'known', 'torque_constant', 'start', 'voltage', 'speed', 'end_speed', 'length')
+_OUTPUTS = ('value', 'by_state', 'by_coordinate', 'stiff')
+
+
+class _Motions(ctypes.Structure):
+    """``Motions`` of `interval_motion.c`."""
+
+    _fields_ = (
+        *(
+            (name, _COUNT)
+            for name in ('motors', 'intervals', 'coordinates', 'known_terms', 'speed_measured')
+        ),
+        ('codes', _COUNT * (MOST_COORDINATES + MOST_KNOWN)),
+        *((name, _NUMBER) for name in ('largest_step', 'most_steps')),
+        *((name, _POINTER) for name in (*_INPUTS, *_OUTPUTS)),
+    )
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Load the compiled code; None without it, or where it was built of other forms."""
+    loaded = compiled.library('motions_size', _Motions)
+    if loaded is None:
+        return None
+    loaded.move_intervals.argtypes = (ctypes.POINTER(_Motions),)
+    loaded.move_intervals.restype = None
+    loaded.recurrences.argtypes = (*3 * (_COUNT,), *4 * (_POINTER,))
+    loaded.recurrences.restype = None
+    loaded.forms_fingerprint.restype = _COUNT
+    loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    loaded.term_values.restype = _COUNT
+    return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
+
+
+def move(
+    white_box: WhiteBox,
+    p: Array,
+    start: Array,
+    voltage_v: Array,
+    speed_rad_s: Array,
+    end_speed: Array,
+    interval_s: Array,
+) -> Linear:
+    """Move the current over many intervals, as :func:`~gray_box_observer.white_box.flow.flow` does.
+
+    Args:
+        white_box: the physics; of one state.
+        p: shape (motor, coordinate).
+        start: shape (motor, k): the current in A at the start of every interval.
+        voltage_v: shape (motor, k): voltage held over it.
+        speed_rad_s: shape (motor, k): measured speed at its start.
+        end_speed: shape (motor, k): measured speed at its end, in rad/s.
+        interval_s: shape (motor, k).
+    """
+    loaded = library()
+    if loaded is None or not isinstance(white_box, MotorWhiteBox) or not _has_room(white_box):
+        return flow(white_box, p, [start], voltage_v, speed_rad_s, end_speed, interval_s)
+    motors, intervals = start.shape
+    constants = [np.broadcast_to(white_box.known[name], motors) for name in white_box.given]
+    torque_constant = np.broadcast_to(white_box.torque_constant, motors)
+    inputs = [
+        np.ascontiguousarray(array, dtype=float)
+        for array in (
+            p,
+            np.array(constants, dtype=float).reshape(len(constants), motors),
+            torque_constant,
+            *(start, voltage_v, speed_rad_s, end_speed, interval_s),
+        )
+    ]
+    value = np.empty((motors, intervals))
+    by_state = np.empty((motors, intervals))
+    by_coordinate = np.empty((p.shape[1], motors, intervals))
+    stiff = np.empty(motors, dtype=bool)
+    places = [array.ctypes.data for array in (*inputs, value, by_state, by_coordinate, stiff)]
+    motions = _Motions(
+        motors,
+        intervals,
+        p.shape[1],
+        len(constants),
+        int(white_box.speed_measured),
+        white_box.codes,
+        LARGEST_STEP,
+        MAX_STEPS,
+        *places,
+    )
+    loaded.move_intervals(motions)
+    if stiff.any():
+        index = np.flatnonzero(stiff)
+        moved = flow(
+            white_box.of_motors(index),
+            p[index],
+            [start[index]],
+            *(array[index] for array in (voltage_v, speed_rad_s, end_speed, interval_s)),
+        )
+        value[index] = moved.value[0]
+        by_state[index] = moved.by_state[0][0]
+        by_coordinate[:, index] = moved.by_coordinate[0]
+    return Linear([value], [[by_state]], [by_coordinate])
+
+
+def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
+    """Work out ``x[j + 1] = factor[j] x[j] + inputs[j]``; None without compiled code.
+
+    Args:
+        factor: shape (motor, k).
+        inputs: shape (row, motor, k): right-hand sides that share the factors.
+        start: shape (row, motor).
+
+    Returns:
+        Shape (row, motor, k + 1), beginning with the start.
+    """
+    loaded = library()
+    if loaded is None:
+        return None
+    rows, motors, k = inputs.shape
+    result = np.empty((rows, motors, k + 1))
+    arrays = [np.ascontiguousarray(array, dtype=float) for array in (factor, inputs, start)]
+    places = [array.ctypes.data for array in (*arrays, result)]
+    loaded.recurrences(rows, motors, k, *places)
+    return result
+
+
+@cache
+def _known_code(code: int) -> bool:
+    loaded = library()
+    values = (_NUMBER * 2)()
+    return loaded is not None and bool(loaded.term_values(code, 0, 0.0, 0.0, 0.0, values))
+
+
+def _has_room(white_box: MotorWhiteBox) -> bool:
+    """Tell whether compiled code has room for a motor and knows its terms."""
+    return (
+        white_box.states == COMPILED
+        and len(white_box.parameters) <= MOST_COORDINATES
+        and len(white_box.given) <= MOST_KNOWN
+        and all(map(_known_code, white_box.codes))
+    )
