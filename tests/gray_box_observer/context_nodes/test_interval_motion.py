@@ -88,3 +88,17 @@ def test_a_recurrence_is_that_of_numpy(monkeypatch: pytest.MonkeyPatch, count: i
     monkeypatch.setattr(interval_motion, 'recurrence', lambda *_: None)
     assert np.allclose(compiled, trajectory.recurrence(factor, inputs, start), rtol=1e-12)
     assert compiled.shape == (4, 2, count + 1)
+
+
+@needs_compiler
+def test_what_restarts_leave_of_the_variance_is_that_of_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    random = np.random.default_rng(3)
+    decay = np.vstack([random.uniform(0.2, 1.0, size=(2, 400)), np.ones((1, 400))])
+    restart = random.uniform(size=(3, 400)) < 0.02
+    decay[restart] = 0.0
+    compiled = trajectory.restart_variance(decay, restart)
+    monkeypatch.setattr(interval_motion, 'restart_variance', lambda *_: None)
+    assert restart.any(axis=1).all()
+    assert np.array_equal(compiled, trajectory.restart_variance(decay, restart))

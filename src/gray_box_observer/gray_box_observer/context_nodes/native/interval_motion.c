@@ -126,3 +126,26 @@ void recurrences(
         for (int64_t j = 0; j < k; j++) to[j + 1] = x = by[j] * x + more[j];
     }
 }
+
+/* Variance of the predicted state that restarts leave: trajectory.py, restart_variance. Shapes:
+ * decay, restart (motor, k), variance (motor, k + 1). */
+void restart_variances(
+    int64_t motors, int64_t k, const double *decay, const uint8_t *restart, double unknown,
+    double negligible, int64_t settling, double *variance)
+{
+    for (int64_t motor = 0; motor < motors; motor++, decay += k, restart += k, variance += k + 1) {
+        double left = 0.0; /* after the sample before */
+        int64_t age = settling;
+        variance[0] = 0.0;
+        for (int64_t j = 0; j < k; j++) {
+            variance[j + 1] = 0.0;
+            if (restart[j]) {
+                variance[j + 1] = unknown, left = 1.0, age = 1;
+            } else if (age < settling && left > negligible) {
+                const double predicted = decay[j] * decay[j] * left;
+                variance[j + 1] = predicted, left = predicted / (1.0 + predicted), age++;
+            } else
+                age = settling;
+        }
+    }
+}

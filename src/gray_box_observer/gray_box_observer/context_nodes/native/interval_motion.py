@@ -11,6 +11,7 @@ import ctypes
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.white_box import forms
@@ -52,6 +53,9 @@ def library() -> ctypes.CDLL | None:
     loaded.move_intervals.restype = None
     loaded.recurrences.argtypes = (*3 * (_COUNT,), *4 * (_POINTER,))
     loaded.recurrences.restype = None
+    variance_types = (_COUNT, _COUNT, _POINTER, _POINTER, _NUMBER, _NUMBER, _COUNT, _POINTER)
+    loaded.restart_variances.argtypes = variance_types
+    loaded.restart_variances.restype = None
     loaded.forms_fingerprint.restype = _COUNT
     loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
     loaded.term_values.restype = _COUNT
@@ -144,6 +148,35 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
     places = [array.ctypes.data for array in (*arrays, result)]
     loaded.recurrences(rows, motors, k, *places)
     return result
+
+
+def restart_variance(
+    decay: Array, restart: NDArray[np.bool_], unknown: float, negligible: float, settling: int
+) -> Array | None:
+    """Work out what restarts leave of the state's variance; None without compiled code.
+
+    Args:
+        decay: shape (motor, k): what every interval leaves of a deviation.
+        restart: shape (motor, k).
+        unknown: variance at a restart, in units of the noise's.
+        negligible: variance that needs no remembering.
+        settling: samples for which it is remembered at most.
+
+    Returns:
+        Shape (motor, k + 1).
+    """
+    loaded = library()
+    if loaded is None:
+        return None
+    motors, k = restart.shape
+    variance = np.empty((motors, k + 1))
+    decays = np.ascontiguousarray(decay, dtype=float)
+    restarts = np.ascontiguousarray(restart, dtype=np.uint8)
+    loaded.restart_variances(
+        *(motors, k, decays.ctypes.data, restarts.ctypes.data),
+        *(unknown, negligible, settling, variance.ctypes.data),
+    )
+    return variance
 
 
 @cache

@@ -283,6 +283,9 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
         decay: shape (motor, k): what every interval leaves of a deviation; 0 at a restart.
         restart: shape (motor, k).
     """
+    compiled = interval_motion.restart_variance(decay, restart, UNKNOWN, NEGLIGIBLE, SETTLING)
+    if compiled is not None:
+        return compiled
     motors, k = restart.shape
     variance = np.zeros((motors, k + 1))
     motor, at = np.nonzero(restart)
