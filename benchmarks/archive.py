@@ -1,5 +1,4 @@
-"""What spreading an archive over two processes brings: 200 bags of 60 s, beside one process that
-reads them all.
+"""Cost of reading an archive of 200 bags of 60 s with two processes, beside one process.
 
 The clock runs from before the workers start to the last result, so that the start is paid for. Both
 engines do the same work without the predictor (``--skip-predictor``), and every digest must be

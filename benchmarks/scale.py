@@ -1,5 +1,4 @@
-"""What does a motor-sample cost when there are more motors? Against as many filterpy filters, and
-against the machine.
+"""Cost of a motor-sample by number of motors, against filterpy filters and the machine.
 
 One process, one thread, CPU time (so that a busy machine does not count against anybody),
 everything in one run; where torch sees a GPU, or with ``--device``, up to a million motors on it
@@ -189,9 +188,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def taught() -> tuple[Any, list[tuple[float, float]]]:
-    """Identify the motor of the thesis; return its context nodes and further voltages and torques
-    without noise.
-    """
+    """Identify the thesis's motor; return its context nodes and further noise-free signals."""
     from dc_motor_sim.plant import PlantParameters
     from dc_motor_sim.simulation import Simulation
 
@@ -208,9 +205,7 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
 def stream(
     samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0, outliers: float = 0.0
 ) -> list[Any]:  # fmt: skip
-    """Samples of many motors, each with its own noise and a share of torques that are half too
-    large.
-    """
+    """Samples of many motors, each with its own noise; some torques are half too large."""
     random, made = np.random.default_rng([motors, begin]), []
     for k, (v, t) in enumerate(samples[begin : begin + count], start=begin):
         torque = t * np.where(random.random(motors) < outliers, 1.5, 1.0) + random.normal(
@@ -223,8 +218,7 @@ def stream(
 def update(
     one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int, outliers: float = 0.0
 ) -> float:  # fmt: skip
-    """CPU time in us of a motor-sample's update: the median of some runs, each of whole rounds of
-    blocks.
+    """CPU time in us of one motor-sample's update: median of runs of whole rounds of blocks.
 
     The runs follow each other in one recording, so that what comes now and then costs what it
     costs.
@@ -280,9 +274,7 @@ def settling(motors: int, count: int) -> float:
 
 
 def filters_us(motors: int, count: int) -> float:
-    """CPU time in us of a motor-sample of so many of filterpy's extended Kalman filters, one after
-    another.
-    """
+    """CPU time in us of one motor-sample in filterpy's extended Kalman filters, run in series."""
     from common.cases import CASES
     from common.study import simulate
     from common.tuning import estimators
@@ -302,9 +294,7 @@ def filters_us(motors: int, count: int) -> float:
 
 
 def machine() -> tuple[float, float]:
-    """Bandwidth of a large copy in B/s, read and write counted, and speed of a large matrix product
-    in flop/s.
-    """
+    """Bandwidth of a large copy in B/s (read and write) and speed of a matrix product in flop/s."""
     source = np.ones(20_000_000)
     target, matrix = np.zeros_like(source), np.random.default_rng(0).normal(size=(1200, 1200))
     copy_s = least(lambda: np.copyto(target, source))
@@ -323,9 +313,7 @@ def least(work: Callable[[], Any], repeats: int = 7) -> float:
 
 
 def memory(one: Any, motors: int) -> float:
-    """Arrays that context nodes hold, in kB a motor; what of the sample memory is not written to
-    yet counts too.
-    """
+    """Arrays that context nodes hold, in kB per motor; unused sample memory counts too."""
     return nbytes(rule(motors), set()) / motors / 1e3
 
 

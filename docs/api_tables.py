@@ -154,17 +154,13 @@ def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iter
 
 
 def sentence(text: str) -> str:
-    """A description with a full stop, and with a capital unless it begins with a value such as
-    `rotor:`.
-    """
+    """A description with a full stop, and with a capital unless it begins with a value."""
     first = text.split(maxsplit=1)[0]
     return f'{text if first.endswith((",", ":")) else text[0].upper() + text[1:]}'.rstrip('.') + '.'
 
 
 def override_lines(seen: Seen) -> list[str]:
-    """By which parameters the quality of service of a node's topics can be changed; none where it
-    cannot.
-    """
+    """Parameters that change the quality of service of a node's topics; none where fixed."""
     names = [
         name.removeprefix(QOS_OVERRIDES) for name in seen.declared if name.startswith(QOS_OVERRIDES)
     ]

@@ -1,5 +1,4 @@
-"""Writes ``docs/API.md`` from the code: topics, services, parameters, options and exit codes. Run
-it by ``make docs``.
+"""Writes ``docs/API.md`` from the code (``make docs``): topics, services, options, exit codes.
 
 Parameters and topics come from their declarations; endpoints, services and what the nodes of bags
 declare come from nodes made here, on no network. A test fails when the committed page is not what

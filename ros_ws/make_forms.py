@@ -1,5 +1,4 @@
-"""Writes the forms of the declared motor: ``forms.py`` for numbers, arrays and tensors, ``forms.h``
-for compiled code.
+"""Writes the declared motor as ``forms.py`` (numbers, arrays, tensors) and ``forms.h`` (C).
 
     make physics        # ros_ws/run.sh python ros_ws/make_forms.py [--check]
 
@@ -65,9 +64,7 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
 
 def parsed(formula: str) -> Expression:
-    """Turn a formula into an expression, in which symbols stand for fractions: these stay as they
-    are written.
-    """
+    """Turn a formula into an expression with symbols for fractions, which stay as written."""
     expression = sympy.sympify(formula, locals=SYMBOLS)
     strange = expression.free_symbols - set(SYMBOLS.values())
     if strange:
@@ -181,9 +178,7 @@ class _List:
 
 
 class _WhiteBox:
-    """A motor of whatever terms: the balances are those of every motor, with terms that stand in
-    loops.
-    """
+    """A motor of any terms: the balances of every motor, with the terms in loops."""
 
     def balances(self, signal: Written) -> list[Balance]:
         """Return the balance of every state."""
@@ -226,9 +221,7 @@ def _drive(formula: str) -> Form | None:
 
 
 def _function(names: Sequence[str], expression: Expression) -> Callable[..., Any]:
-    """Return a function that works out an expression, of numbers as well as of what is written
-    down.
-    """
+    """Return a function that evaluates an expression, for numbers and for traced symbols."""
     numbers = sorted((s for s in expression.free_symbols if str(s).startswith(NUMBER)), key=str)
     arguments = [*(SYMBOLS[name] for name in names), *numbers]
     made = sympy.lambdify(arguments, expression, [{'sign': sign}], _Printer, dummify=True)

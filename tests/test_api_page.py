@@ -31,9 +31,7 @@ def test_the_page_is_what_the_code_says():
 
 @pytest.mark.system
 def test_a_page_that_says_something_else_is_found(tmp_path: Path):
-    """The check itself is tried on a copy of the repository's script whose page was changed by
-    hand.
-    """
+    """The check itself is tried on a copy of the script whose page was changed by hand."""
     wrong = PAGE.replace('| `gap_s` | double | s | `0.5`', '| `gap_s` | double | s | `5.0`')
     assert wrong != PAGE
     (tmp_path / 'API.md').write_text(wrong, encoding='utf-8')

@@ -225,9 +225,7 @@ def test_a_number_that_is_none_is_refused_by_name(path: Path, name: str):
 
 @pytest.mark.usefixtures('stand_ins')
 def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
-    """``launch_ros`` ends with an error where a managed node is launched and a second end is asked
-    for.
-    """
+    """``launch_ros`` fails when a managed node is launched and a second end is asked for."""
     _, nodes = launched(DEMO)
     assert {n.executable: (type(n), type(n.on_exit)) for n in nodes} == dict.fromkeys(
         ('observer', 'recorder', 'motor_sim'), (Node, Shutdown)

@@ -1,6 +1,4 @@
-"""The packages are what their descriptions say: manifests, entry points, installed files,
-dependencies, borders.
-"""
+"""The packages match their descriptions: manifests, entry points, files, dependencies."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ def core_modules(package: str) -> list[str]:
 
 
 def imported(paths: list[Path]) -> set[str]:
-    """Top-level names of everything that the files import, wherever in them, less the standard
-    library.
-    """
+    """Top-level names of all imports in the files, less the standard library."""
     names: set[str] = set()
     for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):

@@ -1,6 +1,4 @@
-"""How a benchmark tells its results: figures with goals, plain tables, and one line of JSON at the
-end.
-"""
+"""Results of a benchmark: figures with goals, plain tables, and one line of JSON at the end."""
 
 from __future__ import annotations
 

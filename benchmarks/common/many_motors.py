@@ -1,6 +1,4 @@
-"""Motors of the thesis by the thousand, for benchmarks of what they cost: physics, rules, samples
-as arrays.
-"""
+"""Thousands of the thesis's motors for benchmarks of cost: physics, settings, sample arrays."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Table 5.1 made again: its scores against closed forms, its data apart, the thesis's numbers, and
-a tiny run.
-"""
+"""Table 5.1 made again: scores by closed forms, data apart, the thesis's numbers, a tiny run."""
 
 from __future__ import annotations
 

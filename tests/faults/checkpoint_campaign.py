@@ -1,5 +1,4 @@
-"""Loads thousands of checkpoints with a right checksum and a wrong content, and goes on from those
-that are accepted.
+"""Loads thousands of checkpoints with right checksums and wrong content, and runs on.
 
     python tests/faults/checkpoint_campaign.py [--cases 10000] [--seed 1] [--minutes M] [--only
     CASE]
@@ -116,8 +115,9 @@ class Case:
         return Observer(self._configuration, InlineTraining)
 
     def go_on(self, observer: Observer) -> tuple[int, NDArray[np.bool_]]:
-        """Feed what follows; return how much was not finite, and which predictions are none, shape
-        (result, motor).
+        """Feed what follows; return the count of non-finite values, and failed predictions.
+
+        The latter have shape (result, motor).
         """
         return self._feed(observer, self._kind.before, self._kind.before + self._samples)
 

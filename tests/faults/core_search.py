@@ -1,5 +1,4 @@
-"""Searches the observer's core for sequences that break it: messages, gaps, repeats, resets,
-freezes, new parameters.
+"""Searches for sequences that break the core: messages, gaps, repeats, resets, freezes.
 
     python tests/faults/core_search.py [--steps 1000000] [--seed 1] [--no-shrink]
 

@@ -1,6 +1,4 @@
-"""Bags of at most a megabyte that ask for as much memory as they can. Records are written here,
-byte by byte.
-"""
+"""Bags of at most a megabyte that ask for much memory; records are written byte by byte."""
 
 from __future__ import annotations
 
@@ -137,9 +135,7 @@ class Hole(NamedTuple):
 
 
 def write(path: Path, *parts: bytes | Hole, has_end: bool = False) -> None:
-    """Write a file of these parts, after the samples of a motor, so that a reader has a reason to
-    go on.
-    """
+    """Write a file of these parts after samples of a motor, so that a reader goes on."""
     with path.open('wb') as stream:
         stream.write(MAGIC + record(HEADER, text('ros2') + text('')))
         for part in parts:
@@ -218,9 +214,7 @@ def a_packed_file(path: Path) -> None:
 
 
 def a_packed_file_without_size(path: Path) -> None:
-    """The same, whose head does not tell that it unpacks to a gibibyte; noise keeps the ratio of a
-    log.
-    """
+    """The same without its size of a gibibyte in the head; noise keeps a log's ratio."""
     frame, _ = packed(
         chain([MAGIC, random.Random(1).randbytes(900_000)], repeat(bytes(BLOCK_BYTES), 1 << 10)),
         'zstd',
@@ -229,9 +223,7 @@ def a_packed_file_without_size(path: Path) -> None:
 
 
 def packed_messages(path: Path) -> None:
-    """Messages packed one by one; each unpacks to as much as it may, and together to ten times the
-    limit.
-    """
+    """Messages packed singly; each unpacks to its limit, together to ten times the limit."""
     data = encode_joint_state(START_NS, ['motor'], effort=[1.0]) + random.Random(1).randbytes(
         80_000
     )

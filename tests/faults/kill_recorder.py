@@ -158,9 +158,7 @@ def _judge(folder: Path, sent_s: list[float], killed_s: float) -> Round:
 
 
 def _ours(folder: Path) -> tuple[list[int], int]:
-    """The numbers of the fast topic's messages in the bag, and how many messages of both topics
-    there are.
-    """
+    """Message numbers of the fast topic in the bag, and message counts of both topics."""
     try:
         with BagReader(folder) as bag:
             messages = list(bag.messages())

@@ -1,5 +1,4 @@
-"""The thesis's training: epochs over one recording, windows of past voltages in and one torque out
-(thesis 4.2.4, 5.1).
+"""The thesis's training: epochs over windows of one recording (thesis 4.2.4, 5.1).
 
 Losses, network, ranges and the rule of the context nodes are the package's; only the loop over
 epochs is here, because the package trains on a stream that never ends.

@@ -1,6 +1,4 @@
-"""Logs of real motors: whole and in halves, with what is known of them. Read in place, never
-copied.
-"""
+"""Logs of real motors, whole and in halves, with what is known of them; never copied."""
 
 from __future__ import annotations
 

@@ -81,9 +81,7 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """`+noise(s)`: white noise in V held over a sample; None stands for a standard deviation not
-    said.
-    """
+    """`+noise(s)`: white noise in V held over a sample; None: no standard deviation is given."""
 
     std_v: float | None = None
 

@@ -86,8 +86,7 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
 
 
 class Schedule:
-    """Hands out the changes that are due, each until it has reached its last value, then never
-    again.
+    """Hands out the changes that are due, each until it has reached its last value.
 
     Where two overlap on one parameter, the one that began later wins; so does a change from outside
     after the last.

@@ -1,6 +1,4 @@
-"""Excitation, plant and sensors on one exact sample grid: what a node publishes and a benchmark
-records.
-"""
+"""Excitation, plant and sensors on one exact sample grid, for a node and for benchmarks."""
 
 from __future__ import annotations
 
@@ -45,9 +43,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Consecutive samples: `stamp_ns` has shape (sample,), everything else (motor, sample); see
-    `Sample`.
-    """
+    """Consecutive samples: `stamp_ns` is (sample,), the rest (motor, sample); see `Sample`."""
 
     motors: tuple[str, ...]
     stamp_ns: NDArray[np.int64]
@@ -179,8 +175,7 @@ class Simulation:
         self._plant_with(changed)
 
     def set_parameters(self, changed: Mapping[str, PlantParameters]) -> None:
-        """Give some motors new parameters from the next sample on; current and speed stay as they
-        are.
+        """Give some motors new parameters from the next sample on; their state stays.
 
         Raises:
             ConfigurationError: A name is no motor of this simulation; nothing has changed then.

@@ -118,9 +118,7 @@ def test_a_bag_that_is_still_recorded_can_be_read(tmp_path):
 
 
 class Disk:
-    """Notes every change that a writer makes to its files, so that the writer can be killed after
-    any of them.
-    """
+    """Notes each change of a writer to its files, so that it can be killed after any of them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.changes: list[Change] = []
@@ -168,9 +166,7 @@ class Disk:
         self.flushed.append(self.count)
 
     def states(self, random: random.Random) -> Iterator[tuple[dict[str, bytes], int]]:
-        """The files after each change, and after a part of it; with the messages that must be in
-        them.
-        """
+        """Files after each change or part of it, with the messages that must be in them."""
         files: dict[str, bytes] = {}
         for (name, start, content), flushed in zip(self.changes, self.flushed, strict=True):
             before = files.get(name, b'')

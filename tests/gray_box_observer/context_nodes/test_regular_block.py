@@ -1,6 +1,4 @@
-"""Compiled code and a device learn what numpy learns, of every block that they do not leave to
-numpy.
-"""
+"""Compiled code and a device learn what numpy learns, of every block not left to numpy."""
 
 from __future__ import annotations
 
@@ -76,9 +74,7 @@ def both(
     monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray, samples: list[Sample],
     rules: RecursiveRules,
 ) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
-    """Learn samples by compiled code or a device, and by numpy; the estimates must agree whenever
-    one changes.
-    """
+    """Learn samples by compiled code or a device, and by numpy; estimates must agree."""
     count = Count()
     quick = RecursiveUpdate(box, start, rules=rules, device=device)
     count.watch(quick)
@@ -284,9 +280,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(
 def disturbed(
     record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
 ) -> list[Sample]:
-    """A motor that changes, with outliers, wrong voltages and pauses, each now and then at the end
-    of a block.
-    """
+    """A changing motor with outliers, wrong voltages and pauses, some at the end of a block."""
     recording = record(
         'R[5,15]D[0.2,3]',
         40.0,

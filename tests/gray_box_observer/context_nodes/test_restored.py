@@ -1,6 +1,4 @@
-"""What is taken back from a checkpoint goes on as what was saved, wherever in a block or a drift
-that was.
-"""
+"""A checkpoint goes on as the saved observer would, wherever in a block or a drift it was."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Whatever the motor, the voltage and the fault: estimates are finite and covariances positive
-definite.
+"""For any motor, voltage and fault: finite estimates, positive definite covariances.
 
 Every case is drawn from its own seed. ``DRAWN_MOTORS=10000`` draws as many instead of those of the
 suite.
@@ -45,9 +44,7 @@ def _voltage(rng: np.random.Generator, samples: int) -> np.ndarray:
 def _motor(
     rng: np.random.Generator, voltage: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Current in A and speed in rad/s of a motor with or without a rotor of its own, and its torque
-    constant.
-    """
+    """Current in A, speed in rad/s and torque constant of a motor with or without a rotor."""
     constant = 10.0 ** rng.uniform(-3.0, 0.0)
     resistance = 10.0 ** rng.uniform(-1.5, 2.0)
     decay = np.exp(-step_s / (10.0 ** rng.uniform(-5.0, 0.5)))

@@ -1,6 +1,4 @@
-"""``identify --from-csv``: what the mapping tells of the motor, and what a failed run leaves
-behind.
-"""
+"""``identify --from-csv``: what the mapping tells, and what a failed run leaves behind."""
 
 from __future__ import annotations
 

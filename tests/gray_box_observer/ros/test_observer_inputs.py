@@ -1,6 +1,4 @@
-"""What robots publish: message types, field paths, quality of service, several motors that come and
-go.
-"""
+"""What robots publish: message types, field paths, QoS, motors that come and go."""
 
 from __future__ import annotations
 
@@ -44,9 +42,7 @@ def publish(peer: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> N
 
 @pytest.mark.parametrize('rate', [1.0, 0.05])
 def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record, rate):
-    """Voltage in an array, current by index in somebody's joint states, speed in a wrench: all by
-    their paths.
-    """
+    """Voltage in an array, current in joint states, speed in a wrench: all by their paths."""
     recording = record(EXCITATION, 8.0)
     rig.start(
         voltage__topic='drive/state',

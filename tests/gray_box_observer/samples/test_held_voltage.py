@@ -21,8 +21,7 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
 
 
 def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int) -> int | None:
-    """When the voltage is known again after the last pause that began before ``end_ns``, told stamp
-    by stamp.
+    """When voltage is known again after the last pause before ``end_ns``, told by stamps.
 
     A limit a stamp is the longest habit when it came; one more is that of the voltage which is
     still to come.

@@ -1,6 +1,4 @@
-"""The parameter `device`: what it asks for is said to be missing in one line, and reaches
-everything that computes.
-"""
+"""The parameter `device`: reports what it lacks in one line, and reaches every computation."""
 
 from __future__ import annotations
 
@@ -321,9 +319,7 @@ def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
 def test_a_group_is_observed_alike_by_torch_and_without(
     monkeypatch: pytest.MonkeyPatch, torch_name: str
 ) -> None:
-    """The whole observer, with torch on the processor where there is no GPU: estimates,
-    predictions, training.
-    """
+    """The whole observer, by torch on the processor without a GPU: estimates and training."""
     for module in (observer, builder):
         monkeypatch.setattr(
             module, 'torch_device', lambda name: None if name == 'cpu' else torch_name

@@ -1,6 +1,4 @@
-"""What is declared is what numpy, compiled code, torch, parameters and documentation have: tried by
-declaring more.
-"""
+"""The declared motor is the one in numpy, C, torch, parameters and documentation."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What of the command line is refused before rcl reads it: rcl waits for pipes, and reads without a
-bound.
-"""
+"""Refuses parts of the command line before rcl reads it: rcl waits for pipes, without bounds."""
 
 from __future__ import annotations
 
@@ -16,8 +14,7 @@ LARGEST_BYTES = 4 << 20
 
 
 def check(args: Sequence[str]) -> None:
-    """Refuse arguments that are no text, and parameter files that are no regular files of
-    reasonable size.
+    """Refuse arguments that are not text, and parameter files that are not regular or too large.
 
     Raises:
         ConfigurationError: One line that names the argument or the file.

@@ -1,5 +1,4 @@
-"""Every parameter of the node, declared once: default, description, unit, bounds, read-only or
-live.
+"""Every parameter of the node: default, description, unit, bounds, read-only or live.
 
 The parameters of each motor are the fields of `PlantParameters`, under the motor's name, and stay
 live; all others are read-only.

@@ -1,6 +1,4 @@
-"""The files of a bag: found, opened one at a time, read piece by piece, and held against what is
-told of them.
-"""
+"""The files of a bag: opened one at a time, read piecewise, compared with their metadata."""
 
 from __future__ import annotations
 
@@ -142,9 +140,7 @@ class BagFiles:
     def _fits(
         self, file: BagFile, piece: Piece, records: bytes, wanted: Container[int], room: int
     ) -> bool:
-        """Whether the wanted messages may be held; they are weighed only where there is reason to
-        doubt it.
-        """
+        """Whether the wanted messages fit the memory limit; weighed only where that is in doubt."""
         if len(records) // MESSAGE_HEAD.size * MESSAGE_OVERHEAD_BYTES + len(records) <= room:
             return True
         weight = survey_messages(records, wanted).weight
@@ -223,9 +219,7 @@ class BagFiles:
                 )
 
     def _count_by_reading(self, file: BagFile, counts: Counter[str]) -> list[tuple[int, int]]:
-        """Count the messages of a file without a summary, and put the true times of its pieces in
-        place.
-        """
+        """Count the messages of a file without a summary, and note the true times of its pieces."""
         layout, definitions = file.layout, Definitions()
         for piece in layout.pieces:
             try:
@@ -256,8 +250,7 @@ class BagFiles:
         return [(piece.start_ns, piece.end_ns) for piece in held]
 
     def _leave_out_strangers(self, file: BagFile, held: dict[Piece, int], in_chunks: int) -> bool:
-        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells
-        of.
+        """Leave out what stands outside chunks if the chunks alone hold all summarised messages.
 
         One wrong byte makes any record into such a message, and no checksum covers it.
         """

@@ -45,9 +45,7 @@ class Loss:
 
 
 def name_list(names: Iterable[str]) -> str:
-    """Say names in order, for one line to the user: a bag may have tens of thousands, each as long
-    as a book.
-    """
+    """Say names in order, in one bounded line: a bag may have tens of thousands of long ones."""
     ordered = sorted(names)
     shown = [
         name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME]}...'

@@ -1,6 +1,4 @@
-"""Parameters of the observer that a bag carries in its metadata, because what is in the bag was
-made with them.
-"""
+"""Parameters of the observer in a bag's metadata: those that its contents were made with."""
 
 from __future__ import annotations
 
@@ -59,9 +57,7 @@ def _of(bag: Path) -> dict[str, Any]:
 
 
 def _is_list_of_names(value: object) -> bool:
-    """Whether a value lists motors one by one: a range would make a few bytes ask for a hundred
-    thousand.
-    """
+    """Whether a value lists motors one by one: a range in a few bytes could mean 100,000."""
     if not isinstance(value, list) or len(value) > MOST_MOTORS:
         return False
     return all(isinstance(entry, str) and not _RANGE.search(entry) for entry in value)

@@ -1,6 +1,4 @@
-"""Paths into messages, such as ``effort``, ``wrench.torque.z`` or ``effort[2]``: parsed, never
-evaluated.
-"""
+"""Paths into messages, such as ``effort`` or ``effort[2]``: parsed, never evaluated."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ class MissingFieldError(SampleError):
 
 
 class FieldPath:
-    """A compiled path to one field of a message; works on rclpy's messages and on mcap's decoded
-    ones.
+    """A compiled path to one field of a message, for rclpy's messages and mcap's decoded ones.
 
     Args:
         text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``,
@@ -122,9 +119,7 @@ class FieldPath:
 
 
 def field_names(message: Any) -> list[str]:
-    """The names of a message's fields, for rclpy's messages and mcap's decoded ones; empty for
-    other values.
-    """
+    """Field names of a message of rclpy or a decoded one of mcap; empty for other values."""
     describe = getattr(message, 'get_fields_and_field_types', None)
     if callable(describe):
         return list(describe())

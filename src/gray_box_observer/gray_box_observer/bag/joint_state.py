@@ -50,9 +50,7 @@ class JointStateView(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where everything stands in messages that agree in length, byte order, frame, names and array
-    lengths.
-    """
+    """Offsets in messages that agree in length, byte order, frame, names and array lengths."""
 
     encapsulation: bytes
     prefix: bytes
@@ -104,9 +102,7 @@ def _first_view(layout: _Layout, data: bytes) -> JointStateView:
 
 
 class JointStateDecoder:
-    """Decodes many messages of few publishers: remembers where the numbers stand for each frame and
-    name list.
-    """
+    """Decodes many messages of few publishers; remembers the offsets by frame and name list."""
 
     def __init__(self) -> None:
         self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(

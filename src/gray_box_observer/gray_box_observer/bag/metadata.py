@@ -1,6 +1,4 @@
-"""The ``metadata.yaml`` of a rosbag2 folder: which files belong to it, and the text that Jazzy's
-tools expect.
-"""
+"""The ``metadata.yaml`` of a rosbag2 folder: its files, and the text that Jazzy expects."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
-    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log
-    time of the first.
-    """
+    """One file of a bag, with message count and first log time where ``metadata.yaml`` has them."""
 
     path: Path
     message_count: int | None = None
@@ -138,9 +134,7 @@ def _load(path: Path) -> Mapping[str, Any]:
 
 
 def leads_out(path: Path) -> bool:
-    """Whether a file of a bag is a link to one outside of its folder: a bag that came from
-    elsewhere could name any.
-    """
+    """Whether a bag's file links outside its folder: a foreign bag could name any file."""
     return path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve())
 
 
@@ -232,9 +226,7 @@ def _as_it_lies(path: Path) -> Path:
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
-    """Number of messages and starting time of each file by its name, as far as the metadata makes
-    sense.
-    """
+    """Message count and starting time of each file by name, as far as the metadata is valid."""
     entries = information.get('files')
     told: dict[str, tuple[int | None, int | None]] = {}
     for entry in entries if isinstance(entries, list) else []:
@@ -286,8 +278,7 @@ def metadata_text(
 
 
 def storage_text(ros_distro: str, custom_data: Mapping[str, str] | None = None) -> str:
-    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the
-    file itself tells.
+    """What rosbag2 keeps in each file: the bag's metadata without topics and files.
 
     ``ros2 bag info`` and ``ros2 bag reindex`` read it where there is no ``metadata.yaml``.
 

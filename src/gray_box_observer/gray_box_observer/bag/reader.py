@@ -100,8 +100,7 @@ class BagReader:
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Every message in the order of log times; messages of equal time in the order of the
-        files.
+        """Every message in log-time order; messages of equal time in the order of the files.
 
         Args:
             topics: Names of the topics that are wanted; None for all. Unknown names give nothing.
@@ -136,8 +135,7 @@ class BagReader:
             yield from waiting.before(limit)
 
     def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
-        """Every message with its decoded content, whatever its type; the order is that of
-        `messages`.
+        """Every message with its decoded content, in the order of `messages`, of any type.
 
         Messages whose bytes do not fit their type are left out and counted in `lost`.
 
@@ -195,9 +193,7 @@ class BagReader:
         return decoder
 
     def _account(self) -> None:
-        """Find topics, counts and times: from the summaries where they can be believed, else by
-        reading.
-        """
+        """Find topics, counts and times, from credible summaries or else by reading."""
         counts: Counter[str] = Counter()
         declared: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []

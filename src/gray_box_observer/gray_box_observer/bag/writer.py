@@ -164,8 +164,7 @@ class BagWriter:
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the chunk is full or old enough; for a timer, in case no message comes for a
-        while.
+        """Flush if the chunk is full or old enough; a timer calls this when no message comes.
 
         Raises:
             BagError: The disk refuses.
@@ -195,8 +194,7 @@ class BagWriter:
             self._write_metadata()
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing, nor does a call after an error that was
-        raised.
+        """Finish the bag; does nothing on a second call or after an error that was raised.
 
         Raises:
             BagError: The disk refuses.

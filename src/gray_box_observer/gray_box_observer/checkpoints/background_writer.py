@@ -1,6 +1,4 @@
-"""Writing checkpoints behind the back of sampling: the newest one counts, and a slow disk delays
-nothing.
-"""
+"""Writes checkpoints in the background: only the newest counts, a slow disk delays nothing."""
 
 from __future__ import annotations
 
@@ -48,9 +46,7 @@ class CheckpointWriter:
             self._changed.notify_all()
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until everything handed over is written or has failed; tell whether that came to
-        pass in time.
-        """
+        """Wait until all pending work is written or has failed; tell whether it was in time."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._busy and self._next is None, timeout_s)
 

@@ -151,8 +151,7 @@ def resume(observer: Observer, path: Path) -> Resumed:
 
 
 def set_aside(path: Path, why: str) -> Path | None:
-    """Rename a checkpoint to ``NAME.WHY``, or ``NAME.WHY-2`` and so on; keep the newest MOST_ASIDE
-    of these.
+    """Rename a checkpoint to ``NAME.WHY``, ``NAME.WHY-2``, ...; keep the newest MOST_ASIDE.
 
     Returns:
         The new path; None where the file is none of ours, or cannot be renamed.
@@ -196,8 +195,7 @@ def most_bytes(configuration: Configuration) -> int:
 
 
 def load(observer: Observer, path: Path) -> None:
-    """Take back what :func:`save` wrote; the signal history starts anew, the estimates stand where
-    they stood.
+    """Restore what :func:`save` wrote: the estimates stay, the signal history starts anew.
 
     Raises:
         CheckpointError: no such file, not a checkpoint, another version, damaged, or motors or

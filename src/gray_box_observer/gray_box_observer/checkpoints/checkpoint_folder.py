@@ -1,6 +1,4 @@
-"""The one folder that checkpoints are read from and written to, whatever a parameter or a service
-asks for.
-"""
+"""The one folder of checkpoints, whatever path a parameter or a service asks for."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ SUFFIX = '.safetensors'
 
 
 class CheckpointFolder:
-    """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses
-    it.
+    """Turns the parameter ``checkpoint.path`` into a file in the declared folder, or refuses.
 
     What is given when the node starts (launch file, YAML, command line) is the word of whoever may
     start processes, and is trusted: an absolute path then declares its own folder. What comes
@@ -91,9 +88,7 @@ class CheckpointFolder:
 
 
 def _check_name(path: str, parts: tuple[str, ...]) -> None:
-    """Refuse a name that another program may obey: of a start-up file, of a key, of a folder of
-    settings.
-    """
+    """Refuse a name that another program may obey: a start-up file, a key, a settings folder."""
     hidden = next((part for part in parts if part.startswith('.')), None)
     if hidden is not None:
         raise ConfigurationError(
@@ -106,8 +101,7 @@ def _check_name(path: str, parts: tuple[str, ...]) -> None:
 
 
 def default_folder(node: str) -> Path:
-    """Return where the checkpoints of a node go that says nothing of it: below ROS_HOME
-    (``~/.ros``), by its full name.
+    """Return a node's default checkpoint file: in ROS_HOME (``~/.ros``), by its full name.
 
     Args:
         node: its fully qualified name, so that two nodes in two namespaces do not overwrite each

@@ -66,9 +66,7 @@ class CheckpointKeeper:
         return checkpoint.resume(observer, file)
 
     def keep(self, observer: Observer | None) -> None:
-        """Bring the file up to date if there is something new; returns at once. What goes wrong is
-        :attr:`failure`.
-        """
+        """Bring the file up to date if needed, without waiting; errors are in :attr:`failure`."""
         if not self.automatic or observer is None or not observer.motors:
             return
         used = sum(observer.counts(motor).used for motor in observer.configuration.motors)
@@ -113,8 +111,7 @@ class CheckpointKeeper:
         return str(path)
 
     def forget(self) -> str | None:
-        """Let the next start begin anew: what was forgotten on purpose must not come back; return
-        where it is kept.
+        """Let the next start begin anew, as the user asked; return where the old file is kept.
 
         None where there is nothing to keep, or what stands there is no checkpoint in the folder.
         """

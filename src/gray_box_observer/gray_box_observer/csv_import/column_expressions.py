@@ -86,9 +86,7 @@ class Expression:
             self._node = self._compile(self._parse(whole), _DEEPEST)
 
     def __call__(self, table: Table) -> NDArray[np.float64]:
-        """The value in every row; a division by zero gives an infinity or NaN there.  shape:
-        (row,).
-        """
+        """The value in every row, shape (row,); division by zero gives infinity or NaN there."""
         rows = next(iter(table.values())).shape if table else ()
         with np.errstate(all='ignore'):
             return np.broadcast_to(np.asarray(self._node(table), dtype=np.float64), rows)

@@ -21,8 +21,7 @@ LATEST_STAMP_NS = 2**31 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class MotorColumns:
-    """Expressions (`gray_box_observer.csv_import.column_expressions`) that give one motor's signals
-    in SI units.
+    """Expressions (see :mod:`column_expressions`) that give one motor's signals in SI units.
 
     Attributes:
         voltage: In V.
@@ -108,8 +107,7 @@ class CsvMapping:
 
     @classmethod
     def from_options(cls, options: Iterable[str]) -> CsvMapping:
-        """From the words of a command line: ``time=t_s voltage=u_V current=i_A
-        torque_constant=0.05``.
+        """From command-line words: ``time=t_s voltage=u_V current=i_A torque_constant=0.05``.
 
         A motor's key may carry its name, ``left.voltage=5``; one without it belongs to the motor
         that ``motor=left`` names, else to one called ``motor``. A bare whole number is the number
@@ -132,8 +130,7 @@ class CsvMapping:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> CsvMapping:
-        """From a YAML file with the same keys; motors stand under ``motors``, or one at the top,
-        named by ``motor``.
+        """From a YAML file with the same keys: ``motors``, or one at the top named by ``motor``.
 
         Raises:
             BagError: The file cannot be read, or a key is not known.
@@ -189,9 +186,7 @@ class CsvMapping:
         return cls(motors=motors, **own)
 
     def parameters(self) -> dict[str, Any]:
-        """What the mapping tells of the observer's parameters: the motors, and Kt where torque is
-        made of current.
-        """
+        """Observer parameters from the mapping: motors, and Kt where torque is from current."""
         told: dict[str, Any] = {'motors': list(self.motors)}
         for name, columns in self.motors.items():
             if columns.torque_constant is not None:

@@ -1,6 +1,4 @@
-"""What in a log looks like another unit or another clock than was meant: warned of by line and
-column.
-"""
+"""Log values that look like another unit or clock: warnings by line and column."""
 
 from __future__ import annotations
 
@@ -92,9 +90,7 @@ def order_doubt(
 
 
 def interval_doubt(interval_s: float, expression: str) -> str | None:
-    """Say that samples lie further apart or closer than those of a motor, and which unit the time
-    may be in.
-    """
+    """Warn of samples too far apart or too close for a motor, and name the likely time unit."""
     if SHORTEST_INTERVAL_S <= interval_s <= LONGEST_INTERVAL_S or not np.isfinite(interval_s):
         return None
     factors = (

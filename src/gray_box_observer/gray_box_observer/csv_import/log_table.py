@@ -1,5 +1,4 @@
-"""Reading a log's text: comma, semicolon, tab or blanks between the cells, comments behind ``%`` or
-``#``.
+"""Reads a log's text: comma, semicolon, tab or blanks; comments behind ``%`` or ``#``.
 
 Every row must have the cells that the first one promises, and a cell that is asked for must be a
 number in ASCII digits: a log that could mean something else is refused by line, column and content.
@@ -129,9 +128,7 @@ def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Colu
 def _fitting(
     path: Path, shape: TableShape, line_number: int, line: str, cells: list[str]
 ) -> list[str]:
-    """Cells of a row that seems to have too many or too few: without a comment, or with an empty
-    end.
-    """
+    """Cells of a row with too many or too few: without a comment, or with an empty end."""
     count = shape.column_count
     for sign in _COMMENTS:
         before = line.partition(sign)[0].rstrip()

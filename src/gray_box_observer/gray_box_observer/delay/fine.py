@@ -249,9 +249,7 @@ class FineSearch:
 
 
 def evidence(best: Fitted, held: Fitted) -> float:
-    """Log-likelihood that the best delay brings over the held one; correlated residuals count for
-    fewer.
-    """
+    """Log-likelihood gain of the best delay over the held one, less for correlated residuals."""
     scale = best.noise_a**2 * best.correlated
     return (
         (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0

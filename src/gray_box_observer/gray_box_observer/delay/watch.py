@@ -1,5 +1,4 @@
-"""Whether voltage acts on torque later than its stamps say: asked again and again while a motor is
-observed.
+"""Watches whether voltage acts on torque later than stamped, while a motor is observed.
 
 The work is spread over samples, one small piece each, and is decided by their number alone, never
 by a clock: live and replayed samples lead to the same delay at the same sample.
@@ -191,9 +190,7 @@ class DelayWatch:
         return self._work is not None
 
     def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
-        """Search once, a piece of work at a time; return what was found, None where the data do not
-        speak of it.
-        """
+        """Search once, piece by piece; return the outcome, None where the data are silent."""
         applied_s = self.estimate.applied_s
         signals = history.signals(stamp_ns, round(applied_s * 1e9))
         cut = None if signals is None else self._cut(signals, applied_s)
@@ -260,9 +257,7 @@ class DelayWatch:
         return kept, (low, high)
 
     def _judge(self, found: _Found) -> float | None:
-        """Compare the outcome with the delay in force; two searches in a row must agree on another
-        one.
-        """
+        """Compare the outcome with the delay in force; two searches must agree on another one."""
         known, before, self._before = self.estimate, self._before, None
         off_s = abs(found.delay_s - known.applied_s)
         if math.isnan(found.std_s):
@@ -336,8 +331,7 @@ class DelayWatch:
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
-        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it
-        is declared.
+        """Restore what :meth:`state` gave; a delay that is declared differently now stays so.
 
         Raises:
             CheckpointError: it is no state that could have been found.

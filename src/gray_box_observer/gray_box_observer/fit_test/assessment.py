@@ -1,6 +1,4 @@
-"""What the residual analysis of one motor says: a verdict, the figures behind it, and what is
-likely left out.
-"""
+"""Result of one motor's residual analysis: verdict, figures, and likely missing effects."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The offline command: runs the observer over bags and says what it found, as JSON and as an HTML
-report.
-"""
+"""The offline command: observes bags and writes what it found, as JSON and as HTML."""
 
 from __future__ import annotations
 
@@ -167,9 +165,7 @@ def _every_bag(options: argparse.Namespace) -> list[Path]:
 
 
 def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
-    """Make the bag of a CSV log and run the observer over it; a run that fails leaves no bag
-    behind.
-    """
+    """Make the bag of a CSV log and run the observer over it; a failed run leaves no bag."""
     if len(options.bags) != 1 or not options.columns:
         raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
     mapping = read_mapping(options.columns)
@@ -270,9 +266,7 @@ def _collector(options: argparse.Namespace) -> Collector:
 
 
 def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -> None:
-    """Refuse a log of which no sample would follow from the one before: its time is in another
-    unit.
-    """
+    """Refuse a log without consecutive samples: its time is in another unit."""
     if summary.interval_s > configuration['gap_s']:
         raise GrayBoxError(
             f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '

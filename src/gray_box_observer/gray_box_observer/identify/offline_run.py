@@ -1,6 +1,4 @@
-"""Running the observer over bags, as fast as it can: the same intake and the same core as the live
-node.
-"""
+"""Runs the observer over bags at full speed, by the same input and core as the live node."""
 
 from __future__ import annotations
 
@@ -148,8 +146,7 @@ def feed(
     progress: Progress = lambda count: None,
     limits: ReadLimits | None = None,
 ) -> None:
-    """Feed further bags to the observer of a run that has ended; neither its digest nor its course
-    goes on.
+    """Feed more bags to a finished run's observer; its digest and course stay as they are.
 
     Args:
         bags: rosbag2 folders or bare MCAP files.
@@ -189,9 +186,7 @@ def _feed_all(
 
 
 def match_topics(wanted: str, available: Iterable[str]) -> list[str]:
-    """Return the bag's topics that a configured name means: the same name, or the same behind a
-    namespace.
-    """
+    """Return the bag's topics that a configured name means, with or without a namespace."""
     name = '/' + wanted.lstrip('/')
     topics = sorted(available)
     return [t for t in topics if t == name] or [
@@ -227,9 +222,7 @@ def _feed(
 def _decoded(
     bag: BagReader, topics: Collection[str], max_bytes: int
 ) -> Iterator[tuple[RawMessage, Any]]:
-    """Yield every message with its content; None where it is too large, or malformed and not
-    counted as lost.
-    """
+    """Yield every message with its content; None if too large, or malformed and not counted."""
     if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
         for raw, message in bag.decoded(topics):
             yield raw, None if len(raw.data) > max_bytes else message
@@ -290,9 +283,7 @@ def _signals_of(
 
 
 def _mismatch(where: str, type_name: str, name: str, configuration: Configuration) -> list[str]:
-    """Say where a topic is of another type than configured: here it can be read all the same, live
-    it could not.
-    """
+    """Say where a topic's type is not the configured one: readable here, but not live."""
     wanted = configuration[f'{name}.type']
     if type_name.replace('/msg/', '/') == wanted.replace('/msg/', '/'):
         return []

@@ -19,8 +19,7 @@ MOST_NAMED = 8
 
 
 def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) -> Configuration:
-    """Configure the observer by what the parameter file gives, and else by what the data were made
-    with.
+    """Configure the observer by the parameter file, and else by the data's own parameters.
 
     Args:
         given: By the parameter file.
@@ -65,9 +64,7 @@ def read_limits(options: argparse.Namespace) -> ReadLimits:
 
 
 def _is_constant(name: str, motors: Container[str]) -> bool:
-    """Whether the data may tell this parameter: the torque constant that they were made with, and
-    no other.
-    """
+    """Whether the data may set this parameter: their torque constant, and no other."""
     motor, _, parameter = name.rpartition('.')
     return parameter == 'torque_constant' and motor in motors
 

@@ -61,9 +61,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
 
 
 def assumptions_of(outcome: Outcome) -> list[str]:
-    """Return what is taken for granted of every motor because nobody has stated it, one sentence
-    each.
-    """
+    """Return what is assumed of every motor for want of a statement, one sentence each."""
     motors = outcome.observer.configuration.motors
     return [
         f'motor {name}: {text}'
@@ -84,9 +82,7 @@ def _stops(observer: Observer) -> list[str]:
 
 
 def describe(outcome: Outcome) -> dict[str, Any]:
-    """Return the result as plain values: what ``--json`` writes; a number that is not finite is
-    None.
-    """
+    """Return the result as plain values for ``--json``; numbers that are not finite are None."""
     observer = outcome.observer
     described = {
         name: observer.contain(observer.group_of(name), partial(_motor, outcome, name))

@@ -99,8 +99,6 @@ def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
 
 
 def scores_of(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the scores of a validation by who made the free run; the predictor only where there is
-    one.
-    """
+    """Return a validation's scores by free run; the predictor only where there is one."""
     rivals = {key: validation[key] for key in ('white_box', 'persistence')}
     return {'predictor': validation, **rivals} if validation['predictor'] else rivals

@@ -1,5 +1,4 @@
-"""What was learnt on some bags, frozen and judged on another: free runs of predictor, white box and
-a rival.
+"""What some bags taught, frozen and judged on another: predictor, white box and a rival.
 
 The rival stands in for persistence, which repeats the torque measured last and so is no free run.
 What a free run can repeat is what the training data had at the same voltage (and speed, where it is
@@ -131,9 +130,7 @@ class Validation:
     fit: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; the figures on top are those of the predictor, or else of
-        the white box.
-        """
+        """Return plain values for JSON; top figures are the predictor's or the white box's."""
         best = self.white_box if self.predictor is None else self.predictor
         return {
             'bag': self.bag,

@@ -1,6 +1,4 @@
-"""Builds the observer of a motor or a group out of what the configuration says and what the first
-sample shows.
-"""
+"""Builds the observer of a motor or a group from the configuration and the first sample."""
 
 from __future__ import annotations
 
@@ -47,8 +45,7 @@ def motor_observer(
     *,
     measured: bool,
 ) -> MotorObserver:
-    """Build the observer of a motor, or of a group, at the first sample, when it is known whether
-    speed is measured.
+    """Build the observer at the first sample, when it is known whether speed is measured.
 
     Args:
         configuration: of the observer as a whole.
@@ -88,8 +85,7 @@ def motor_observer(
 
 
 def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:
-    """Return what motors must have in common to be computed together; None for one that must stay
-    alone.
+    """Return what motors must share to be computed together; None for one that stays alone.
 
     Alone stays whose stamps are not those of the others (its delay is estimated, its speed has a
     topic of its own), and where the thesis's rules were asked for.
@@ -135,9 +131,7 @@ def context_nodes(
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
-    """Return what is known of a motor before its first sample: the initial values, as sure as the
-    configuration is.
-    """
+    """Return a motor's belief before its first sample: initial values and their uncertainty."""
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
     return context_nodes(configuration, [motor], white_box).estimate()
 

@@ -161,9 +161,7 @@ class Grouping:
         self._parts.clear()
 
     def gather(self, names: Sequence[str]) -> None:
-        """Compute motors together from now on, where they are many, of one kind, and nothing has
-        come of them yet.
-        """
+        """Compute motors together from now on, if they are many, alike and without results."""
         new = [
             name
             for name in dict.fromkeys(names)
@@ -226,9 +224,7 @@ class Grouping:
         return parts
 
     def _divide(self, spoken_of: set[str]) -> None:
-        """Part motors of groups that have not begun to learn yet, where only some of them are among
-        those given.
-        """
+        """Take motors out of groups that have not begun to learn, where only some are named."""
         for group in self.groups:
             some = spoken_of.intersection(group.names)
             if len(group.names) > 1 and group.is_open and 0 < len(some) < len(group.names):

@@ -39,9 +39,7 @@ MAX_LIST_BYTES = 8_000_000
 
 
 class _Census(NamedTuple):
-    """Who is in a list of names: whether a motor of ours, which of ours twice, and some that are
-    not ours.
-    """
+    """Names in a list: whether a motor of ours, which of them twice, and unknown ones."""
 
     known: bool
     twice: str | None
@@ -75,8 +73,7 @@ class Signal:
         self._readable = False
 
     def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array, bool]:
-        """Return the names of motors in the message, a value in SI units for each, and whether one
-        is configured.
+        """Return the motor names, a value in SI units for each, and whether any is configured.
 
         Raises:
             SampleError: names and values differ in number, an array is too short or too long for
@@ -245,9 +242,7 @@ class Intake:
         self.rejected[name][reason] += 1
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
-        """Speeds from the torque message's velocity; None where it has none or speed has a topic of
-        its own.
-        """
+        """Speeds from the torque message's velocity; None if absent or on a topic of their own."""
         velocity = None if self._own_speed_topic else getattr(message, 'velocity', None)
         if velocity is None or not len(velocity):  # an array of numpy has no truth
             return None

@@ -1,6 +1,4 @@
-"""The observer of motors that are sampled together: white box, context nodes and predictor, one
-sample at a time.
-"""
+"""The observer of motors sampled together: white box, context nodes and predictor."""
 
 from __future__ import annotations
 
@@ -25,8 +23,7 @@ from gray_box_observer.white_box.interface import Array
 
 @dataclass(slots=True)
 class Aftermath:
-    """What a sample leaves to be done when its prediction and estimates are known; see
-    :meth:`MotorObserver.settle`.
+    """Work left over by a sample after its estimates; see :meth:`MotorObserver.settle`.
 
     Attributes:
         sample: the sample.
@@ -109,8 +106,7 @@ class MotorObserver:
         return self._foreseen[1]
 
     def foresee(self, voltage_v: Any) -> None:
-        """Work out the next prediction while nobody waits for it; changes nothing but when it is
-        done.
+        """Work out the next prediction while nobody waits for it; changes only its timing.
 
         What will be asked is known where samples come evenly: the interval is that of the last two
         once more. Where it is not, this does nothing.
@@ -209,16 +205,12 @@ class MotorObserver:
 
     @property
     def alarm(self) -> ResidualAlarm | None:
-        """Watches the prediction's residual, all samples taken; None where no prediction is good
-        enough to judge by.
-        """
+        """Watches the prediction's residual; None where no prediction is good enough."""
         self.settle()
         return self._alarm
 
     def repeat(self, sample: Sample) -> Estimate | None:
-        """Learn a sample, which has been predicted and scored; return the estimates that have
-        changed.
-        """
+        """Learn a predicted and scored sample; return the estimates that have changed."""
         changed = self.context_nodes.learn(sample)
         if self._predictor is not None:
             self._foreseen = None
@@ -234,16 +226,13 @@ class MotorObserver:
         return estimate
 
     def estimate(self, which: Any = slice(None)) -> Estimate:
-        """Return the present values of all motors or of some, believed as far as the fit lets them
-        be.
-        """
+        """Return the present values of all or some motors, believed as far as the fit allows."""
         self.settle()
         estimate = self.context_nodes.estimate(which)
         return self._fit.judged(self.context_nodes, estimate, self._places[which])
 
     def _tested(self, estimate: Estimate) -> Estimate:
-        """Test the fit of motors whose estimates have changed; return these as far as they may be
-        believed.
+        """Test the fit of motors with changed estimates; return these as far as believable.
 
         Who waits for nothing is tested when the sample's results are out.
         """
@@ -255,9 +244,7 @@ class MotorObserver:
         return self._fit.judged(self.context_nodes, estimate, self.changed)
 
     def retested(self) -> list[int]:
-        """Return whose fit was tested since this was asked last: what is believed of them may be
-        another.
-        """
+        """Return whose fit was tested since the last call: its belief may have changed."""
         self.settle()
         motors, self._retested = sorted(self._retested), set()
         return motors
@@ -268,8 +255,7 @@ class MotorObserver:
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
 
     def _know(self, estimate: Estimate, which: Any) -> None:
-        """Keep what is believed of some motors, and whether all is identified, which freezing does
-        not undo.
+        """Keep the beliefs of some motors, and whether all is identified; freezing keeps both.
 
         What was believed before may still be needed: it is replaced, never written to.
         """
@@ -286,9 +272,7 @@ class MotorObserver:
             self._theta[which], self._covariance[which] = estimate.value, estimate.covariance
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning, of the context nodes and of the predictor; predictions and the
-        alarm go on.
-        """
+        """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
         self.settle()
         self._frozen = frozen
         self.context_nodes.freeze(frozen)
@@ -297,9 +281,7 @@ class MotorObserver:
 
     @property
     def identified(self) -> bool:
-        """Whether every parameter was identified when learning went on last: freezing does not make
-        it unknown.
-        """
+        """Whether every parameter was identified when learning last went on, before a freeze."""
         return bool(self._identified.all())
 
     def identified_of(self, motor: int) -> bool:
@@ -341,8 +323,7 @@ class MotorObserver:
         return self._alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
-        """Start over with new context nodes from samples that were paired anew; the network is
-        trained on from there.
+        """Restart with new context nodes from samples paired anew; the network trains on.
 
         The nodes are given all but the last sample as what they remember and learn the last: the
         recursive rule then fits everything at once, which takes a fraction of the time of learning

@@ -109,9 +109,7 @@ class MotorView:
         return self.observer.fit_of(self.place)
 
     def fit_percent(self) -> float | None:
-        """Return the fit of the free run to the samples remembered, in per cent (NRMSE); None: not
-        known.
-        """
+        """Return the free run's fit to remembered samples, in per cent (NRMSE); None: unknown."""
         replay = self.remembered()
         if len(replay) < 2:
             return None

@@ -1,5 +1,4 @@
-"""The observer: feeds every group of motors that come in the same messages to a motor observer,
-sample by sample.
+"""The observer: feeds each group of motors that share messages to a motor observer.
 
 One core, three doors: live topics, a replayed bag and the offline command all feed this object.
 """
@@ -175,9 +174,7 @@ class Observer:
         return self._flat([result for group in self.every_group for result in self._flush(group)])
 
     def results(self, result: GroupResult) -> list[Result]:
-        """Return what a sample of a group has led to, motor by motor; nothing where the group has
-        stopped since.
-        """
+        """Return a sample's results motor by motor; nothing where the group has stopped since."""
         return self.contain(result.group, lambda: list(result)) or []
 
     def contain(
@@ -221,8 +218,7 @@ class Observer:
             self.incidents[name] = incident
 
     def forecast_group(self, group: Group, stamp_ns: int) -> Array | None:
-        """Predict the torque of every motor of a group at a stamp that is still to come, shape
-        (motor,); NaN: unknown.
+        """Predict the torques of a group at a stamp to come, shape (motor,); NaN: unknown.
 
         None where the voltage is not known up to the stamp; changes nothing.
         """
@@ -239,8 +235,7 @@ class Observer:
         return None if prediction is None else prediction.torque_nm
 
     def foresee(self, group: Group) -> None:
-        """Work out the next prediction of a group before it is asked for, where it can be told what
-        will be asked.
+        """Work out a group's next prediction in advance, where its stamp can be foretold.
 
         Changes nothing but when it is done: for whoever has time now and none when the next voltage
         has come.
@@ -259,9 +254,7 @@ class Observer:
                 self.stop(group, error)
 
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
-        """Predict the torque at a stamp whose voltage is known and whose torque is still to come;
-        changes nothing.
-        """
+        """Predict the torque at a stamp with voltage but without torque; changes nothing."""
         group, place = self._grouping.place(motor)
         torque_nm = self.forecast_group(group, stamp_ns)
         if torque_nm is None or not math.isfinite(torque_nm[place]):
@@ -294,9 +287,7 @@ class Observer:
         return Forecast(motor, found[0], float(found[1][place]))
 
     def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
-        """Return stamp and torques, shape (motor,), of :meth:`forecast_held` for every motor of a
-        group.
-        """
+        """Return stamp and torques, (motor,), of :meth:`forecast_held` for a whole group."""
         return self.contain(group, lambda: self._forecast_held(group, horizon_s))
 
     def _forecast_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
@@ -324,8 +315,7 @@ class Observer:
         return found
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return the present estimate of every motor that has been seen, by its name; part of the
-        Python API.
+        """Return the present estimate of every motor seen, by its name; part of the Python API.
 
         Each has a motor axis of one: ``value`` and ``std`` have shape (1, parameter),
         ``covariance`` has shape (1, parameter, parameter), all in SI units. ``parameters`` names
@@ -334,9 +324,7 @@ class Observer:
         return self._of_every_motor(lambda motor: motor.estimate)
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
-        """Return what is known of a motor and whether all of it is identified; of one not seen yet,
-        what was given.
-        """
+        """Return a motor's belief, and whether all is identified; the given one at first."""
         seen = self.motors.get(motor)
         if seen is None:
             given = initial_estimate(self.configuration, self.configuration.motors[motor])
@@ -344,9 +332,7 @@ class Observer:
         return seen.estimate, seen.identified
 
     def parameters_identified(self, motor: str) -> tuple[bool, ...]:
-        """Return which parameters of a motor are identified; of one not seen yet, by what was
-        given.
-        """
+        """Return a motor's identified parameters; before it is seen, the given ones."""
         seen = self.motors.get(motor)
         if seen is not None:
             return seen.parameters_identified
@@ -354,16 +340,12 @@ class Observer:
         return tuple(verdict in COUNTS_AS_KNOWN for verdict in given.verdicts[0])
 
     def fit(self, motor: str) -> FitAssessment:
-        """Return how well the white box explains the data of a motor; untested where it was not
-        seen yet.
-        """
+        """Return how well the white box explains a motor's data; untested before it is seen."""
         seen = self.motors.get(motor)
         return FitAssessment() if seen is None else seen.fit
 
     def delays(self) -> dict[str, DelayEstimate]:
-        """Return what is known of the delay between voltage and torque of every motor that has been
-        seen.
-        """
+        """Return the delay between voltage and torque of every motor that has been seen."""
         return self._of_every_motor(lambda motor: motor.delay)
 
     def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
@@ -375,9 +357,7 @@ class Observer:
         return {name: value for name, value in found.items() if value is not None}
 
     def alarm(self, motor: str) -> bool:
-        """Whether the alarm on the prediction's residual stands; never where nothing is predicted
-        by the physics.
-        """
+        """Whether the residual alarm stands; never where the physics predicts nothing."""
         if motor not in self._grouping:
             return False
         group, place = self._grouping.place(motor)

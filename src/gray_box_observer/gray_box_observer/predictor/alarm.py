@@ -116,9 +116,7 @@ class ResidualAlarm:
 
     @property
     def level(self) -> Array:
-        """How far the larger sum has come to the threshold, shape (motor,); at 1 the alarm is
-        raised.
-        """
+        """The larger sum relative to the threshold, shape (motor,); at 1 the alarm is raised."""
         return self._axis.give(self._axis.ops.maximum(self._up, self._down) / self._threshold)
 
     def take(
@@ -172,9 +170,7 @@ class ResidualAlarm:
         self._previous = ops.where(which, kept, 0.0)
 
     def _refresh(self, identified: Any) -> None:
-        """Work out again what changes slowly; forget what was summed up before the parameters were
-        identified.
-        """
+        """Work out again what changes slowly; forget sums from before identification."""
         ops, armed, counts = (
             self._axis.ops,
             self._learnt >= self.rules.learn,
@@ -239,9 +235,7 @@ _SAVED = {
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:
-    """Mean number of samples between false alarms of two cumulative sums in white noise (Siegmund
-    1985, 2.5).
-    """
+    """Mean run length between false alarms of two CUSUMs in white noise (Siegmund 1985, 2.5)."""
     return float(_run_lengths(threshold, math.exp, reference))
 
 
@@ -252,9 +246,7 @@ def _run_lengths(threshold: Any, exp: Any, reference: float = REFERENCE) -> Any:
 
 
 def threshold_for(samples: float) -> float:
-    """Threshold whose mean run length is so many samples, at least 3 (no sum of one or two
-    residuals is a fault).
-    """
+    """Threshold for a mean run length in samples, at least 3: one or two residuals are no fault."""
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = 0.5 * (low + high)

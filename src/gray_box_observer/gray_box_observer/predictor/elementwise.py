@@ -1,5 +1,4 @@
-"""The few functions that relaxation and alarm need, for plain floats; numpy and torch offer the
-same names for arrays.
+"""Functions that steady state and alarm need for floats; numpy and torch share the names.
 
 A single motor streams in plain floats: an array of one costs ten times as much an operation.
 """
@@ -47,8 +46,7 @@ class Floats:
 
 
 class Axis:
-    """The motor axis inside the predictor: one motor becomes plain floats, several stay arrays or
-    become tensors.
+    """The motor axis inside the predictor: one motor is plain floats, several are arrays.
 
     Args:
         motors: number of motors.

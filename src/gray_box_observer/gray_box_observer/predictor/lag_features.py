@@ -1,5 +1,4 @@
-"""What a motor has lately been given: voltage and speed, smoothed by leaky integrators over a
-ladder of times.
+"""Past voltage and speed of a motor, smoothed by leaky integrators with a ladder of times.
 
 Inertia makes the speed, and hence the back-EMF, a slow filter of the voltage. A network would have
 to learn such memory by back-propagation through hundreds of samples. Leaky integrators have it from
@@ -69,9 +68,7 @@ def along(voltage_v: Array, speed_rad_s: Array, intervals: Array, start: Array) 
 
 
 def ending(voltage_v: Array, speed_rad_s: Array, intervals: Array) -> Array:
-    """Return the traces at the end of a signal history that began at rest, in one step; see
-    :func:`along`.
-    """
+    """Return the traces at the end of a history that began at rest, at once; see :func:`along`."""
     to_end = np.cumsum(intervals[:, ::-1], axis=1)[:, ::-1][
         ..., None
     ]  # from the beginning of each interval

@@ -1,5 +1,4 @@
-"""The linear part of a correction: a weighted sum of the signals and of their traces, bent where
-data ask for it.
+"""The linear part of a correction: a weighted, bent sum of the signals and their traces.
 
 It is learnt in closed form, from few samples, and a linear map that holds between two levels of the
 voltage holds between any others too, so it needs no sample of every place between them. Dry
@@ -59,8 +58,7 @@ part in so many of the largest, what they say of the others is better than nothi
 def features(
     voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array, traces: Array
 ) -> Array:
-    """Return what is weighted, of the shape of the signals with an axis of FEATURES behind; in SI
-    units.
+    """Return the weighted features: the signals' shape with a last axis FEATURES; SI units.
 
     Args:
         voltage_v: held voltage.
@@ -126,9 +124,7 @@ class LinearPart:
 
     @classmethod
     def _as_far_as_it_holds(cls, seen: Array, wanted: Array, rungs: int, bent: bool) -> LinearPart:
-        """Fit to all, and let it reach as far beyond as a fit to the smaller features does, by what
-        the others say.
-        """
+        """Fit to all; extrapolate as far as a fit to smaller features predicts the others."""
         whole = cls.fitted(seen, wanted, rungs, bent)
         size = (np.abs(seen) / np.maximum(whole.reach, 1e-12)).max(axis=(0, 2))
         for further in FURTHER:
@@ -147,8 +143,7 @@ class LinearPart:
     def fitted(
         cls, seen: Array, wanted: Array, rungs: int = LADDER.size, bent: bool = False
     ) -> LinearPart:
-        """Fit by regularised least squares (Hoerl and Kennard 1970) of features in units of their
-        size.
+        """Fit by regularised least squares (Hoerl and Kennard 1970) of scaled features.
 
         Args:
             seen: shape (..., FEATURES).
@@ -184,9 +179,7 @@ class LinearPart:
 
 
 def _held(seen: Array, bend_v: Array) -> Array:
-    """Voltages, none of them beyond where it bends, of the shape of the features but for their last
-    axis.
-    """
+    """Voltages limited to where the part bends, of the features' shape but the last axis."""
     held: Array = np.minimum(np.maximum(seen[..., :1], -bend_v), bend_v)
     return held
 
@@ -197,9 +190,7 @@ def _parts(count: int) -> Any:
 
 
 def _gains(had: Array, left: Array) -> tuple[Array, Array]:
-    """Mean errors of every part in time, and how much smaller others are; of shape (motor, time)
-    each.
-    """
+    """Mean errors of every part in time, and the reduction by others; (motor, time) each."""
     part = _parts(had.shape[1])
     means, gains = (
         np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left)

@@ -1,6 +1,4 @@
-"""Where a motor has been seen to run; it only grows, so that nothing learnt of one regime is given
-up for another.
-"""
+"""The operating range of a motor; it only grows, so that no learnt regime is given up."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ class OperatingRange:
     speed_rad_s: Bounds = NOTHING
 
     def grown(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
-        """Return the range with these samples in it; those that begin a history anew tell no
-        voltage.
-        """
+        """Return the range with these samples; the first of a history tells no voltage."""
         goes_on = interval_s > 0.0
         return OperatingRange(
             _grown(self.voltage_v, voltage_v[goes_on]),
@@ -54,9 +50,7 @@ class OperatingRange:
         return self.interval_s[0] <= self.interval_s[1] and speed
 
     def voltages(self, declared_v: Sequence[float], margin: float = 0.2) -> Bounds:
-        """Voltages to be ready for: those declared, or what was seen and a margin of the largest
-        magnitude seen.
-        """
+        """Voltages to be ready for: the declared ones, or those seen plus a margin."""
         low, high = declared_v
         if low < high:
             return min(low, self.voltage_v[0]), max(high, self.voltage_v[1])
@@ -76,8 +70,7 @@ class OperatingRange:
 
 
 def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
-    """Take a range, as :meth:`OperatingRange.to_dict` gives it, out of saved arrays; empty where
-    none was saved.
+    """Read a range of :meth:`OperatingRange.to_dict` from saved arrays; empty if none.
 
     Args:
         arrays: two bounds each, among others.

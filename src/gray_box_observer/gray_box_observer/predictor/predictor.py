@@ -1,5 +1,4 @@
-"""The predictor: forecasts each torque before it is measured, and has itself trained in the
-background.
+"""The predictor: forecasts each torque before it is measured, and trains in the background.
 
 Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what it said.
 """
@@ -149,9 +148,7 @@ class Predictor:
         )
 
     def _rollout(self, question: Question, from_nm: Array) -> Array:
-        """Torque of the white box alone at the end of an interval, shape (motor,); NaN where none
-        goes on.
-        """
+        """Torque of the white box alone at the end of an interval, (motor,); NaN: none."""
         axis, ops = self._axis, self._axis.ops
         start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
         length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
@@ -262,9 +259,7 @@ class Predictor:
         self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """The network, what was learnt beside it, and what its training depends on, of one motor,
-        as arrays.
-        """
+        """One motor's network, learnt additions, and state of training, as arrays."""
         learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
         return {**self._forecaster.state(), **learnt, **self.training.state(motor)}
 
@@ -285,9 +280,7 @@ class Predictor:
         self.training.restore(arrays, motor)
 
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
-        """Say where an interval leads; None where no motor goes on from a known start under a known
-        voltage.
-        """
+        """Say where an interval leads; None where no motor has a known start and voltage."""
         axis, ops = self._axis, self._axis.ops
         voltage, speed = axis.take(voltage_v), 0.0
         usable = (

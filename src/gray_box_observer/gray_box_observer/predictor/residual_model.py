@@ -1,5 +1,4 @@
-"""What the physics does not know: a correction of the predicted torque, learnt from data and kept
-on a short lead.
+"""What the physics does not know: a bounded correction of the torque, learnt from data.
 
 Cogging, brushes, friction and a rotor that follows leave a residual that no choice of the
 parameters explains. A linear part learns it from voltage, speed, their traces and the current that
@@ -83,9 +82,7 @@ class Correction:
     def inputs(
         self, voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array
     ) -> Array:
-        """Columns of the network's input, of the shape of the current with an axis of INPUTS
-        behind; bounded.
-        """
+        """The network's input: the current's shape with a last axis INPUTS; bounded."""
         columns = np.empty((*current_a.shape, INPUTS))
         for k, column in enumerate((voltage_v, current_a, steady_a, speed_rad_s)):
             columns[..., k] = column
@@ -148,8 +145,7 @@ class Correction:
         return cls(Weights.of(own), linear, own['size'], limit_a, share, own['support'], interval_s)
 
     def instants_s(self, horizon_s: float) -> Array:
-        """Return when it is asked on the way through a horizon: at its own pace, at most ASKED
-        times, and at the end.
+        """Return when to ask it in a horizon: at its own pace, ASKED times at most, at the end.
 
         What it says follows from the last samples, so of a longer way the beginning is left out.
         """
@@ -236,8 +232,7 @@ class ResidualForecaster:
     def correct(
         self, question: Question, torque_nm: Array
     ) -> tuple[Array | None, Recollection | None]:
-        """Return the correction of a forecast torque in N m, shape (motor,), and what has to be
-        remembered with it.
+        """Return the correction of a forecast in N m, shape (motor,), and the memory it leaves.
 
         None where nothing was learnt, or nothing that helps.
         """
@@ -254,8 +249,7 @@ class ResidualForecaster:
         return np.where(known, correction, 0.0), Recollection(network, reached)
 
     def along(self, question: Question, path_nm: Array, memory: Recollection | None) -> Array:
-        """Return the correction at the end of a way through a held voltage in N m, shape (motor,);
-        changes nothing.
+        """Return the correction after a held voltage in N m, shape (motor,); changes nothing.
 
         Args:
             question: what is held, and how long.
@@ -290,9 +284,7 @@ class ResidualForecaster:
     def remember(
         self, correction_nm: Array | None, anew: Mask, memory: Recollection | None
     ) -> None:
-        """Go on to the next sample, with a blank memory where the signal history starts; None:
-        nothing was added.
-        """
+        """Go on to the next sample, blank at the start of a history; None: nothing was added."""
         memory = self._memory if memory is None else memory  # a history begins without a forecast
         if memory is not None:
             self._memory = memory.cleared(anew)
@@ -303,9 +295,7 @@ class ResidualForecaster:
 
     @property
     def size_nm(self) -> Array:
-        """Root mean square of the correction over the last SIZE_MEMORY samples or so in N m, shape
-        (motor,).
-        """
+        """RMS of the correction over about the last SIZE_MEMORY samples in N m, (motor,)."""
         size: Array = np.sqrt(self._square_nm2)
         return size
 

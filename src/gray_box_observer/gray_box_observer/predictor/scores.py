@@ -1,6 +1,4 @@
-"""Skill of the prediction: errors made before the truth was revealed, against rivals that cost
-nothing.
-"""
+"""Skill of the prediction: errors made before the truth came, against rivals without cost."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ class Scores:
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
-        """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN
-        is not scored.
-        """
+        """Score one sample: measured torque and each rival's, (motor,); NaN is not scored."""
         row = self._count % self._window
         for rival, said in self._said.items():
             said[row] = predictions[rival]

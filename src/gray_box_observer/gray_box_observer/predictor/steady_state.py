@@ -187,9 +187,7 @@ def flow(
 
 
 def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Any:
-    """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take
-    alone.
-    """
+    """As :func:`flow`, for signals of shape (motor,): each motor in its own number of steps."""
     begin = _begin(ops, white_box, way, state, interval_s)
     counts = ops.maximum(ops.ceil(begin.length / FLOW_STEP), 1.0)
     most = ops.max(counts)
@@ -206,8 +204,7 @@ def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s
 
 @dataclass(frozen=True, slots=True)
 class _Begin:
-    """Where an interval begins: the current, how fast it goes, the fastest rate on the way, and how
-    long that is.
+    """Where an interval begins: the current, its rate, the fastest rate ahead, and the length.
 
     The length is ``log(1 + time * fastest rate)``, which :func:`flow` cuts into steps.
     """

@@ -59,9 +59,7 @@ def numbers(values: npt.ArrayLike, digits: int = SIGNAL_DIGITS) -> list[float | 
 
 
 def plain(text: str) -> str:
-    """Escape a user's text for plotly.js, which reads a subset of HTML in labels and a `%{` in
-    templates.
-    """
+    """Escape a user's text for plotly.js, which reads some HTML in labels and `%{` templates."""
     return html.escape(text, quote=False).replace('%{', '%&#123;')
 
 

@@ -1,6 +1,4 @@
-"""Parameters of a node that are declared as a list: on the node, read-only, and in the text of its
-``--help``.
-"""
+"""Parameters in a list: declared on the node, read-only, and in the text of ``--help``."""
 
 from __future__ import annotations
 

@@ -15,9 +15,7 @@ _TEXT = re.compile(r'w?string(<\d+>)?')
 
 
 def message_class(type_name: str) -> Any | None:
-    """Return the Python class of ``package/msg/Name``; None where this environment does not have
-    it.
-    """
+    """Return the Python class of ``package/msg/Name``; None where it is not installed."""
     found = _TYPE_NAME.match(type_name)
     if found is None:
         return None

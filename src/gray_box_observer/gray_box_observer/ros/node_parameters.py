@@ -1,6 +1,4 @@
-"""What :mod:`gray_box_observer.settings.parameters` lists, on a node: declared, checked as a set,
-changed while it runs.
-"""
+"""The parameters of `settings.parameters` on a node: declared, checked, changed."""
 
 from __future__ import annotations
 
@@ -26,8 +24,7 @@ from gray_box_observer.settings.parameters import (
 
 
 def declare(node: Node) -> Configuration:
-    """Declare every parameter on the node, with description, range and read-only flag, and check
-    them as a set.
+    """Declare every parameter with description, range and read-only flag; check the set.
 
     Raises:
         ConfigurationError: a value of the wrong type or out of its range, values that do not fit
@@ -82,8 +79,7 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Lets parameters change while the node runs: all that are set at once are checked as a set,
-    then take effect.
+    """Lets parameters change while the node runs: a set is checked, then takes effect.
 
     Args:
         node: the node.

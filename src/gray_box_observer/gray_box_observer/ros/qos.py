@@ -1,5 +1,4 @@
-"""Endpoints whose quality of service a user may override, topic by topic, as rclcpp and rclpy name
-it.
+"""Endpoints whose quality of service users may override, named as rclcpp and rclpy do.
 
 ``qos_overrides./motor/voltage.subscription.reliability: best_effort`` and the like; see
 :data:`POLICIES`.

@@ -1,5 +1,4 @@
-"""YAML read as data alone, within bounds: what parameters, truths, mappings and the metadata of
-bags are written in.
+"""YAML read as data alone, within bounds: parameters, truths, mappings, metadata of bags.
 
 Scalars, lists and groups are all that is built, from the parser's events and without recursion.
 Anchors, aliases, merge keys, tags and second documents are refused, for a few bytes of them can
@@ -138,9 +137,7 @@ def _refuse_reference(event: yaml.NodeEvent) -> None:
 
 
 def _put(node: _Open, value: Any, event: yaml.NodeEvent) -> None:
-    """Put a value where it belongs: behind the others of a list, or under the key that waits for
-    it.
-    """
+    """Put a value where it belongs: at the end of a list, or under the waiting key."""
     if isinstance(node.content, list):
         node.content.append(value)
     elif node.key is not None:

@@ -1,6 +1,4 @@
-"""Numbers for people and programs: what is not finite is said to be not known, wherever it is
-written.
-"""
+"""Numbers for people and programs: one that is not finite is written as not known."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""What a saved state must be like before anything of it is believed: names, shapes, types, ranges,
-definiteness.
+"""Checks of a saved state before it is believed: names, shapes, types, ranges, definiteness.
 
 A checksum says that a checkpoint is what was written, not that it makes sense: anybody can write
 one. Every class that has a state declares its rules beside it and asks here, when it is given one
@@ -240,8 +239,7 @@ def check_generator(plain: Any) -> None:
 
 
 def check_words(arrays: Mapping[str, Any], name: str) -> None:
-    """Refuse what is no state of a generator as words, see
-    :mod:`~gray_box_observer.predictor.training.random_state`.
+    """Refuse what is not a generator's state in words; see `predictor.training.random_state`.
 
     Raises:
         CheckpointError: it is none.

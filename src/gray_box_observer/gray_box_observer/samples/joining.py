@@ -1,5 +1,4 @@
-"""What the values of a message decide: which are used, and what sample they make with the voltage
-held before.
+"""What a message's values decide: which are used, and what sample the held voltage makes.
 
 Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much
 an operation), and a group in arrays. A motor of the group whose value cannot be used is absent from
@@ -52,42 +51,31 @@ class Joining(Protocol):
         """Whether a plain number can be used; counted where not."""
 
     def voltage(self, voltage_v: Any, missing: Missing) -> Any:
-        """Return the voltage as far as it can be used, NaN in place of what cannot; None where
-        nothing can.
-        """
+        """Return the usable voltage, NaN in place of the rest; None where nothing is usable."""
 
     def filled(self, stamp_ns: int, voltage_v: Any, voltages: HeldVoltage) -> Any:
-        """Return a voltage with that before it in place of what cannot be used, NaN where that is
-        overdue.
-        """
+        """Return a voltage with unusable values from the one before, NaN where overdue."""
 
     def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
-        """Count a message as refused, for those motors of which it says something that could be
-        used.
-        """
+        """Count a message as refused, for the motors of which it holds usable values."""
 
     def one(self, values: Any, motor: int) -> float:
         """Return the value of one motor."""
 
     def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
-        """Return the torque as far as it can be used, NaN in place of what cannot; None where
-        nothing can.
-        """
+        """Return the usable torque, NaN in place of the rest; None where nothing is usable."""
 
     def with_speed(self, torque_nm: Any, speed_rad_s: Any) -> Any:
         """Return the torque of what came with its speed; None where nothing did."""
 
     def ahead(self, passed_ns: int, mean_v: Any, gap_ns: int) -> tuple[Any, Any]:
-        """Return interval in s and mean voltage in V since the last sample; an interval of 0 where
-        none leads there.
-        """
+        """Return interval in s and mean voltage in V since the last sample; 0: none leads here."""
 
     def join(
         self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
         speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
-        """Make a sample, of finite numbers; None where nothing is known of any motor, which is
-        counted.
+        """Make a sample of finite numbers; None, counted, where no motor is known.
 
         Args:
             stamp_ns: of the torque.

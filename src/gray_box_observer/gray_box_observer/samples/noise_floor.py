@@ -90,9 +90,7 @@ def _step(readings: Array) -> float:
 
 
 def _refined(distances: Array, step: float) -> float:
-    """The step again, from distances of more and more steps: what rounding has put into one is
-    averaged out.
-    """
+    """The step again, from distances of ever more steps, which averages the rounding out."""
     for reach in (1.5, 8.0, 64.0, 512.0):
         near = distances[(distances > 0.5 * step) & (distances < reach * step)]
         if near.size:

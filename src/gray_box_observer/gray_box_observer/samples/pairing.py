@@ -157,8 +157,7 @@ class Pairing:
         return len(self._torques)
 
     def restart(self, delay_s: float | None = None) -> list[Sample]:
-        """Begin the signal history anew (clock set back); what still waited is completed first and
-        returned.
+        """Begin a new signal history (clock set back); complete and return what waited.
 
         Args:
             delay_s: by how much voltage acts later from now on; None: as before.
@@ -265,9 +264,7 @@ class Pairing:
         return done + self._complete(self._known_ns()) if self._torques else done
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
-        """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it
-        completes.
-        """
+        """Take one sample of a separate speed signal, rad/s; return the completed samples."""
         if not self._joining.usable('speed', speed_rad_s):
             return []
         done = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
@@ -284,8 +281,7 @@ class Pairing:
         speed_rad_s: Any = math.nan,
         missing: NDArray[np.bool_] | None = None,
     ) -> list[Sample]:
-        """Take one torque sample in N m, with speed in rad/s where it is measured; return the
-        samples it completes.
+        """Take one torque sample (N m), with speed (rad/s) if measured; return the completed ones.
 
         The arguments are as in :meth:`voltage`.
         """
@@ -317,9 +313,7 @@ class Pairing:
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
-        """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is
-        not known.
-        """
+        """Instant in ns from which the newest voltage acts, and that voltage in V, or None."""
         newest_ns = self._voltages.newest_ns
         return (
             None
@@ -333,8 +327,7 @@ class Pairing:
         return self._previous_ns
 
     def ahead(self, stamp_ns: int) -> tuple[Any, Any] | None:
-        """Return interval in s and mean voltage in V from the last sample to a stamp whose torque
-        is still to come.
+        """Return interval in s and mean voltage in V from the last sample to a stamp to come.
 
         None where torque before that stamp still waits, where the voltage is not known up to it
         (with a negative delay it comes too late), or where no signal history leads there.
@@ -379,17 +372,13 @@ class Pairing:
         )
 
     def flush(self) -> list[Sample]:
-        """Complete every torque sample that still waits, the last voltage holding on (end of a
-        bag).
-        """
+        """Complete every waiting torque sample with the last voltage (end of a bag)."""
         return self._complete(self._newest_torque_ns)
 
     def _order(
         self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any
     ) -> list[Sample] | None:
-        """Judge a stamp: None where it is refused, else the samples that a restart has completed
-        (mostly none).
-        """
+        """Judge a stamp: None if refused, else the samples that a restart has completed."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
@@ -415,9 +404,7 @@ class Pairing:
         return samples
 
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
-        """Join a torque sample with the voltage that was held since the one before it, and with the
-        speed then.
-        """
+        """Join a torque sample with the voltage held since the previous one, and the speed."""
         if self._own_speed:
             speed_rad_s = self._speeds.at(stamp_ns, self._gap_ns)
         if self.needs_speed:

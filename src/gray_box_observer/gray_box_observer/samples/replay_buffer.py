@@ -92,9 +92,7 @@ class ReplayBuffer:
         return int(self.remembered().max())
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
-        """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s``
-        replaces its speed.
-        """
+        """Remember one sample, dropping the oldest if full; ``speed_rad_s`` replaces its speed."""
         row = self._rows[self._top + self._staged]
         row[INTERVAL] = sample.interval_s
         row[VOLTAGE] = sample.voltage_v
@@ -166,8 +164,7 @@ class ReplayBuffer:
 
     @property
     def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
-        """The storage, shape (signal, motor, column), and what is known of each stream, shape
-        (motor,).
+        """The storage, (signal, motor, column), and each stream's state, shape (motor,).
 
         The place before column 0, the columns that are taken, and the place before the oldest
         sample that has not been told to be forgotten. All stay where they are as long as the buffer
@@ -176,9 +173,7 @@ class ReplayBuffer:
         return self._data, self._gone, self._end, self._begin
 
     def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
-        """Return the place before the oldest sample that has not been told to be forgotten, shape
-        (motor,).
-        """
+        """Return the place before the oldest sample that is not to be forgotten, (motor,)."""
         begin: NDArray[np.int_] = self._begin[which]
         return begin
 
@@ -203,17 +198,14 @@ class ReplayBuffer:
     def forget(
         self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> None:
-        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another
-        motor).
-        """
+        """Drop all but the newest ``keep`` samples: after a drift the old ones mislead."""
         place = self.received[which] if until is None else until
         self._begin[which] = np.maximum(self._begin[which], place - np.minimum(keep, self.capacity))
 
     def newest(
         self, count: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> Array:
-        """Return samples of some motors, shape (signal, motor, count): interval, voltage, torque,
-        speed.
+        """Return some motors' samples, (signal, motor, count): interval, voltage, torque, speed.
 
         Args:
             count: how many; all the motors must have as many.
@@ -229,8 +221,7 @@ class ReplayBuffer:
         return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
 
     def content(self, which: Any = slice(None), more: int = 0) -> Array:
-        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor
-        has.
+        """Everything remembered, (signal, motor, n), for a checkpoint; n is what all have.
 
         Args:
             which: index of the motors.
@@ -242,9 +233,7 @@ class ReplayBuffer:
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
-        """Return a buffer that remembers just these samples; a speed that did not come is that of
-        the sample before.
-        """
+        """Return a buffer of just these samples; a missing speed repeats the previous one."""
         made = cls(samples[0].torque_nm.size, len(samples))
         speed = samples[0].speed_rad_s
         for sample in samples:
@@ -255,8 +244,7 @@ class ReplayBuffer:
     def refill(
         self, content: Array, which: Any = slice(None), gone: int = 0, begin: int = 0
     ) -> None:
-        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors
-        ends there.
+        """Restore what fits of :meth:`content`; the signal history of these motors ends there.
 
         Args:
             content: the samples.

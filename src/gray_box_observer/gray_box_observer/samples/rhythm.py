@@ -1,6 +1,4 @@
-"""How regularly samples come, by their stamps: the usual interval, what is missing, where a signal
-paused.
-"""
+"""How regularly samples come by their stamps: usual interval, gaps, and pauses."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ class Rhythm:
 
     @property
     def regular(self) -> bool:
-        """Whether the signal has long not been silent, so that it is not one that speaks only when
-        it changes.
-        """
+        """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
 
     def take(self, interval_s: float) -> None:

@@ -50,16 +50,12 @@ class Sample(NamedTuple):
     present: NDArray[np.bool_] | None = None
 
     def beginning(self, which: NDArray[np.bool_] | None = None) -> Sample:
-        """Return the sample as the first of a signal history, of some motors or all: no interval
-        leads to it.
-        """
+        """Return the sample as the first of a history, of some motors or all: interval none."""
         begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
         return self._replace(interval_s=np.where(begins, 0.0, self.interval_s))
 
     def resuming(self, waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
-        """Return the sample as the first of a history of all who wait for one, and who still does;
-        None: nobody.
-        """
+        """Return the sample as first for all who wait for one, and who still does; or None."""
         still = None if self.present is None else waiting & ~self.present
         return self.beginning(waiting), None if still is None or not np.any(still) else still
 

@@ -1,6 +1,4 @@
-"""In the place of the pairing of motors that have stopped: nothing is paired, everything is counted
-as refused.
-"""
+"""Replaces the pairing of stopped motors: pairs nothing, counts everything as refused."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The values of the parameters, checked one by one and as a set. One YAML file serves the node and
-``identify``.
-"""
+"""Parameter values, checked one by one and as a set; one YAML serves node and ``identify``."""
 
 from __future__ import annotations
 
@@ -68,9 +66,7 @@ class MotorConfiguration:
         return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
 
     def is_notable(self, spec: ParameterSpec) -> bool:
-        """Tell whether a value must be known to repeat a run: a constant, or one that was stated or
-        is no default.
-        """
+        """Tell whether a value must be known to repeat a run: constant, stated or no default."""
         differs = self.values[spec.name] != spec.default
         return (
             differs
@@ -119,9 +115,7 @@ class Configuration:
         return self.values[name]
 
     def notable(self) -> dict[str, Any]:
-        """Return what sets this configuration apart, by dotted names: values that are not the
-        default, or stated.
-        """
+        """Return this configuration's stated and non-default values, by dotted names."""
         found = {
             spec.name: self.values[spec.name]
             for spec in OBSERVER_PARAMETERS
@@ -205,8 +199,7 @@ class Configuration:
         return cls(values, motors, tuple(sorted(rest)))
 
     def changed(self, given: Mapping[str, Any]) -> Configuration:
-        """Return the configuration with some values changed, by their dotted names; others than
-        ours are passed over.
+        """Return the configuration with values changed by dotted names; unknown ones are ignored.
 
         Raises:
             ConfigurationError: as in :meth:`from_flat`.
@@ -358,9 +351,7 @@ def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
 
 
 def expanded(names: Any) -> Any:
-    """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3; what is no list of names
-    stays as it is.
-    """
+    """Write out ranges of motors: ``m[1..3]`` is m1, m2, m3; other values stay as they are."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return names
     ranges = [RANGE.fullmatch(name) for name in names]
@@ -385,9 +376,7 @@ def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
 def _motors(
     names: Sequence[str], rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
 ) -> dict[str, MotorConfiguration]:
-    """Configure every motor; those without a group of their own are checked once, for they are
-    alike.
-    """
+    """Configure every motor; those without a group of their own are alike, checked once."""
     named = {name.partition('.')[0] for name in rest}
     motors: dict[str, MotorConfiguration] = {}
     alike: dict[str, Any] = {}
@@ -408,9 +397,7 @@ def _motors(
 def _motor(
     name: str, rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
 ) -> MotorConfiguration:
-    """Take one motor's group out of the values that are left; what is not in it is that of all
-    motors.
-    """
+    """Take one motor's group out of the values; what it lacks is that of all motors."""
     stated = shared | _stated(name, rest)
     values = {
         spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.')

@@ -1,5 +1,4 @@
-"""Every parameter of the observer, declared once: node, ``identify``, YAML, documentation and tests
-read this list.
+"""Every parameter of the observer, declared once for node, ``identify``, YAML, docs and tests.
 
 Names are those of ROS parameters; each motor has a group of its own.
 """
@@ -405,9 +404,7 @@ the inductance."""
 
 
 def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
-    """Yield the parameters that are known unless they are identified: with a place of their own, or
-    the others.
-    """
+    """Yield the parameters known unless identified: those with a place of their own, or others."""
     for term in _EFFECTS:
         parameter = term.parameter
         if bool(term.known_as) is own:

@@ -59,9 +59,7 @@ class Unreadable(Exception):  # noqa: N818 - a value between two modules, never 
 
 
 class TooLarge(Unreadable):
-    """A piece would take more memory than it may; the message says how much, and what would read it
-    all the same.
-    """
+    """A piece would exceed the memory limit; the message names the size and the remedy."""
 
 
 def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:

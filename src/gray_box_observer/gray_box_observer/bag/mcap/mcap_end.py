@@ -1,6 +1,4 @@
-"""What the end of an MCAP file tells, if there is one and it can be believed: index, counts and
-declarations.
-"""
+"""The end of an MCAP file, where it is credible: index, counts and declarations."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Writing one MCAP file in chunks that reach the disk whole, so that a killed recorder leaves a
-readable file.
+"""Writes one MCAP file in whole chunks, so that a killed recorder leaves a readable file.
 
 mcap's own writer ends a chunk only when it is full; a recorder of slow topics would then hold
 minutes of data in memory. Here a chunk ends whenever the owner says so. Declarations stand outside
@@ -124,9 +123,7 @@ class McapFile:
         self._chunk_bytes += MESSAGE_HEAD.size + len(data)
 
     def flush(self) -> None:
-        """End the chunk and hand it to the operating system, which keeps it even if this process is
-        killed.
-        """
+        """End the chunk and hand it to the operating system, which keeps it if we are killed."""
         if self._chunk:
             self._write(self._end_chunk())
 

@@ -1,5 +1,4 @@
-"""What stands where in one MCAP file, found by walking its records; finds its way in cut and
-damaged files.
+"""Layout of one MCAP file, found by walking its records, in cut and damaged files too.
 
 The format is specified at https://mcap.dev/spec. Lengths in a damaged file are lies until they have
 been checked against the size of the file, so nothing here reads or allocates more than the file can
@@ -46,8 +45,7 @@ _LONGEST_MARK = 256
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of the file that holds messages: one chunk, or a run of messages that stand outside
-    chunks.
+    """A part of the file with messages: one chunk, or a run of messages outside chunks.
 
     Attributes:
         offset: Byte in the file where its first record starts.

@@ -1,6 +1,4 @@
-"""Everything that the recursive rule has learnt of a group of motors, as arrays with the motor axis
-first.
-"""
+"""All that the recursive rule has learnt of a group, as arrays with the motor axis first."""
 
 from __future__ import annotations
 

@@ -71,9 +71,7 @@ class Motors:
         self.replay.forget(keep, self._places[index], self.learnt.at[index])
 
     def take(self, found: Belief, which: NDArray[np.bool_]) -> None:
-        """Go on from a fit of everything remembered, for some of the motors; never from one that is
-        not finite.
-        """
+        """Go on from a fit of all that is remembered, for some motors, where it is finite."""
         known = self.learnt
         known.belief = known.belief.overwritten(found, which & found.finite)
         known.noise_count = np.where(which, self.remembered, known.noise_count)

@@ -73,9 +73,7 @@ class BagWork:
     limits: ReadLimits = field(default_factory=ReadLimits)
 
     def __call__(self, bag: Path) -> BagResult:
-        """Identify one bag; never raises what a bag can cause, nor what a defect of ours makes of a
-        bag.
-        """
+        """Identify one bag; never raises what a bag or a defect of this package can cause."""
         try:
             configuration = configure(self.given, carried_by([bag]), 'the bag')
             outcome = offline_run.run([bag], configuration, self.training, limits=self.limits)

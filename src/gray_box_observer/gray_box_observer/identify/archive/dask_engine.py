@@ -48,8 +48,7 @@ def require_dask() -> None:
 
 @dataclass(frozen=True, slots=True)
 class DaskEngine:
-    """Spreads bags over a Dask cluster, which says itself how often a bag is taken up again after
-    its worker died.
+    """Spreads bags over a Dask cluster, which limits how often a bag is retried.
 
     Attributes:
         scheduler: address of its scheduler, such as ``tcp://host:8786``.
@@ -139,9 +138,7 @@ def _spread(
 
 
 def program() -> tuple[str, str, str]:
-    """Return what decides the bits of a result: digest of the sources, numpy's version, compiled
-    code or none.
-    """
+    """Return what decides a result's bits: source digest, numpy version, compiled code or not."""
     root = Path(gray_box_observer.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(path for path in root.rglob('*.*') if path.suffix in {'.py', '.c', '.h'}):

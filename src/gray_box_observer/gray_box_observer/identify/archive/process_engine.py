@@ -1,5 +1,4 @@
-"""Bags spread over processes of this machine: children that talk with this process through pipes,
-and with nobody else.
+"""Bags spread over child processes of this machine, which talk with this one by pipes alone.
 
 A worker holds one bag at a time, and only a few chunks of that. No address is opened that anybody
 could connect to.
@@ -64,9 +63,7 @@ class ProcessEngine:
     def _spread(
         self, work: Work, bags: Sequence[Path], chosen: Sequence[int], count: int
     ) -> Iterator[tuple[int, BagResult | None]]:
-        """Let workers read the chosen bags; None for one that was in hand too often when one of
-        them died.
-        """
+        """Let workers read the chosen bags; None for one held too often by a dying worker."""
         waiting, deaths = deque(chosen), Counter[int]()
         while waiting:
             with _pool(count) as pool:
@@ -99,8 +96,7 @@ def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
 def _read(
     pool: ProcessPoolExecutor, work: Work, bags: Sequence[Path], waiting: deque[int], most: int
 ) -> Iterator[tuple[int, BagResult | None]]:
-    """Let the pool read what is waiting, so many at a time; None for what was in hand when a worker
-    died.
+    """Let the pool read waiting bags, so many at a time; None for a dead worker's bags.
 
     Ends when nothing is waiting, or when a worker has died: then the pool is of no use any more.
     """

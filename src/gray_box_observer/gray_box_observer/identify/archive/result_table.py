@@ -44,9 +44,7 @@ def require_pyarrow() -> None:
 
 
 def rows(results: Iterable[BagResult]) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table; a bag that gave nothing has one row, without motor and
-    parameter.
-    """
+    """Yield the rows of the table; a failed bag has one row without motor and parameter."""
     for result in results:
         common = dict.fromkeys(COLUMNS) | {
             'bag': result.bag,

@@ -14,9 +14,7 @@ from gray_box_observer.report.trend.trend import MotorTrend, ParameterTrend
 
 
 def gather(results: Iterable[BagResult]) -> tuple[MotorTrend, ...]:
-    """Sort the estimates of all bags by motor, parameter and time; motors and parameters in the
-    order they came.
-    """
+    """Sort all estimates by motor, parameter and time; names in the order of appearance."""
     found: dict[str, dict[tuple[str, str], list[tuple[int, str, Any]]]] = defaultdict(
         lambda: defaultdict(list)
     )
@@ -49,9 +47,7 @@ def _trend(name: str, unit: str, entries: list[tuple[int, str, Any]]) -> Paramet
 
 
 def digest_of(results: Iterable[BagResult]) -> str:
-    """Return a SHA-256 over the digests of the bags in order; a bag that gave nothing counts as
-    such.
-    """
+    """Return a SHA-256 over the digests of the bags in order; failed bags count as such."""
     digest = hashlib.sha256()
     for result in results:
         digest.update((result.digest or '-').encode() + b'\n')

@@ -1,6 +1,4 @@
-"""Training of the thesis's variants: each job a few Adam steps on windows of the replay buffer.
-Needs torch.
-"""
+"""Training of the thesis's variants: a job is a few Adam steps on windows. Needs torch."""
 
 from __future__ import annotations
 

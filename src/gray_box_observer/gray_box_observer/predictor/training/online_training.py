@@ -1,6 +1,4 @@
-"""Training while the motors run: which samples a network and a correction are taught, when, and
-what comes of it.
-"""
+"""Training while motors run: what network and correction are taught, when, with what result."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 class OnlineTraining:
-    """Remembers samples, hands them over as jobs, one at a time, and lets run what the jobs have
-    made.
+    """Remembers samples, hands them over as jobs, one at a time, and runs the results.
 
     Nothing of a motor is learnt twice: what is settled rests until the motor or its range moves.
 
@@ -116,17 +113,14 @@ class OnlineTraining:
         return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume; what comes while frozen is not remembered, a new signal history follows
-        it.
-        """
+        """Stop or resume; frozen samples are not kept, and a new signal history follows."""
         if frozen == self._frozen:
             return
         self._frozen = frozen
         self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
-        """Remember these samples instead, which were paired anew; what the others taught beside the
-        physics is void.
+        """Remember these samples instead, paired anew; drops what was learnt beside the physics.
 
         Args:
             content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
@@ -151,8 +145,7 @@ class OnlineTraining:
         return self._training.failure
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """Where the motors have run and everything that training one of them depends on but what
-        runs, as arrays.
+        """Operating ranges and all that one motor's training depends on but the running network.
 
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
@@ -179,8 +172,7 @@ class OnlineTraining:
         }
 
     def restore(self, arrays: Mapping[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave of one motor, after what runs; training goes on from
-        there.
+        """Restore one motor's part of :meth:`state`, after its network; training goes on.
 
         Raises:
             CheckpointError: it is no state that could have been.
@@ -242,9 +234,7 @@ class OnlineTraining:
                 )
 
     def _train(self, theta: Array, covariance: Array) -> None:
-        """Adopt the finished job's network and hand the next one over; a job that is late is waited
-        for next time.
-        """
+        """Adopt the finished job's network and hand over the next; never wait for a late job."""
         signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
         self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
         if self._training.busy:

@@ -1,5 +1,4 @@
-"""The physics as a teacher: what the white box does along the network's own prediction (thesis
-4.2.4, variant 1).
+"""The physics as a teacher: the white box along the network's prediction (thesis 4.2.4).
 
 Measured torque has no part in it.
 """
@@ -89,9 +88,7 @@ def exact_run(sequences: Sequences) -> Array:
 
 
 def spread(sequences: Sequences, current_a: Array) -> Array:
-    """Spread of the current that a sequence's voltages ask for, in A, shape (sequence,): the
-    measure of errors.
-    """
+    """Spread of the current that the voltages ask for, in A, (sequence,): the scale of errors."""
     levels = np.concatenate(
         [sequences.start_a[:, None], current_a, _courses(sequences).steady_a], axis=1
     )
@@ -133,9 +130,7 @@ def steady_currents(sequences: Sequences) -> Array:
 
 
 def _courses(sequences: Sequences) -> Course:
-    """Where every interval leads; fields of shape (sequence, time), the parameters of shape
-    (sequence, 1).
-    """
+    """Where every interval leads; fields are (sequence, time), parameters (sequence, 1)."""
     theta = [column[:, None] for column in sequences.columns]
     guess = np.zeros_like(sequences.voltage_v)
     return course(np, sequences.white_box, theta, sequences.voltage_v, sequences.speed_rad_s, guess)

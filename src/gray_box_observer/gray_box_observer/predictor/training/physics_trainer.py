@@ -1,5 +1,4 @@
-"""Training of variant ``physics``: teaches on drawn sequences, and lets a new network run only
-where it is better.
+"""Training of variant ``physics`` on drawn sequences; a network runs only if it is better.
 
 The physics needs no recorded torque, so recorded samples are all held out: they judge, they never
 teach.
@@ -184,9 +183,7 @@ class PhysicsTrainer:
         )
 
     def _lesson(self, job: Message, seen: OperatingRange) -> Lesson:
-        """Half of what is taught is of these motors, half of all the family: other regimes are not
-        forgotten.
-        """
+        """Half of the lessons are of these motors, half of all: no regime is forgotten."""
         assert self._pupil is not None
         weights, count = self._pupil.weights, self._rules.minibatch
         drawn = [
@@ -196,9 +193,7 @@ class PhysicsTrainer:
         return Lesson.joined([lesson(weights, sequences) for sequences in drawn])
 
     def _better(self, candidate: Weights, own: _HeldOut, now: float, job: Message) -> bool:
-        """Whether a network beats the running one on drawn sequences and does no worse on what was
-        measured.
-        """
+        """Whether a network beats the running one on drawn data and is no worse on measured."""
         if not own.error(candidate) <= BETTER * now:
             return False
         if not self._family.error(candidate) <= FORGETS * self._family.error(self._running):

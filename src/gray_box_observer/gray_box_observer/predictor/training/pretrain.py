@@ -1,5 +1,6 @@
-"""Make the network that variant ``physics`` begins with: ``python -m
-gray_box_observer.predictor.training.pretrain``.
+"""Makes the network that variant ``physics`` begins with.
+
+Run it by ``python -m gray_box_observer.predictor.training.pretrain``.
 """
 
 from __future__ import annotations
@@ -49,9 +50,7 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
 
 
 def held_out_errors(weights: Weights, seed: int) -> Array:
-    """Mean error of the free run on motors that never taught, in units of each one's spread, shape
-    (motor,).
-    """
+    """Mean free-run error on motors that never taught, in units of each spread, (motor,)."""
     drawn = draw_family(np.random.default_rng([seed, 4]), HELD_OUT, LENGTH)
     exact = exact_run(drawn)
     errors: Array = np.abs(free_run(weights, drawn)[0] - exact).mean(axis=1) / spread(drawn, exact)

@@ -1,6 +1,4 @@
-"""The state of a random generator as one array, for a checkpoint: plain numbers, nothing that could
-run.
-"""
+"""The state of a random generator as one array for a checkpoint: numbers, nothing that runs."""
 
 from __future__ import annotations
 

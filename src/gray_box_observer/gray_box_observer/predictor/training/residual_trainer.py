@@ -70,8 +70,7 @@ STEPS = 150
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Signal histories one after another, with what the physics says of them; arrays of shape
-    (motor, time).
+    """Signal histories in a row with what the physics says of them; arrays of (motor, time).
 
     ``number``, ``anew``, ``cut`` and ``heard`` have shape (time,): which sample it is, counted
     since the beginning, where a history begins, where it goes on from samples that are lost, and
@@ -211,16 +210,12 @@ def _sizes(run: _Run) -> tuple[Array, float]:
 
 
 def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
-    """Whether what was recorded since is of another size, as after a first step at the end of a
-    long rest.
-    """
+    """Whether samples since are of another size, as after a first step after a long rest."""
     return bool(np.any(new[0] > OUTGROWN * old[0]) or new[1] > OUTGROWN * old[1])
 
 
 def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
-    """Return the correction with the share of it that the judging blocks bear out, and the error
-    they are left with.
-    """
+    """Return the correction with the share that judging blocks support, and its error."""
     said = _said(replace(correction, share=1.0), run)
     judges = judging(run.number) & run.heard
     residual, said = run.residual_a[:, judges], said[:, judges]
@@ -237,8 +232,7 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
 
 
 def worth_learning(residual: Array, predicted: Array) -> bool:
-    """Whether residuals are not small, and hang together in time, as all does that voltage and
-    motion cause.
+    """Whether residuals are large and correlated in time, as voltage and motion cause them.
 
     Args:
         residual: shape (motor, time).
@@ -258,9 +252,7 @@ def worth_learning(residual: Array, predicted: Array) -> bool:
 
 
 def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which samples judge, shape (time,), by their number since the beginning: no sample ever does
-    both.
-    """
+    """Which samples judge, shape (time,), by their number; none ever judges and teaches."""
     judges: NDArray[np.bool_] = (number // BLOCK) % EVERY == EVERY - 1
     return judges
 

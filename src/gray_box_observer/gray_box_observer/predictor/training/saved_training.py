@@ -1,6 +1,4 @@
-"""What a training leaves behind for the next to go on from, as it must be before anything goes on
-from it.
-"""
+"""What one training leaves for the next to go on from, and its checks before that."""
 
 from __future__ import annotations
 

@@ -55,9 +55,7 @@ class Segment:
         return np.arange(self.first, self.first + self.signals.shape[2])
 
     def begun(self) -> dict[str, Array]:
-        """Every signal by its name, from where the physics had come to, so that it runs on as it
-        did.
-        """
+        """Every signal by its name, from the physics' present state, so that it runs on."""
         signals = dict(zip(SIGNALS, self.signals.copy(), strict=True))
         torque_nm = signals['torque_nm']
         torque_nm[:, 0] = np.where(np.isfinite(self.start_nm), self.start_nm, torque_nm[:, 0])
@@ -142,8 +140,7 @@ def _check(arrays: Mapping[str, Array]) -> None:
 
 
 def maps(segments: list[Array]) -> Array:
-    """Count every segment's samples in the cells of the map of voltage and torque, shape (segment,
-    motor, cell).
+    """Count each segment's samples in the voltage-torque map, (segment, motor, cell).
 
     Args:
         segments: signals, each of shape (signal, motor, time).

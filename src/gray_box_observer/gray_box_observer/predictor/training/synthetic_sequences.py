@@ -1,5 +1,4 @@
-"""Sequences that nobody recorded: drawn over all that a motor may meet, for the physics to teach
-on.
+"""Drawn sequences over all that a motor may meet, for the physics to teach on.
 
 What the network is taught on is drawn, not recorded, so nothing ties it to the voltages that
 happened to be seen.
@@ -59,8 +58,7 @@ class Sequences:
 
 
 def draw_family(random: np.random.Generator, count: int, length: int) -> Sequences:
-    """Draw motors of every kind in dimensionless form: the resistance is 1 ohm, the time constant
-    L/R is 1 s.
+    """Draw motors of every kind, dimensionless: resistance 1 ohm, time constant L/R 1 s.
 
     What else sets a motor apart is drawn over decades: how much of the voltage hysteresis takes
     (0.01 to 30 times the resistance), whether there are brushes and what they take (0.01 to 3

@@ -1,6 +1,4 @@
-"""One step of teaching: the defect of the physics along the network's own prediction, and what Adam
-makes of it.
-"""
+"""One step of teaching: the physics' defect along the network's prediction, and Adam."""
 
 from __future__ import annotations
 
@@ -25,8 +23,9 @@ SHORTEST = 1e-3
 
 
 def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
-    """Mean of ``|i1 - Phi_h(i0)|``, the defect of the ODE in its exact-time form (thesis 4.2.4), in
-    spreads.
+    """Mean of ``|i1 - Phi_h(i0)|``, the ODE's defect in exact-time form (thesis 4.2.4).
+
+    It is in units of each sequence's spread.
 
     Defects of a free run die down at the pace of the motor, so a steady defect ``e`` adds up to
     ``e / (1 - exp(-h c))``: that is what is minimised, and short intervals weigh as much as long

@@ -169,9 +169,7 @@ def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHist
 def _on_axis(
     covered_s: Sequence[float], interval_s: FloatArray, time_s: FloatArray
 ) -> tuple[float, ...]:
-    """Return where on the axis of the report something is, of which it is known after how much
-    covered time it was.
-    """
+    """Return the position on the report's axis of what happened at a covered time."""
     covered = np.cumsum(interval_s)
     at = np.minimum(np.searchsorted(covered, covered_s), len(time_s) - 1)
     return tuple(float(time_s[place]) for place in at)

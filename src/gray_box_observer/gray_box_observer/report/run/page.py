@@ -44,8 +44,7 @@ def require_plotly() -> None:
 
 
 def write_report(history: RunHistory, path: Path) -> None:
-    """Write the report of a run to `path`, as a whole or not at all: a reader never sees half a
-    page.
+    """Write the report of a run to `path`, whole or not at all: a reader never sees half.
 
     Args:
         history: what to report.
@@ -90,8 +89,7 @@ def render(history: RunHistory) -> str:
 def assembled(
     history: RunHistory | ArchiveHistory, headline: str, content: str, figures: Mapping[str, Figure]
 ) -> str:
-    """Return a page of what the report of a run and that of an archive share, and of what is their
-    own.
+    """Return a page from what all reports share and what is this report's own.
 
     Args:
         history: what the page is about.
@@ -173,8 +171,7 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
 
 
 def framed(key: str, drawing: Figure, title: str, motor: str, *, timed: bool = True) -> str:
-    """Return the frame that the page's script draws a figure of a motor in; `title` is HTML,
-    `motor` is not.
+    """Return the frame for a motor's figure, drawn by script; `title` is HTML, `motor` is not.
 
     A figure that is not `timed` does not share the motor's time axis.
     """

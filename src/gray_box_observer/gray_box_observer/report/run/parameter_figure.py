@@ -35,9 +35,7 @@ _MOST_SEGMENTS = 2_000
 
 
 def parameter_scale(parameter: ParameterHistory) -> Scale:
-    """Return the unit in which a parameter is written everywhere on the page: that of its last
-    estimate.
-    """
+    """Return the unit of a parameter for the whole page: that of its last estimate."""
     finite = parameter.value[np.isfinite(parameter.value)]
     return scale_for(float(finite[-1]) if finite.size else math.nan, parameter.unit)
 
@@ -69,8 +67,7 @@ def rate_of_change(
 def parameter_figure(
     parameter: ParameterHistory, span_s: tuple[float, float], changes_s: Sequence[float] = ()
 ) -> Figure:
-    """Draw the estimate with its one-sigma band and the truth, the verdicts as a strip, the rate of
-    change.
+    """Draw estimate, one-sigma band and truth, the verdicts as a strip, the rate of change.
 
     Args:
         parameter: what to draw.

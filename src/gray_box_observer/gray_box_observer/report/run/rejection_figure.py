@@ -21,8 +21,7 @@ _DRAWN_WHOLE = 4_000
 
 
 def rejection_figure(motor: MotorHistory) -> Figure | None:
-    """Draw a bar for every reason that rejected a sample, and a mark at the time of each rejected
-    one.
+    """Draw a bar for every reason of rejection, and a mark at the time of each rejection.
 
     Returns:
         None where nothing was rejected.

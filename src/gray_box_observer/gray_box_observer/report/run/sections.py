@@ -121,8 +121,7 @@ def card_rows(
     empty: str,
     banner_of: Callable[[Any], str] | None = None,
 ) -> str:
-    """Return one row of cards for every motor, one for each of its ``parameters``; where there is
-    none, say so.
+    """Return a row of cards per motor, one for each of ``parameters``; or say that none is.
 
     Args:
         motors: with ``name`` and ``parameters``.
@@ -146,9 +145,7 @@ def card_rows(
 
 
 def badge(verdict: str, fit: str = 'untested') -> str:
-    """Return a verdict as a coloured sign and word, its meaning under a verdict of the fit test on
-    hovering.
-    """
+    """Return a verdict as coloured sign and word; a fit test's meaning shows on hovering."""
     look = look_of(verdict, fit)
     return (
         f'<span class="badge {look.style}" title="{escape(look.meaning)}">'
@@ -157,9 +154,7 @@ def badge(verdict: str, fit: str = 'untested') -> str:
 
 
 def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
-    """Return the last estimate of a parameter: value, deviation, verdict, and error where truth is
-    known.
-    """
+    """Return a parameter's last estimate: value, deviation, verdict, and error if known."""
     name = words(parameter.name)
     if not len(parameter.time_s):
         empty = '<p class="empty">No estimate was made.</p>'

@@ -51,8 +51,7 @@ class _Rows:
 
 
 def signal_figure(motor: MotorHistory) -> Figure:
-    """Draw voltage on top, torque (measured, predicted, white box) and prediction error below, then
-    current and speed.
+    """Draw voltage, torque (measured, predicted, white box), error, then current and speed.
 
     A row or a line for which there is no number at all is left out, and the caption says so.
     """

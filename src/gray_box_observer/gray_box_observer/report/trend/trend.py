@@ -1,6 +1,4 @@
-"""What a trend report draws: the estimates of many recordings of the same motors, over the time of
-the recordings.
-"""
+"""Data of a trend report: estimates of many recordings of the same motors, over time."""
 
 from __future__ import annotations
 
@@ -94,8 +92,7 @@ class ParameterTrend:
         return finite
 
     def drift(self) -> Drift | None:
-        """Fit a straight line to the identified estimates; None where they are too few, or all of
-        one time.
+        """Fit a line to the identified estimates; None if too few, or all of one time.
 
         Least squares, weighted with the stated variances. Where the estimates scatter more than
         these allow (load, temperature), the slope's standard deviation grows by the ratio (Birge,

@@ -1,6 +1,4 @@
-"""One parameter of one motor over many bags: a mark with its error bar for each, and the straight
-line through them.
-"""
+"""One parameter of one motor over many bags: marks with error bars, and a straight line."""
 
 from __future__ import annotations
 
@@ -31,9 +29,7 @@ _SIGNS = {'identified': 'circle', 'implausible': 'x', 'unexcited': 'circle-open'
 
 
 def trend_scale(trend: ParameterTrend) -> Scale:
-    """Return the unit in which a parameter is written everywhere on the page: that of its typical
-    estimate.
-    """
+    """Return the unit of a parameter for the whole page: that of its typical estimate."""
     chosen = trend.value[trend.identified] if trend.identified.any() else trend.value
     finite = chosen[np.isfinite(chosen)]
     return scale_for(float(np.median(finite)) if finite.size else math.nan, trend.unit)
@@ -45,9 +41,7 @@ def date_of(time_ns: int) -> str:
 
 
 def trend_figure(trend: ParameterTrend) -> Figure:
-    """Draw every estimate with its one-sigma error bar, by verdict, and the line through the
-    identified ones.
-    """
+    """Draw each estimate with one-sigma bar, by verdict, and the line through identified ones."""
     scale = trend_scale(trend)
     data = [
         _marks(trend, verdict, scale)

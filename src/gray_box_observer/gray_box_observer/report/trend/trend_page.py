@@ -1,6 +1,4 @@
-"""The trend report: what many recordings of the same motors say, on one page in the style of a
-run's report.
-"""
+"""The trend report: what many recordings of the same motors say, on one page."""
 
 from __future__ import annotations
 
@@ -64,9 +62,7 @@ def _headline(history: ArchiveHistory) -> str:
 
 
 def _card(trend: ParameterTrend) -> str:
-    """Return the latest identified estimate of a parameter, or the latest of all where none is, and
-    its drift.
-    """
+    """Return a parameter's latest identified estimate, else its latest, and its drift."""
     scale, identified = trend_scale(trend), np.flatnonzero(trend.identified)
     latest = int(identified[-1]) if identified.size else len(trend.value) - 1
     text, deviation = value_and_std(float(trend.value[latest]), float(trend.std[latest]), scale)

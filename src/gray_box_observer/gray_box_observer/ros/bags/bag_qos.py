@@ -1,6 +1,4 @@
-"""Quality of service between rclpy's objects and rosbag2's YAML form, and what to subscribe and
-replay with.
-"""
+"""Quality of service: rclpy's objects, rosbag2's YAML, and the choice of profiles."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ _NS_PER_S = 1_000_000_000
 
 
 def to_mapping(profile: QoSProfile) -> dict[str, Any]:
-    """A profile in the form that rosbag2 of Jazzy writes; a history that discovery does not tell is
-    ``unknown``.
-    """
+    """A profile in the form that Jazzy's rosbag2 writes; an untold history is ``unknown``."""
     return {
         'history': _word(profile.history),
         'depth': profile.depth,
@@ -59,9 +55,7 @@ def publisher_profile(recorded: Sequence[Mapping[str, Any]], depth: int) -> QoSP
 
 
 def needs_weaker(current: QoSProfile, wanted: QoSProfile) -> bool:
-    """Whether a subscription asks for more than what it now should, so that it misses some
-    publisher.
-    """
+    """Whether a subscription asks for too much, so that it misses some publisher."""
     return (
         current.reliability == ReliabilityPolicy.RELIABLE != wanted.reliability
         or current.durability == DurabilityPolicy.TRANSIENT_LOCAL != wanted.durability

@@ -1,6 +1,4 @@
-"""The ``player`` executable: replays a bag onto its topics, with rate, loop, pause, single steps
-and ``/clock``.
-"""
+"""The ``player`` executable: replays a bag with rate, loop, pause, steps and ``/clock``."""
 
 from __future__ import annotations
 
@@ -194,9 +192,7 @@ class BagPlayer(Node):
         return publishers
 
     def _replayed(self, there: Collection[str], *, with_outputs: bool) -> list[str]:
-        """Topics that are replayed where nobody names any: a live observer publishes its own
-        outputs itself.
-        """
+        """Topics replayed by default: not the outputs that a live observer publishes."""
         outputs = [] if with_outputs else [name for name in there if f'/{OBSERVER_NAME}/' in name]
         if outputs:
             outputs += [name for name in there if name == observed.DIAGNOSTICS.name]

@@ -1,6 +1,4 @@
-"""The ``recorder`` executable: records topics, of whatever type, to a rosbag2 folder in MCAP
-storage.
-"""
+"""The ``recorder`` executable: records topics of any type to a rosbag2 folder (MCAP)."""
 
 from __future__ import annotations
 
@@ -143,9 +141,7 @@ class BagRecorder(Node):
         return name in self._defaults or name.startswith(self._observer_prefix)
 
     def _discover(self) -> None:
-        """Subscribe to wanted topics that have appeared, and loosen subscriptions that miss a
-        publisher.
-        """
+        """Subscribe to new wanted topics; loosen subscriptions that miss a publisher."""
         for name, types in self.get_topic_names_and_types():
             if name in self._refused or not self._is_wanted(name):
                 continue

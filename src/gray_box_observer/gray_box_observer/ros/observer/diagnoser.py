@@ -100,9 +100,7 @@ class Diagnoser:
         return self._motors[first : first + share]
 
     def _has_namesake(self, name: str) -> bool:
-        """Whether another node has our name, which is said once while it lasts: nobody can tell the
-        two apart.
-        """
+        """Whether another node has our name, said once while it lasts; nobody can part them."""
         found = [
             f'{space.rstrip("/")}/{own}'
             for own, space in self._node.get_node_names_and_namespaces()

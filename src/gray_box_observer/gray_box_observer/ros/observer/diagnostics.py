@@ -1,5 +1,4 @@
-"""Diagnostics of every motor in the shape operators know: level, one line of advice, key-value
-pairs.
+"""Diagnostics of every motor as operators know them: level, one line of advice, key values.
 
 As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware, both with their namespace.
 OK: nothing to do.
@@ -298,9 +297,7 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
 
 
 def _advice(motor: str, now: Situation) -> Judgement | None:
-    """What verdicts ask for: a bound that is met tells more than a residual, for it names the
-    parameter.
-    """
+    """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
     estimate = now.observer.motors[motor].estimate
     for verdict, advice in ADVICE.items():
         at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
@@ -313,9 +310,7 @@ def _advice(motor: str, now: Situation) -> Judgement | None:
 
 
 def _small_print(motor: str, now: Situation) -> str:
-    """What an identified motor leans on: parameters that are nearly zero, and what nobody has
-    stated.
-    """
+    """What an identified motor leans on: nearly zero parameters, and unstated assumptions."""
     said = ''
     estimate = now.observer.motors[motor].estimate
     names = [

@@ -307,9 +307,7 @@ class ObserverNode(LifecycleNode):
         self._do_chore(quiet=False)
 
     def _do_chore(self, *, quiet: bool) -> None:
-        """Do what is due, if anything is: one is enough beside a message; next time it comes behind
-        the others.
-        """
+        """Do one thing that is due, if any; the next one comes behind the other messages."""
         for name, chore in self._chores.items():
             if chore.meet(quiet=quiet):
                 self._chores[name] = self._chores.pop(name)
@@ -334,9 +332,7 @@ class ObserverNode(LifecycleNode):
                 observer.stop(pending.popleft().group, error)
 
     def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
-        """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked
-        for.
-        """
+        """Publish a new voltage's predictions: at its stamp, and at a requested horizon."""
         torque_nm = observer.forecast_group(group, stamp_ns)
         if torque_nm is not None:
             outputs.prediction(group.names, stamp_ns, torque_nm)
@@ -357,9 +353,7 @@ class ObserverNode(LifecycleNode):
         self._report_incidents()
 
     def _report_incidents(self) -> None:
-        """Tell of motors that have stopped since it was told last, and leave nothing latched of
-        them.
-        """
+        """Report motors that have stopped since the last call, and clear their latched topics."""
         if self._observer is None or self._outputs is None:
             return
         incidents = self._observer.incidents
@@ -519,9 +513,7 @@ class ObserverNode(LifecycleNode):
             )
 
     def _correct_estimates(self) -> None:
-        """Leave no number on ``~/estimates`` of a motor that has stopped; nobody may tell of it
-        periodically.
-        """
+        """Clear a stopped motor on ``~/estimates``; its periodic reports have ended."""
         if self._observer is None or self._outputs is None:
             return
         if self._state == 'active':
@@ -543,9 +535,7 @@ class ObserverNode(LifecycleNode):
 
 
 def _consumed(pending: deque[GroupResult]) -> Iterator[GroupResult]:
-    """Yield results; each leaves the queue when it is done with, so that one that fails is still
-    the first.
-    """
+    """Yield results; each leaves the queue when done, so that one that fails is still first."""
     while pending:
         yield pending[0]
         pending.popleft()

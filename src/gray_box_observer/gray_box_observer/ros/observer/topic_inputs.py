@@ -153,9 +153,7 @@ class Inputs:
 
     @property
     def needs_source_time(self) -> bool:
-        """Whether a signal's messages have no header, so that the middleware's source time has to
-        stamp them.
-        """
+        """Whether a signal's messages lack a header, so that middleware time stamps them."""
         return not all(self._has_header(name) for name in self._topics)
 
     @property
@@ -164,9 +162,7 @@ class Inputs:
         return ', '.join(self._node.resolve_topic_name(topic) for topic in self._topics.values())
 
     def trouble(self, names: Iterable[str]) -> Trouble | None:
-        """Say why nothing comes for these signals, as far as the graph of nodes and topics tells;
-        None: no idea.
-        """
+        """Say why nothing comes for these signals, as the ROS graph shows; None: unknown."""
         found = [trouble for name in names if (trouble := self._trouble(name)) is not None]
         found.sort(key=lambda trouble: not trouble.broken)
         same = [trouble.message for trouble in found if found and trouble.broken == found[0].broken]
@@ -220,9 +216,7 @@ class Inputs:
         )
 
     def _decoded(self, name: str, decode: Decode, data: bytes) -> Any:
-        """Return the message of some bytes; None where they are too many or make no sense, which is
-        told.
-        """
+        """Return the message of some bytes; None, reported, if too many or malformed."""
         queue = self._queues.get(name)
         if queue is None:  # it waited while listening ended
             return None

@@ -108,9 +108,7 @@ class Outputs:
                 self.tested(result.group)
 
     def tested(self, group: Group) -> None:
-        """Publish what is believed of those motors of a group whose fit was tested since, and the
-        fit.
-        """
+        """Publish the beliefs of a group's motors that were tested since, and their fit."""
         observer = group.observer
         if observer is None or not self._fit:
             return
@@ -123,9 +121,7 @@ class Outputs:
             )
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
-        """Publish the torques predicted of motors that come together for a stamp still without
-        torque, once.
-        """
+        """Publish a group's predicted torques for a stamp still without torque, once."""
         awaited = self._awaited.setdefault(names, {})
         if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
             return
@@ -141,9 +137,7 @@ class Outputs:
         return True
 
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
-        """Publish the torques at the horizon if the newest voltage is held until then, once a
-        voltage.
-        """
+        """Publish the torques at the horizon, if the voltage is held until then, once each."""
         if self._forecast is None:  # asked for while the node runs
             self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
         if self._foretold.get(names) == stamp_ns:
@@ -220,9 +214,7 @@ class Outputs:
         )
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
-        """Publish the ratio of a residual analysis where it has changed; UNTESTED where there is
-        none any more.
-        """
+        """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
         if motor not in self._fit:
             return
         if math.isnan(fit.ratio):
@@ -235,9 +227,7 @@ class Outputs:
             self._fit[motor](self._value.told(np.array([fit.ratio])))
 
     def _forget_fit(self, motor: str) -> None:
-        """Take back the ratio, in whatever state of the life cycle; who listens has to hear of it
-        too.
-        """
+        """Take back the ratio, in any state of the life cycle, so that listeners hear of it."""
         if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
             self._published_fit[motor] = UNTESTED
             self._fit[motor].correct(self._value.told(np.array([UNTESTED])))
@@ -255,25 +245,19 @@ class Outputs:
                 self._parameter_identified[motor][parameter.name](self._is[is_identified])
 
     def forget_published(self) -> None:
-        """Publish again, at the next chance, what goes out only when it changes: nobody may have
-        heard it.
-        """
+        """Publish again, at the next chance, what goes out only on change and may be unheard."""
         self._published_identified.clear()
         self._published_fit.clear()
 
     def alarm(self, motor: str, raised: bool) -> None:
-        """Publish whether the alarm on the prediction's residual stands, whatever was published
-        before.
-        """
+        """Publish whether the residual alarm stands, whatever was published before."""
         self._alarmed.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
             self._told[motor] = raised
             self._alarm[motor](self._is[raised])
 
     def retract(self) -> None:
-        """Leave latched what is true of a node that knows nothing, in whatever state of its life
-        cycle.
-        """
+        """Latch what is true of a node that knows nothing, in any state of its life cycle."""
         self.retract_estimates()
         for motor in self._identified:
             self.retract_motor(motor)
