@@ -50,7 +50,7 @@ def make_archive(folder: Path, bags: int) -> list[Path]:
 def timed(
     engine: SerialEngine | ProcessEngine, work: BagWork, bags: Sequence[Path]
 ) -> tuple[float, list[BagResult]]:
-    """Read every bag; return the time on the clock in s and the results in the order of the bags."""
+    """Read every bag; return the wall time in s and the results in the order of the bags."""
     start = time.perf_counter()
     found = dict(
         tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False)

@@ -36,7 +36,8 @@ ENVIRONMENT = {
     'OMP_NUM_THREADS': '1',
     'OPENBLAS_NUM_THREADS': '1',
     'MKL_NUM_THREADS': '1',
-    'PYTHONDONTWRITEBYTECODE': '',  # mcap was compiled when it was installed, this package is at its first run
+    # mcap was compiled when it was installed, this package is at its first run
+    'PYTHONDONTWRITEBYTECODE': '',
 }
 
 

@@ -70,12 +70,14 @@ and are read once; and once a block, both ways, the covariance, that of long hol
 and two dozen numbers."""
 
 FLOPS = (
-    4 * 20 + 20  # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
+    # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
+    4 * 20 + 20
     + 4 * (3 + 3 * PARAMETERS) + 8 * UNKNOWNS  # the variational equation
     + 2 * (2 + PARAMETERS)  # recurrences: current, by the first current, by every coordinate
     + 2 * UNKNOWNS**2 + 2 * UNKNOWNS  # variance of the innovation
     + 2 * UNKNOWNS**2 + 2 * UNKNOWNS + 12  # normal equations, residual, limits
-    + (8 * UNKNOWNS**3 + 4 * PARAMETERS**3 + 16 * PARAMETERS**2) / BLOCK  # solves, transfer, score tests
+    # solves, transfer, score tests
+    + (8 * UNKNOWNS**3 + 4 * PARAMETERS**3 + 16 * PARAMETERS**2) / BLOCK
 )  # fmt: skip
 """Operations that the update of a motor-sample needs, products and sums alike."""
 
@@ -88,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument(
         '--device',
-        help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU that torch sees, if it '
+        help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU '
+        'that torch sees, if it '
         f'sees one; {TORCH_ON_CPU}: a try of these rows without a GPU, of few motors',
     )
     options = parser.parse_args(arguments)
@@ -203,7 +206,8 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
 
 
 def stream(
-    samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0, outliers: float = 0.0
+    samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0,
+    outliers: float = 0.0
 ) -> list[Any]:  # fmt: skip
     """Samples of many motors, each with its own noise; some torques are half too large."""
     random, made = np.random.default_rng([motors, begin]), []
@@ -216,7 +220,8 @@ def stream(
 
 
 def update(
-    one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int, outliers: float = 0.0
+    one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int,
+    outliers: float = 0.0
 ) -> float:  # fmt: skip
     """CPU time in us of one motor-sample's update: median of runs of whole rounds of blocks.
 

@@ -53,8 +53,10 @@ from gray_box_observer.settings.parameters import (
 PAGE = ROOT / 'docs' / 'API.md'
 
 TOPICS_OF_A_BAG = {
-    'recorder': 'Subscribes to what it records, of any type, with the quality of service that the publishers offer.',
-    'player': 'Publishes what the bag holds, with the quality of service recorded with it; with `clock` also `/clock`.',
+    'recorder': 'Subscribes to what it records, of any type, with the quality of service that the '
+    'publishers offer.',
+    'player': 'Publishes what the bag holds, with the quality of service recorded with it; with '
+    '`clock` also `/clock`.',
 }
 """Of the two nodes whose topics depend on a bag."""
 

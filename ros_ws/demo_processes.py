@@ -80,7 +80,7 @@ class Children:
         return self._children[name]
 
     def require_alive(self, *names: str) -> None:
-        """Raise a `DemoError` with the last lines of the first of these processes that has ended."""
+        """Raise a `DemoError` with the last lines of the first of these processes to end."""
         for name in names:
             child = self._children[name]
             code = child.process.poll()

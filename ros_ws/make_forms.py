@@ -164,7 +164,10 @@ def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
 
 # --- for compiled code
 
-_TERM = f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, box->torque_constant);'
+_TERM = (
+    f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, '
+    f'box->torque_constant);'
+)
 UNKNOWN = Loop('for (int j = 1; j < of.coordinates; j++)', _TERM.format('j - 1'))
 KNOWN = Loop('for (int k = 0; k < of.known; k++)', _TERM.format('of.coordinates - 1 + k'))
 COORDINATES = Loop('for (int j = 0; j < of.coordinates; j++)')
@@ -320,7 +323,10 @@ def _runge_kutta_step() -> list[str]:
 
     def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
         name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in COMPILED)
-        call = f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, {{{len(COMPILED)}}});'
+        call = (
+            f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, '
+            f'{{{len(COMPILED)}}});'
+        )
         made = Written(name, (*states, speed), declared=call)
         return _linear('{0}.').mapped(
             lambda member: Written(member.text, (made,), every=member.every)

@@ -34,7 +34,8 @@ class Written:
     """
 
     def __init__(
-        self, text: str, operands: tuple[Written, ...] = (), every: Loop | None = None, declared: str = ''
+        self, text: str, operands: tuple[Written, ...] = (), every: Loop | None = None,
+        declared: str = ''
     ) -> None:  # fmt: skip
         self.text = text
         self.operands = operands

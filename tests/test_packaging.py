@@ -250,7 +250,7 @@ def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> No
 
 
 def test_everything_that_is_pinned_is_locked_in_that_version_with_hashes_and_without_any_address():
-    """`ros_ws/lock_requirements.py` writes the locked lists; it has to be run when a pin changes."""
+    """`ros_ws/lock_requirements.py` writes the locked lists; run it when a pin changes."""
     locked: dict[str, set[str]] = {}
     for path in (ROOT / 'ros_ws' / 'requirements' / 'locked').glob('*.txt'):
         text = path.read_text(encoding='utf-8')

@@ -93,7 +93,7 @@ def profile_of(path: Path) -> ET.Element:
 
 
 def granted(path: Path) -> set[Right]:
-    """The rights in a policy, with the full names that SROS2 makes of `~/name`, `name` and `/name`."""
+    """The rights in a policy, with the full names that SROS2 makes of its short ones."""
     profile = profile_of(path)
     namespace, node = profile.attrib['ns'].rstrip('/'), profile.attrib['node']
     full = set()

@@ -54,7 +54,7 @@ class NoTraining:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Mean absolute errors of the free run in % of the torque's standard deviation, shape (motor,)."""
+    """Mean absolute errors of the free run in % of the torque's spread, shape (motor,)."""
 
     network: FloatArray
     untrained: FloatArray

@@ -106,7 +106,10 @@ def _table(results: Results, case: Case, noise: float, either_way: bool) -> str:
         rows.append(['Cramer-Rao bound', *(number(100.0 * v) for v in limits), *blank])
     length = f'{runs[0][2][-1]:.0f} s at {case.rate_hz:g} Hz' if runs else ''
     start = f'; start: {STARTS[either_way]}' if noise == 0.01 else ''
-    return f'{case.name}: {case.excitation}, {length}, noise {100 * noise:g} %{start}\n{table(header, rows)}'
+    return (
+        f'{case.name}: {case.excitation}, {length}, noise {100 * noise:g} '
+        f'%{start}\n{table(header, rows)}'
+    )
 
 
 def _cells(row: Summary) -> list[str]:

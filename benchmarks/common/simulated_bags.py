@@ -1,4 +1,4 @@
-"""Bags of simulated motors, made on the spot: seeded, so that the same call makes the same bytes."""
+"""Bags of simulated motors, made when needed: seeded, so that a call repeats its bytes."""
 
 from __future__ import annotations
 

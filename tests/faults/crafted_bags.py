@@ -123,7 +123,7 @@ def empties(byte_count: int, number: int = 2) -> Iterator[bytes]:
 
 
 def padded(blocks: Iterable[bytes], seed: int, byte_count: int) -> Iterator[bytes]:
-    """The same behind noise that no compression makes smaller, so that the whole looks like data."""
+    """The same behind incompressible noise, so that the whole looks like data."""
     yield record(PRIVATE, random.Random(seed).randbytes(byte_count))
     yield from blocks
 
@@ -201,7 +201,7 @@ def wide_window(path: Path) -> None:
 
 
 def a_packed_file(path: Path) -> None:
-    """A whole file packed by rosbag2's compression, which unpacks to a little less than the limit."""
+    """A whole file in rosbag2's compression, which unpacks to just below the limit."""
     write(
         path,
         declarations(),

@@ -198,7 +198,10 @@ def _rosbags(folder: Path) -> int:
 def _line(r: Round) -> str:
     others = ', '.join(name for name, reads in r.readers.items() if reads) or 'nobody else'
     gaps = '' if r.is_whole else ' WITH GAPS'
-    return f'lived {r.lived_s:.2f} s, lost {r.lost_s:.3f} s, {r.found} messages{gaps}; read by us, {others}'
+    return (
+        f'lived {r.lived_s:.2f} s, lost {r.lost_s:.3f} s, {r.found} messages{gaps}; read by us, '
+        f'{others}'
+    )
 
 
 def _tell(rounds: list[Round], options: argparse.Namespace) -> int:

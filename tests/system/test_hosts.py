@@ -96,7 +96,8 @@ class Robot:
     def simulate(self, rate_hz: float, duration_s: float, depth: int) -> None:
         """Let the motor run once both others listen; 0 s: until the end."""
         self.start(
-            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=rate_hz, duration_s=duration_s,
+            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=rate_hz,
+            duration_s=duration_s,
             wait_for_subscribers=2, excitation='R[1,5]D[0.05,0.5]', torque_noise_relative=0.01,
             **overrides('publisher', depth),
         )  # fmt: skip

@@ -79,7 +79,7 @@ def _no_training(_job: dict[str, Any]) -> NoTraining:
 
 
 def _feed(observer: Observer, series: Series, which: int, offset_ns: int) -> list[Result]:
-    """Play one set: every stamp with the voltage that is held from there on, and the torque there."""
+    """Play one set: each stamp with the voltage held from there on, and the torque there."""
     held = np.append(series.voltage_v[which, 1:], series.voltage_v[which, -1])
     results = []
     for stamp, voltage, torque in zip(series.stamp_ns, held, series.torque_nm[which], strict=True):

@@ -131,7 +131,10 @@ def _error_table(results: Results) -> str:
         lines.append(
             [name, *(f'{number(float(np.median(c)))} / {number(float(c.max()))}' for c in cells)]
         )
-    caption = "Mean absolute error of the torque in % of the set's torque standard deviation, median / worst run."
+    caption = (
+        "Mean absolute error of the torque in % of the set's torque standard deviation, median / "
+        'worst run.'
+    )
     return f'{caption}\n{table(["set", *(title(row) for row in results.rows)], lines)}'
 
 
@@ -302,7 +305,7 @@ def figures(results: Results) -> list[Figure]:
 
 
 def _physics_figures(results: Results) -> list[Figure]:
-    """Of the fifth variant, on the worst run; without a value where the package does not have it."""
+    """Figure of the fifth variant, on the worst run; no value where the package lacks it."""
     name, goal = results.setting.name, results.setting.online
     worst = typical = ratio = control = None
     if PHYSICS in results.rows:

@@ -106,7 +106,7 @@ def white_box(setting: Setting) -> MotorWhiteBox:
 
 
 def untaught(variant: str) -> str:
-    """Row of the variant with a network that has learnt nothing: what it owes to the physics alone."""
+    """Row of the variant with an untrained network: what it owes to the physics alone."""
     return f'{variant}_untrained'
 
 

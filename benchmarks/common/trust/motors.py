@@ -30,7 +30,7 @@ def gear_motor(rng: np.random.Generator) -> Motor:
 
 
 def steady_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor whose speed is straight between samples to below the noise: 60 to 200 ms."""
+    """Draw a geared motor with speed straight between samples within noise: 60 to 200 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     return replace(motor, inertia=_log_uniform(rng, 0.06, 0.2) * scale)
@@ -66,7 +66,7 @@ def strong_motor(rng: np.random.Generator) -> Motor:
 
 
 def fast_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor of 10 to 20 ms, whose speed is not straight between samples 1 ms apart."""
+    """Draw a geared motor of 10 to 20 ms, with speed not straight between samples of 1 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     return replace(motor, inertia=_log_uniform(rng, 0.01, 0.02) * scale)

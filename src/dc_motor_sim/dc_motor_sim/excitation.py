@@ -51,7 +51,7 @@ VALID_FORMS = (
 
 @dataclass(frozen=True, slots=True)
 class RandomLevels:
-    """`R[a,b]D[c,d]`: levels uniform in [low_v, high_v], holds uniform in [shortest_s, longest_s]."""
+    """`R[a,b]D[c,d]`: uniform levels in [low_v, high_v], holds in [shortest_s, longest_s]."""
 
     low_v: float
     high_v: float

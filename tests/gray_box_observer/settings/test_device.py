@@ -123,7 +123,10 @@ def out_of_memory(*_: Any, **__: Any) -> None:
     )
 
 
-FAILED = '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have fewer motors'
+FAILED = (
+    '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have '
+    'fewer motors'
+)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +184,8 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
     )
     rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
     one = Predictor(
-        box, 2, theta[0], rules, InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
+        box, 2, theta[0], rules,
+        InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
         speed_measured=False, device=torch_name,
     )  # fmt: skip
     voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)

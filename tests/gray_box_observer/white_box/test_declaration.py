@@ -109,7 +109,10 @@ def test_the_committed_forms_are_those_of_the_declaration() -> None:
 
 
 def test_nothing_that_runs_needs_sympy(tmp_path: Path) -> None:
-    used = 'import sys, gray_box_observer.identify.command, gray_box_observer.observer.observer; assert "sympy" not in sys.modules'
+    used = (
+        'import sys, gray_box_observer.identify.command, gray_box_observer.observer.observer; '
+        'assert "sympy" not in sys.modules'
+    )
     run(tmp_path, '-c', used)
 
 

@@ -385,7 +385,7 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
 
 
 def _fail(error: object, status: int = 2) -> int:
-    """Say in one line what is wrong, without the place in the middleware's source that raised it."""
+    """Say in one line what is wrong, without the source position in the middleware."""
     said = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
     print(f'motor_sim: error: {said}', file=sys.stderr)
     rclpy.try_shutdown()

@@ -218,7 +218,7 @@ def replaced(motor: str, present: PlantParameters, values: Mapping[str, float]) 
 
 
 def usage_text() -> str:
-    """Text of `--help`: how to start the node, and every parameter with default, unit and bounds."""
+    """Text of `--help`: how to start the node, and each parameter with default, unit, bounds."""
     lines = [
         'usage: motor_sim [--help] [--ros-args -p NAME:=VALUE ... --params-file FILE.yaml ...]',
         '',
@@ -378,7 +378,7 @@ def settle_unread(node: Node, said: Container[str]) -> None:
 
 
 def _slip_of(name: str, known: Sequence[str]) -> str:
-    """Return the known name that a name is a slip of: all parts but one are the same, one is alike."""
+    """Return the known name that a name misspells: one part is alike, the others are the same."""
     parts = name.split('.')
     found, alike = '', _ALIKE
     for other in known:

@@ -175,7 +175,7 @@ class BagFiles:
         self._losses.damage(file.path, piece.offset, byte_count, what)
 
     def count(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
-        """The messages of one file by topic; their first and last log times are added to the spans."""
+        """The messages of one file by topic; its first and last log times extend the spans."""
         counts = self._counted(file, spans)
         self._compare(file, counts.total())
         return counts
@@ -198,16 +198,25 @@ class BagFiles:
         layout, listed = file.layout, file.listed
         expected = layout.expected
         if expected is not None and found < expected.message_count:
-            what = f'{expected.message_count - found} of {expected.message_count} messages cannot be read'
+            what = (
+                f'{expected.message_count - found} of {expected.message_count} messages cannot be '
+                'read'
+            )
             self._losses.damage(file.path, layout.size, 0, what)
         elif expected is not None and found > expected.message_count:
-            what = f'{found} messages are there, but only {expected.message_count} according to its summary'
+            what = (
+                f'{found} messages are there, but only {expected.message_count} according to its '
+                'summary'
+            )
             self._losses.damage(file.path, layout.size, 0, what)
         if layout.is_unfinished:
             self._losses.damage(file.path, layout.size, 0, UNFINISHED)
         elif not self._losses.has_damage(file.path):
             if listed.message_count is not None and found < listed.message_count:
-                what = f'it holds {found} messages, but {listed.message_count} according to metadata.yaml'
+                what = (
+                    f'it holds {found} messages, but {listed.message_count} according to '
+                    'metadata.yaml'
+                )
                 self._losses.damage(file.path, layout.size, 0, what)
             elif (
                 expected is not None
@@ -258,7 +267,10 @@ class BagFiles:
         if expected is None or not in_chunks == expected.message_count > 0:
             return False
         for piece in [piece for piece in held if not piece.is_chunk]:
-            what = f'{held[piece]} messages outside the chunks at byte {piece.offset} that the summary does not know'
+            what = (
+                f'{held[piece]} messages outside the chunks at byte {piece.offset} that the '
+                'summary does not know'
+            )
             self._damage(file, piece, piece.length, what)
             del held[piece]
         return True
@@ -286,7 +298,7 @@ class BagFiles:
         return unpacked
 
     def _open_files(self, listed: Collection[ListedFile]) -> list[BagFile]:
-        """Look at every file; one that cannot be used costs only itself, as long as another can be."""
+        """Look at every file; an unusable one is left out, as long as another is usable."""
         files: list[BagFile] = []
         refused: list[BagError] = []
         for entry in listed:

@@ -139,7 +139,7 @@ def leads_out(path: Path) -> bool:
 
 
 def _names(information: Mapping[str, Any]) -> list[str]:
-    """The names of the files that the metadata lists; empty if it does not list them as it should."""
+    """The file names that the metadata lists; empty if they are not listed as required."""
     names = information.get('relative_file_paths')
     return names if isinstance(names, list) and all(isinstance(name, str) for name in names) else []
 

@@ -36,8 +36,8 @@ from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array
 
 __all__ = [
-    'FORMAT', 'PARTIAL', 'SCRAP_AGE_S', 'VERSION', 'Resumed', 'Snapshot', 'capture', 'decode', 'encode', 'load',
-    'resume', 'save', 'set_aside', 'write',
+    'FORMAT', 'PARTIAL', 'SCRAP_AGE_S', 'VERSION', 'Resumed', 'Snapshot', 'capture', 'decode',
+    'encode', 'load', 'resume', 'save', 'set_aside', 'write',
 ]  # fmt: skip
 
 MOST_ASIDE = 10

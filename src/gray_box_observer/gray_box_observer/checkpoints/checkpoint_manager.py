@@ -1,4 +1,4 @@
-"""Keeps one checkpoint file: where it may stand, what a start makes of it, when it is written anew."""
+"""Keeps one checkpoint file: its place, its use at a start, and when it is rewritten."""
 
 from __future__ import annotations
 
@@ -153,7 +153,10 @@ class CheckpointKeeper:
             report.join(END_PATIENCE_S)
         self.keep(observer)
         if not self._writer.close(END_PATIENCE_S):
-            return f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk answer?'
+            return (
+                f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk '
+                'answer?'
+            )
         return self.failure
 
     @property

@@ -179,7 +179,7 @@ class GradientUpdate:
         return True
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays; motors of this rule are kept one by one."""
+        """Everything learnt, as plain values and arrays; this rule's motors are kept singly."""
         plain = {
             'random': self._random.bit_generator.state,
             'new': self._new,

@@ -1,4 +1,4 @@
-"""Turning a measurement log (CSV, or columns between blanks) into a bag that the observer can read."""
+"""Turns a measurement log (CSV, or columns between blanks) into a bag for the observer."""
 
 from __future__ import annotations
 
@@ -211,7 +211,7 @@ class _Expressions:
 
 
 def _increasing(time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which times are later than every time kept before them; a time that is not finite never is."""
+    """Which times are later than all times kept before; one that is not finite never is."""
     finite = np.where(np.isfinite(time_s), time_s, -np.inf)
     latest = np.maximum.accumulate(np.concatenate(([-np.inf], finite)))[:-1]
     return finite > latest

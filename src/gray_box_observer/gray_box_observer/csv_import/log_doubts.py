@@ -82,7 +82,10 @@ def order_doubt(
         what = f'is {time_s[first]}'
     else:
         latest = float(np.max(time_s[:first][in_order[:first]], initial=-np.inf))
-        what = f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after {latest:.9g} s'
+        what = (
+            f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after '
+            f'{latest:.9g} s'
+        )
     yield (
         f'line {lines[first]}, time ({brief(expression)[1:-1]}) {what}; '
         f'{wrong.size} rows that are not later than those before are left out'
@@ -99,7 +102,10 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     plausible = [
         f for f in factors if 2 * SHORTEST_INTERVAL_S <= interval_s * f <= LONGEST_INTERVAL_S
     ]
-    said = f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} to '
+    said = (
+        f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
+        'to '
+    )
     said += f'{LONGEST_INTERVAL_S:g} s apart'
     if not expression or not plausible:
         return said

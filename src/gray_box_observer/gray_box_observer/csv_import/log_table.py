@@ -77,7 +77,10 @@ def look_at(path: Path) -> TableShape:
     names = tuple(cell.strip().strip('"\'').strip() for cell in cells)
     if next(rows, None) is None:
         raise BagError(f'{path} holds a header but no rows')
-    odd = f'{path}, line {line_number} is taken for the names of the columns, although {brief(numbers[:1])[1:-1]} is '
+    odd = (
+        f'{path}, line {line_number} is taken for the names of the columns, although '
+        f'{brief(numbers[:1])[1:-1]} is '
+    )
     return TableShape(names, len(names), delimiter, (f'{odd}a number in it',) if numbers else ())
 
 
@@ -119,7 +122,10 @@ def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Colu
         lines.append(line_number)
     warnings = shape.warnings
     if ended:
-        where = f'{path}, line {ended[0]}: a separator behind the last cell is passed over, in {len(ended)} rows'
+        where = (
+            f'{path}, line {ended[0]}: a separator behind the last cell is passed over, in '
+            f'{len(ended)} rows'
+        )
         warnings = (*warnings, where)
     arrays = {number: np.array(column, dtype=np.float64) for number, column in columns.items()}
     return Columns(arrays, np.array(lines, dtype=np.int64), warnings)
@@ -145,7 +151,10 @@ def _fitting(
     if len(cells) == 1 and (
         other := next((d for d in (*_DELIMITERS, ' ') if d in line.strip()), None)
     ):
-        hint = f'; {other!r} seems to be between them, but {shape.delimiter or " "!r} is in the {first}'
+        hint = (
+            f'; {other!r} seems to be between them, but {shape.delimiter or " "!r} is in the '
+            f'{first}'
+        )
     elif shape.delimiter == ',' and len(cells) > count:
         hint = '; numbers need a decimal point, and no comma within'
     raise BagError(

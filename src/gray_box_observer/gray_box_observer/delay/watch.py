@@ -225,7 +225,7 @@ class DelayWatch:
         return _Found(best.delay_s, best.std_s, brought, interval_s, inside)
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
-        """Whether a coarse search tells of something new; the fine one takes twenty times as long."""
+        """Whether a coarse search finds news; the fine one takes twenty times as long."""
         known, growing = self.estimate, self._count <= 2 * TORQUES
         if known.asked and growing:
             return True
@@ -237,7 +237,7 @@ class DelayWatch:
     def _cut(
         self, signals: RawSignals, applied_s: float
     ) -> tuple[RawSignals, tuple[float, float]] | None:
-        """Keep the torques whose voltage is known whatever the delay, and say how far it may reach."""
+        """Keep the torques with known voltage at any delay, and say how far it may reach."""
         span_s = float(signals.time_s[-1] - signals.time_s[0])
         low = max(min(-LONGEST_LEAD_S, applied_s - LONGEST_LEAD_S), applied_s - span_s / 8.0)
         high = min(max(LONGEST_DELAY_S, applied_s + LONGEST_LEAD_S), applied_s + span_s / 4.0)

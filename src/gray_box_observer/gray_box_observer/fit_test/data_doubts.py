@@ -231,7 +231,10 @@ def _doubt_of_voltage(
     )
     if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
         return None
-    text = f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among --columns'
+    text = (
+        f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among '
+        '--columns'
+    )
     return Suspect(
         'units_of_voltage', _evidence(peak_v / LARGEST_VOLTAGE_V, samples.shape[1]), text
     )

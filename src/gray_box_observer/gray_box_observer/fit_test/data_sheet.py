@@ -38,5 +38,8 @@ def contradiction(motor: MotorConfiguration, estimate: Estimate) -> str | None:
             )
     if not found:
         return None
-    remedy = 'check torque_constant, known constants, the data sheet and whether speed is measured; or has it changed?'
+    remedy = (
+        'check torque_constant, known constants, the data sheet and whether speed is measured; or '
+        'has it changed?'
+    )
     return f'{", ".join(found)}: {remedy}'

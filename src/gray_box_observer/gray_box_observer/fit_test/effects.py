@@ -241,7 +241,8 @@ EFFECTS: dict[str, Effect] = {
 COLOURED_NOISE = 'coloured_noise'
 
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
-    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's noise has a memory",
+    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
+    'noise has a memory',
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
 

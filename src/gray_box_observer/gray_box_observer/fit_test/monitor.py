@@ -282,7 +282,7 @@ class FitMonitor:
         self._due[motor] = self._soon[motor] = place
 
     def _follow(self, motor: int) -> None:
-        """Note when a motor is tested next, and whether its test limits what may be believed of it."""
+        """Note when a motor is tested next, and whether its test limits its estimate."""
         tested = self._tested[motor]
         assert tested is not None
         self._due[motor] = tested.place + tested.wait
@@ -374,7 +374,7 @@ class FitMonitor:
         self._limits[:] = True
 
     def state(self, motor: int, received: int) -> dict[str, Any]:
-        """Everything known of one motor, as plain values; places count back from the newest sample."""
+        """Everything about one motor, as plain values; places count back from the newest."""
         tested = self._tested[motor]
         if tested is None:
             return {'due': int(self._due[motor]) - received}

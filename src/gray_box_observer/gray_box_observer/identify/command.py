@@ -75,7 +75,8 @@ def _tell(text: str) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='identify',
-        description='Run the observer over recorded bags as fast as it can, and say what it identified.',
+        description='Run the observer over recorded bags as fast as it can, and say what it '
+        'identified.',
         epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
     )
     parser.add_argument(
@@ -109,14 +110,16 @@ def _parser() -> argparse.ArgumentParser:
         '--columns',
         nargs='+',
         metavar='KEY=VALUE',
-        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
+        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V '
+        'current=i_mA*1e-3 '
         'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
         '--truth',
         type=Path,
         metavar='FILE.yaml',
-        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
+        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by '
+        'default',
     )
     parser.add_argument(
         '--max-chunk-mb',

@@ -299,7 +299,10 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
     )
     if strangers:
         wanted = ', '.join(outcome.observer.configuration.motors)
-        return f'{names}: no usable sample of motor {wanted}; the messages speak of {", ".join(strangers[:5])}'
+        return (
+            f'{names}: no usable sample of motor {wanted}; the messages speak of '
+            f'{", ".join(strangers[:5])}'
+        )
     reasons = sorted(
         {
             r.value

@@ -180,7 +180,8 @@ def _predictor(
     }
     measured = white_box.speed_measured
     return Predictor(
-        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
+        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed,
+        device=device
     )  # fmt: skip
 
 

@@ -138,7 +138,8 @@ class Observer:
         )
 
     def take(
-        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
+        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values,
+        speeds: Values | None = None
     ) -> list[GroupResult]:  # fmt: skip
         """Take what one message says of a signal.
 
@@ -204,7 +205,7 @@ class Observer:
             return None
 
     def stop(self, group: Group, error: Exception, samples: Sequence[Sample] = ()) -> None:
-        """Stop the motors of a group because of an error; the others go on. The first error counts."""
+        """Stop a group's motors because of an error; the others go on. The first error counts."""
         if group.is_stopped:
             return
         incident = Incident.from_error(group, error, samples)
@@ -485,7 +486,8 @@ class Observer:
         return self._grouping.groups
 
     def _take(
-        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values, speeds: Values | None
+        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values,
+        speeds: Values | None
     ) -> list[GroupResult]:  # fmt: skip
         """Let every group have its part of a message."""
         results: list[GroupResult] = []

@@ -213,8 +213,8 @@ class ResidualAlarm:
 
 
 _ARRAYS = (
-    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold', 'raised',
-    'count',
+    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit',
+    'threshold', 'raised', 'count',
 )  # fmt: skip
 
 _SAVED = {

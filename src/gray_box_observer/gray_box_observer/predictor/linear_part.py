@@ -171,7 +171,7 @@ class LinearPart:
         return cls(weight, reach, solved[count:], bend_v) if bent else cls(weight, reach)
 
     def say(self, seen: Array) -> Array:
-        """Return the weighted sum of features, fading beyond what was taught; their last axis goes."""
+        """Return the weighted sum of features over their last axis, fading beyond the taught."""
         beyond = (np.abs(seen) / np.maximum(self.reach, 1e-12)).max(axis=-1)
         trusted = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
         said: Array = (seen @ self.weight + _held(seen, self.bend_v) @ self.bent) * trusted

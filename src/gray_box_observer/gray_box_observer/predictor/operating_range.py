@@ -45,7 +45,7 @@ class OperatingRange:
         return OperatingRange(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
 
     def tells(self, speed_measured: bool) -> bool:
-        """Whether enough was seen to draw from: an interval, and a speed where speed is a signal."""
+        """Whether enough was seen to draw from: an interval, and a speed if it is a signal."""
         speed = not speed_measured or self.speed_rad_s[0] <= self.speed_rad_s[1]
         return self.interval_s[0] <= self.interval_s[1] and speed
 

@@ -90,8 +90,8 @@ class Predictor:
     """
 
     def __init__(
-        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules, training: Training,
-        *, speed_measured: bool, seed: int = 0, device: str | None = None,
+        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules,
+        training: Training, *, speed_measured: bool, seed: int = 0, device: str | None = None,
     ) -> None:  # fmt: skip
         is_physics = rules.variant is Variant.PHYSICS
         device = device if is_physics and motors >= DEVICE_FROM else None

@@ -72,8 +72,8 @@ class Joining(Protocol):
         """Return interval in s and mean voltage in V since the last sample; 0: none leads here."""
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
-        speed_rad_s: Any, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any],
+        torque_nm: Any, speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """Make a sample of finite numbers; None, counted, where no motor is known.
 
@@ -159,8 +159,8 @@ class OneMotor:
         return seconds(passed_ns), mean_v
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float], torque_nm: float,
-        speed_rad_s: float, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float],
+        torque_nm: float, speed_rad_s: float, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         if passed_ns is not None and not math.isnan(mean_v):
@@ -296,8 +296,8 @@ class ManyMotors:
         return np.where(self._owed_ns == 0, mean_v, owing)
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array], torque_nm: Array,
-        speed_rad_s: Any, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array],
+        torque_nm: Array, speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank

@@ -88,8 +88,8 @@ class Pairing:
     """
 
     def __init__(
-        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False, uses_speed: bool = True,
-        delay_s: float = 0.0,
+        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False,
+        uses_speed: bool = True, delay_s: float = 0.0,
     ) -> None:  # fmt: skip
         self.motors = motors
         self._own_speed = own_speed

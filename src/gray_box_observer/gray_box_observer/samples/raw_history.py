@@ -56,7 +56,7 @@ class RawSignals:
     voltage_v: Array
 
     def voltage_integral(self, time_s: Array) -> Array:
-        """Integral of the held voltage up to given times, in V s, but for a constant; same shape."""
+        """Integral of the held voltage up to given times, in V s, up to a constant; same shape."""
         areas = self.voltage_v[:-1] * np.diff(self.voltage_time_s)
         total = np.concatenate([[0.0], np.cumsum(areas)])
         at = np.maximum(np.searchsorted(self.voltage_time_s, time_s, side='right') - 1, 0)
@@ -210,7 +210,7 @@ class RawHistory:
         return (event for _, _, event in rows)
 
     def of(self, motor: int) -> RawHistory:
-        """Return what is remembered of one motor of a group; what cannot be used of it is left out."""
+        """Return the remembered rows of one motor of a group, without unusable ones."""
         made = RawHistory()
         made.restarts = self.restarts
         if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):

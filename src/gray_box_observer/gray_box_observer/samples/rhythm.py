@@ -46,7 +46,7 @@ class Rhythm:
         self._unbroken = 0
 
     def silent(self, interval_s: float) -> bool:
-        """Tell whether an interval in s is one in which the signal, by its own habit, was silent."""
+        """Tell whether an interval in s is a silence by the signal's own habit."""
         return interval_s > self.silence_s
 
     @property
@@ -55,7 +55,7 @@ class Rhythm:
         return self._unbroken >= REGULAR
 
     def take(self, interval_s: float) -> None:
-        """Take one sample's interval since the one before, in s; 0 where a signal history begins."""
+        """Take one sample's interval since the one before, in s; 0 at the start of a history."""
         if interval_s <= 0.0:
             self.pauses += 1
             return

@@ -408,7 +408,10 @@ def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
     for term in _EFFECTS:
         parameter = term.parameter
         if bool(term.known_as) is own:
-            what = f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless among context_nodes.'
+            what = (
+                f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless '
+                'among context_nodes.'
+            )
             name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
             yield ParameterSpec(name, term.known_value, what, 0.0, upper)
 

@@ -197,8 +197,8 @@ def flow(
 
 
 def is_stiff(
-    white_box: WhiteBox, p: Array, start: Sequence[Array], voltage_v: Array, speed_rad_s: Array, interval_s: Array,
-    ops: Any = np,
+    white_box: WhiteBox, p: Array, start: Sequence[Array], voltage_v: Array, speed_rad_s: Array,
+    interval_s: Array, ops: Any = np,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Tell for whom :func:`flow` takes exponential steps, shape (motor,); arguments as there."""
     here = _rate_at(ops, white_box, p, voltage_v)(start, speed_rad_s)

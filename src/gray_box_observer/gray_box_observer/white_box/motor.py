@@ -131,7 +131,7 @@ class MotorWhiteBox:
         return {}
 
     def balances(self, signal: Any) -> tuple[Balance, ...]:
-        """Return the balance of every state, with constants that are lined up with such a signal."""
+        """Return every state's balance, with constants shaped for such a signal."""
         axes = getattr(signal, 'ndim', 0)
         found = self._lined_up.get(axes)
         if found is None:

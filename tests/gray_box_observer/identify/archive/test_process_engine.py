@@ -53,7 +53,7 @@ def workers() -> list[psutil.Process]:
 
 
 def doors(kind: str) -> set[tuple[int, object]]:
-    """What this process and all below it listen on or have bound, as pairs of process and address."""
+    """Sockets of this process and all below it, as pairs of process and address."""
     family = [psutil.Process(), *workers()]
     connections = [(process.pid, c) for process in family for c in process.net_connections(kind)]
     return {

@@ -195,7 +195,7 @@ def brushes() -> Callable[..., list[Sample]]:
 
 
 def relative_error(one: Predictor, samples: list[Sample]) -> float:
-    """Mean absolute error over that of the white box, behind the second in which a history begins."""
+    """Mean absolute error over that of the white box, after a history's first second."""
     said = []
     for s in samples:
         prediction = one.predict(s.interval_s, s.voltage_v, TRUTH)

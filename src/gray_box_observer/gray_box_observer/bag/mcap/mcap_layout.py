@@ -262,7 +262,7 @@ class _Walk:
         )
 
     def _give_up(self, at: int, what: str, *, goal: int = 0) -> int:
-        """Go on at the goal, or at the next chunk that the index knows, or at the end of the file."""
+        """Go on at the goal, or at the next chunk in the index, or at the end of the file."""
         self._end_run()
         goal = goal or self._next_chunk(at) or self._stop
         self._damage(at, goal - at, what)

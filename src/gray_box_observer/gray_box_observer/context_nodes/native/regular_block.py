@@ -175,7 +175,7 @@ class RegularBlocks:
 
     @property
     def compiled(self) -> bool:
-        """Whether there is compiled code that knows this physics; else no block counts as regular."""
+        """Whether compiled code knows this physics; else no block counts as regular."""
         return self._library is not None
 
     def _describe(
@@ -324,6 +324,6 @@ def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -
 
 
 def _codes(white_box: MotorWhiteBox) -> list[int]:
-    """Codes of the unknown terms without inductance, then of the known ones: their places in TERMS."""
+    """Codes of the unknown terms but inductance, then of the known ones, from TERMS."""
     places = list(TERMS)
     return [places.index(name) for name in (*white_box.context_nodes[1:], *white_box.given)]

@@ -220,7 +220,7 @@ class _Search:
         return [*arrived, search]
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:
-        """Return to the best coordinates so far, for some of the motors, and step less from there."""
+        """Return some motors to their best coordinates so far, with smaller steps from there."""
         self._damping = np.where(worse, 0.3 * self._damping, self._damping)
         self._p = np.where(worse[:, None], self._best_p, self._p)
         self._about = np.where(worse[:, None], self._measured_near, self._about)
@@ -357,7 +357,7 @@ class _Search:
         return Fit(belief, self._ramp(), left_out.astype(float), linear)
 
     def _ramp(self) -> Array:
-        """Score test of one further unknown: a drift, linear in time, of the coordinates that heat."""
+        """Score test of one further unknown: linear drift in time of the coordinates that heat."""
         heats = np.array([parameter.heats for parameter in self._white_box.parameters])
         if not np.any(heats):
             return np.zeros(self._p.shape[0])

@@ -195,7 +195,7 @@ class Learner:
         return Prior.of_parameters(prior.p, np.full(prior.p.shape, self._rules.prior_relative_std))
 
     def _refuted(self, prior: Prior, found: Belief) -> NDArray[np.intp]:
-        """Places of motors whose data lie so far from what was told of them that it cannot be true."""
+        """Places of motors whose data contradict what was stated about them."""
         away = np.log(found.p / prior.p)
         distance = (away * solved(prior.covariance, away[..., None])[..., 0]).sum(axis=1)
         sharp = prior.covariance.diagonal(0, 1, 2) < 0.5 * self._vague(prior).covariance.diagonal(
@@ -243,7 +243,8 @@ class Learner:
         return self._ordinary.learn_due(known, due, plain, self.turn)
 
     def learn_ordinary(
-        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
+        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_],
+        plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
         """As :meth:`RegularBlocks.learn`, of very many on the device."""
         many = None if motors.size < DEVICE_FROM else self._on_device
@@ -263,7 +264,7 @@ class Learner:
             self._move_anchors(known, far)
 
     def update(self, motors: Motors, samples: int) -> None:
-        """Learn one block of samples; ask for an examination where the motor seems to have changed."""
+        """Learn one block of samples; request an examination where the motor seems changed."""
         known = motors.learnt
         stretch, fresh, expected = motors.newest(samples + 1), ~known.hold.begun, known.belief
         if fresh.any():  # what is vague must not make everything seem possible

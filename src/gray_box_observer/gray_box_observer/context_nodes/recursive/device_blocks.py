@@ -43,8 +43,10 @@ from gray_box_observer.white_box.interface import bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 from gray_box_observer.white_box.torch_ops import TorchOps
 
-_SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
-         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'least_noise', 'walk_rate')  # fmt: skip
+_SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out',
+    'noise_count',
+         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'least_noise',
+         'walk_rate')  # fmt: skip
 _OF_LEARNT = {name: attrgetter(path) for name, path in {**READ, **WRITTEN}.items()}
 
 
@@ -263,7 +265,8 @@ class DeviceBlocks:
         return {**now, 'settled': same & (held_s * rate > SETTLED)}
 
     def _write(
-        self, known: Learnt, motors: NDArray[np.int64], found: _Found, due: NDArray[np.int64], plain: NDArray[np.bool_]
+        self, known: Learnt, motors: NDArray[np.int64], found: _Found, due: NDArray[np.int64],
+        plain: NDArray[np.bool_]
     ) -> NDArray[np.uint8]:  # fmt: skip
         """Write down results and consequences, and report them: `regular_block.c`, reckon."""
         rules, hold, settled, into = self._rules, known.hold, found.settled, _neighbours(motors)
@@ -302,7 +305,7 @@ def _plus_unit(matrix: Tensor) -> Tensor:
 
 
 def _solved(matrix: Tensor, right: Tensor, fine: Tensor) -> Tensor:
-    """Solve one system a motor, or several; a motor of which one is singular has no regular block."""
+    """Solve one or several systems per motor; any singular one makes its block irregular."""
     found, failed = torch.linalg.solve_ex(matrix, right)
     fine &= (failed == 0).reshape(fine.shape[0], -1).all(dim=1)
     return found  # type: ignore[no-any-return]

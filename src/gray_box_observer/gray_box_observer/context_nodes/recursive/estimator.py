@@ -289,7 +289,7 @@ class RecursiveUpdate:
         self._following.walk_again(motors)
 
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
-        """Do a piece of work for some motors, in order, those with equally many samples together."""
+        """Do a piece of work for some motors, in order, by equal numbers of samples."""
         self._learnt.at[motors] = self._due[motors]
         counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
         for count in counts.tolist():

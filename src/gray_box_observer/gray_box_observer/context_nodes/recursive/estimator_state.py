@@ -84,9 +84,11 @@ class Learnt:
         started, next_fit = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
         made = cls(
             belief, prior, belief, anchored, at, started, next_fit, asked, noise_count,
-            np.zeros(motors), np.zeros(motors), since, np.zeros(motors), np.zeros((motors, memories, n)),
+            np.zeros(motors), np.zeros(motors), since, np.zeros(motors),
+            np.zeros((motors, memories, n)),
             np.zeros((motors, memories, n, n)), HoldState.none(motors, n), np.zeros(motors),
-            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks, alarms,
+            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks,
+            alarms,
         )  # fmt: skip
         return copied(made)  # entries are written to: no two may share an array
 

@@ -1,4 +1,4 @@
-"""Least squares in the units of the problem: residuals in A, unknowns relative to where they stand."""
+"""Least squares in the problem's units: residuals in A, unknowns relative to their values."""
 
 from __future__ import annotations
 

@@ -151,7 +151,7 @@ def _run(
     block: int,
     jump: Jump | None = None,
 ) -> tuple[Belief, _Fitted]:
-    """Learn a stretch block by block; return what is believed then, and how well it was predicted."""
+    """Learn a window block by block; return the belief and the quality of its predictions."""
     told = []
     for begin in range(0, stretch.restart.shape[1], block):
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))

@@ -35,7 +35,7 @@ class Motors:
     def of(
         cls, white_box: WhiteBox, replay: ReplayBuffer, learnt: Learnt, index: NDArray[np.intp]
     ) -> Motors:
-        """Return some of all motors, by their places in order; a run of neighbours is not copied."""
+        """Return the motors at given places in order; neighbours are not copied."""
         run = bool(index[-1] - index[0] + 1 == index.size)
         which: Any = slice(int(index[0]), int(index[-1]) + 1) if run else index
         return cls(white_box.of_motors(which), replay, which, chosen(learnt, which))

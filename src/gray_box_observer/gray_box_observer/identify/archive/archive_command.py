@@ -184,7 +184,10 @@ def _print_trends(
         print(f'{printable(motor.name)}: {len(motor.parameters[0].value)} bags', file=stream)
         for trend in motor.parameters:
             value, std = trend.value[-1], trend.std[-1]
-            told = f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} in the last'
+            told = (
+                f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} '
+                'in the last'
+            )
             print(f'  {told}; change: {drift_words(trend.drift())}', file=stream)
 
 

@@ -93,7 +93,7 @@ class WindowTrainer:
         return {**state, **moments_of(self._optimiser), 'random': random_state.pack(self._random)}
 
     def _restore(self, job: Message) -> None:
-        """Go on from a saved network, and from what :meth:`_state` gave where that was saved too."""
+        """Go on from a saved network, and from :meth:`_state` where that was saved too."""
         self._begin()
         self._network.load(
             Weights.of({name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})

@@ -103,7 +103,7 @@ def free_run_error(weights: Weights, sequences: Sequences, exact_a: Array) -> fl
 
 
 def lesson(weights: Weights, sequences: Sequences) -> Lesson:
-    """Run the network freely and ask the white box where each of its intervals should have ended."""
+    """Run the network freely; ask the white box where each interval should have ended."""
     predicted, parts = free_run(weights, sequences)
     size = spread(sequences, predicted)[:, None]
     intervals = Relaxation(

@@ -61,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog='python -m gray_box_observer.predictor.training.pretrain',
-        description='Teach a fresh network on drawn motors of every kind and write it as the start of variant physics.',
+        description='Teach a fresh network on drawn motors of every kind and write it as the start '
+        'of variant physics.',
     )
     parser.add_argument(
         '--seed', type=int, default=0, help='of weights and drawn motors (default: 0)'

@@ -154,7 +154,7 @@ def _intervals(
     horizon_s: float,
     length: int,
 ) -> Array:
-    """Half like those seen, uneven where those were; half of any length up to the longest forecast."""
+    """Half like those seen, equally uneven; half of any length up to the longest forecast."""
     count = settling.size
     shortest, longest = seen_s
     constant_s = np.minimum(1.0 / np.maximum(settling, 1e-12), 1e4 * longest)
@@ -171,7 +171,7 @@ def _intervals(
 
 
 def _levels(random: np.random.Generator, low_v: Array, top_v: Array, length: int) -> Array:
-    """Voltages held for times of every scale, some with ripple on them, shape (sequence, length)."""
+    """Voltages held for times of every scale, some with ripple, shape (sequence, length)."""
     count = low_v.size
     changes = (
         random.random((count, length)) < _log_uniform(random, 1.0 / length, 1.0, count)[:, None]

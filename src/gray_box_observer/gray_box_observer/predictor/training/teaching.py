@@ -80,7 +80,8 @@ class Pupil:
 
     @classmethod
     def of(
-        cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float, device: str = CPU
+        cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float,
+        device: str = CPU
     ) -> Pupil:  # fmt: skip
         """Return the pupil that goes on from what :meth:`state` gave."""
         pupil = cls(Weights.of(arrays), learning_rate, gradient_clip, device)

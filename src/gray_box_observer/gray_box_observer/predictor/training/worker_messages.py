@@ -1,4 +1,4 @@
-"""Messages between the observer and its training process: arrays and plain values, never pickles."""
+"""Messages between observer and training process: arrays and plain values, never pickles."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Collector:
 
 
 def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
-    """Return whether the white box explains the data, with the correlation of the newest residual."""
+    """Return whether the white box explains the data, with the newest residual correlation."""
     correlated = autocorrelation(torque_nm - run_nm)
     found, band = (None, 0.0) if correlated is None else correlated
     return FitHistory(motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), found, band)
@@ -221,7 +221,10 @@ def notes(name: str, observer: Observer) -> list[str]:
             f'error goes into {where}.'
         )
     for term in others:
-        what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
+        what = (
+            f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} '
+            f'{TERMS[term].parameter.unit}'
+        )
         said.append(f'{what} is taken as known: its error goes into the estimates.')
     taken = assumptions(observer.configuration.motors[name], motor.white_box)
     said += [f'{text[0].upper()}{text[1:]}.' for text in taken.values()]

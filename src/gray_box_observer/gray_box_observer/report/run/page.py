@@ -30,7 +30,10 @@ from gray_box_observer.report.run.signal_figure import signal_figure
 from gray_box_observer.report.trend.trend import ArchiveHistory
 from gray_box_observer.safe_io.atomic_write import atomic_write
 
-_PLOTLY_MISSING = 'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
+_PLOTLY_MISSING = (
+    'the HTML report needs plotly, which is not installed: pip install plotly, or leave out '
+    '--report'
+)
 
 
 def require_plotly() -> None:

@@ -133,7 +133,8 @@ def _value_traces(
             '@estimate',
             line={'width': 2},
             customdata=about,
-            hovertemplate=f'%{{y:.6~g}} ± %{{customdata[0]}} {plain(scale.label)}, %{{customdata[1]}}',
+            hovertemplate=f'%{{y:.6~g}} ± %{{customdata[0]}} {plain(scale.label)}, '
+            f'%{{customdata[1]}}',
         ),
     ]
     return traces, {'estimate': (len(kept), len(parameter.value))}

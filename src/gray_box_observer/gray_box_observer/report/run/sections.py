@@ -65,7 +65,7 @@ def words(name: str) -> str:
 
 
 def facts(summary: Mapping[str, str | float | int]) -> str:
-    """Return the facts of the run as a definition list; a unit suffix of the key becomes the unit."""
+    """Return the facts of the run as a definition list; units come from key suffixes."""
     items = []
     for key, value in summary.items():
         suffix, unit = next(((end, unit) for end, unit in _SUFFIXES if key.endswith(end)), ('', ''))
@@ -112,7 +112,10 @@ def fit_banner(motor: MotorHistory) -> str:
             '% (NRMSE; 100 is perfect, 0 no better than the mean)</span>'
         )
     sign = f'<span class="sign" aria-hidden="true">{look.sign}</span>'
-    return f'<p class="fit {look.style}" role="status">{sign} {escape(motor.fit.sentence)}{percent_text}</p>'
+    return (
+        f'<p class="fit {look.style}" role="status">{sign} '
+        f'{escape(motor.fit.sentence)}{percent_text}</p>'
+    )
 
 
 def card_rows(
@@ -214,7 +217,7 @@ def scores_table(scores: Mapping[str, float]) -> str:
 
 
 def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> str:
-    """Return how an error of each constant goes into each parameter; nothing where it is not known."""
+    """Return the effect of each constant's error on each parameter; nothing if unknown."""
     if not sensitivity:
         return ''
     parameters = list(dict.fromkeys(name for changes in sensitivity.values() for name in changes))
@@ -279,7 +282,10 @@ def validation_table(validation: Mapping[str, Any] | None) -> str:
     head = ''.join(f'<th scope="col">{title}</th>' for title in titles)
     fit = validation['fit']
     tested = f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
-    where = f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. {tested}'
+    where = (
+        f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. '
+        f'{tested}'
+    )
     return (
         f'<h3>Validation</h3><p class="caption">{where}</p><div '
         f'class="scroll"><table><thead><tr>{head}</tr></thead>'

@@ -92,7 +92,8 @@ def _marks(trend: ParameterTrend, verdict: str, scale: Scale) -> Trace:
             [plain(trend.bags[k]), deviation]
             for k, deviation in zip(chosen, numbers(std, 3), strict=True)
         ],
-        'hovertemplate': f'%{{y:.6~g}} ± %{{customdata[1]}} {plain(scale.label)}<br>%{{x}}<br>%{{customdata[0]}}',
+        'hovertemplate': f'%{{y:.6~g}} ± %{{customdata[1]}} '
+        f'{plain(scale.label)}<br>%{{x}}<br>%{{customdata[0]}}',
     }
 
 

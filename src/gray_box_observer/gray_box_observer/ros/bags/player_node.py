@@ -153,13 +153,13 @@ class BagPlayer(Node):
         self._reader.close()
 
     def _limit_per_s(self, wanted_per_s: float) -> float:
-        """What was recorded faster than the limit comes as fast as it was recorded; 0 for no limit."""
+        """Rate limit; what was recorded faster keeps its recorded rate, 0 is no limit."""
         duration_s = self._reader.duration_ns * 1e-9
         recorded_per_s = self._reader.message_count / duration_s if duration_s > 0 else 0.0
         return max(wanted_per_s, recorded_per_s) if wanted_per_s > 0 else 0.0
 
     def _advertise(self, wanted: Sequence[str], *, with_outputs: bool) -> dict[str, Publisher]:
-        """A publisher for each topic that is wanted, in the bag, and of a type that is installed."""
+        """A publisher for each wanted topic that is in the bag with an installed type."""
         there = self._reader.topics
         names = [self.resolve_topic_name(name, only_expand=True) for name in wanted]
         missing = [name for name in names if name not in there]

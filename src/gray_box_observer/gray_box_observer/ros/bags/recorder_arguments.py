@@ -156,7 +156,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def by_command_line(options: argparse.Namespace) -> dict[str, Any]:
-    """What the command line says of how to write, by the names of the parameters that it precedes."""
+    """What the command line says of writing, by the names of overridden parameters."""
     names = ('max_file_bytes', 'max_file_duration_s', 'compression', 'storage_preset_profile')
     said = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     if said.keys() & {

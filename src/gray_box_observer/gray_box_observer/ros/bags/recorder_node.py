@@ -123,7 +123,7 @@ class BagRecorder(Node):
         self.get_logger().info(f'{self._writer.folder}: {self._summary()}')
 
     def _guarded(self, action: Callable[[], None]) -> Callable[[], None]:
-        """Turn an error of the bag into the end of the node; after it nothing more can be recorded."""
+        """Turn an error of the bag into the end of the node; nothing is recorded after it."""
 
         def run() -> None:
             try:

@@ -123,7 +123,10 @@ class Commentary:
         used, refused = sum(c.used for c in counts), sum(c.rejected.total() for c in counts)
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
-        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} rejected'
+        line = (
+            f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, '
+            f'{refused or "none"} rejected'
+        )
         estimates = [
             (name, e.of(k))
             for names, e in observer.group_estimates()
@@ -188,7 +191,7 @@ class Commentary:
         return [f'{"; ".join(said)}: {why}' if why else '; '.join(said)]
 
     def _back(self, now_s: float) -> list[str]:
-        """Signals that were told to be missing and have come again; not of motors found just now."""
+        """Signals reported missing that have come again; not those of motors found just now."""
         back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
         self._missing.difference_update(back)
         told = [(signal, motor) for signal, motor in back if motor in self._found or not motor]
@@ -227,6 +230,9 @@ def _described(estimate: Estimate, which: Iterable[int]) -> str:
     std = estimate.std
     for j in which:
         parameter, verdict = estimate.parameters[j], estimate.verdicts[0][j]
-        value = f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} {parameter.unit} '
+        value = (
+            f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} '
+            f'{parameter.unit} '
+        )
         said.append(f'{parameter.name} {value if verdict in WITH_VALUE else ""}{verdict.value}')
     return ', '.join(said)

@@ -112,7 +112,7 @@ class Diagnoser:
         return has_namesake
 
     def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
-        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        """Warn once where messages name other motors while a configured one is never named."""
         for name in ('voltage', 'torque'):
             strangers = sorted(intake.signals[name].unknown)
             silent = [

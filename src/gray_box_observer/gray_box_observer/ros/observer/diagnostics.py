@@ -39,7 +39,10 @@ ADVICE = {
 }
 
 
-NAMESAKE = 'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r __node:=NAME'
+NAMESAKE = (
+    'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r '
+    '__node:=NAME'
+)
 """What is wrong where somebody has started a second observer of the same name."""
 
 DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
@@ -49,12 +52,14 @@ REJECTIONS = {
     Rejection.NON_FINITE: 'NaN or infinity: is the sensor connected?',
     Rejection.DUPLICATE: 'the same stamp twice: do two publishers share the topic?',
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
-    Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of the same clock?',
+    Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of '
+    'the same clock?',
     Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STOPPED: 'the observer of this motor has stopped: see the log, then call ~/reset',
-    Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes are no such message',
+    Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes '
+    'are no such message',
 }
 """What to look at, by the reason that most messages were refused for."""
 

@@ -405,7 +405,8 @@ class ObserverNode(LifecycleNode):
             )
             return response
         try:
-            self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
+            # an alarm of what was learnt so far must not go out after what is loaded
+            self._settle()
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
@@ -551,7 +552,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the observer; the result is the exit code."""
     parser = argparse.ArgumentParser(
         prog='observer',
-        description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
+        description='Identifies inductance, resistance and magnetic hysteresis of DC motors while '
+        'they run, and '
         'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p '
         'NAME:=VALUE.',
         epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}\n\n'

@@ -100,7 +100,7 @@ class Outputs:
                 self._changed(result.group, result.changed.tolist(), result.estimate)
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
-        """Publish every changed alarm; with it all is done that these samples have left to be done."""
+        """Publish every changed alarm, and finish all that these samples have left to do."""
         for result in results:
             raised = result.alarm
             if self._alarm:
