@@ -118,7 +118,8 @@ def main() -> int:
     quick = parser.parse_args().quick
     hours, seconds, seeds = (0.02, 60.0, 2) if quick else (1.0, 60.0, 8)
     print(
-        f'{"data":<24}{"hours without":>14}{"flags":>7}{"suspected":>11}{"delays":>8}{"found":>7}{"rms error/std":>15}'
+        f'{"data":<24}{"hours without":>14}{"flags":>7}{"suspected":>11}{"delays":>8}{"found":>7}'
+        f'{"rms error/std":>15}'
     )
     total_hours = 0.0
     flags = suspicions = delays = hits = alarms = 0
@@ -127,7 +128,8 @@ def main() -> int:
         flagged, suspected = sum(c.flagged for c in none), sum(c.suspected for c in none)
         hit, rms = sum(c.flagged for c in found), math.sqrt(float(np.mean(np.square(normalised))))
         print(
-            f'{excitation:<24}{hours * len(none):>14.2f}{flagged:>7}{suspected:>11}{len(found):>8}{hit:>7}{rms:>15.2f}',
+            f'{excitation:<24}{hours * len(none):>14.2f}{flagged:>7}{suspected:>11}'
+            f'{len(found):>8}{hit:>7}{rms:>15.2f}',
             flush=True,
         )
         total_hours += hours * len(none)

@@ -46,8 +46,10 @@ QOS_OVERRIDES = 'qos_overrides.'
 
 SERVICES = {
     'gray_box_observer/reset': 'Forget everything learnt and start from the initial values.',
-    'gray_box_observer/save': 'Write what was learnt to the checkpoint (`checkpoint.path`), all or nothing.',
-    'gray_box_observer/load': 'Take back what a checkpoint holds, bit for bit; one that does not fit is refused.',
+    'gray_box_observer/save': 'Write what was learnt to the checkpoint (`checkpoint.path`), '
+    'all or nothing.',
+    'gray_box_observer/load': 'Take back what a checkpoint holds, bit for bit; '
+    'one that does not fit is refused.',
     'gray_box_observer/freeze': 'True: stop learning and keep predicting. False: learn again.',
     'bag_player/pause': 'Stop before the next message.',
     'bag_player/resume': 'Go on.',

@@ -63,7 +63,8 @@ TOPICS_OF_A_BAG = {
 HEAD = f"""<!-- Written by `make docs` from the code; edit the declarations, not this page. -->
 # API
 
-Every executable with its options, topics, services and parameters. Names of topics are relative and can be remapped;
+Every executable with its options, topics, services and parameters. \
+Names of topics are relative and can be remapped;
 `~` is the node's own name, `<motor>` the name of a motor. All units are SI.
 
 An executable of `gray_box_observer` ends with
@@ -72,11 +73,15 @@ An executable of `gray_box_observer` ends with
 | --- | --- |
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
-| 1 | `identify`: a defect has stopped a motor; a warning says which, what is known of the others stands |
-| {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
-| {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
+| 1 | `identify`: a defect has stopped a motor; a warning says which, \
+what is known of the others stands |
+| {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, \
+and some gave nothing ([archives](ARCHIVES.md)) |
+| {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; \
+a node was interrupted a second time while it was closing |
 
-Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, and with 1 when the plant
+Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, \
+and with 1 when the plant
 could not be simulated on.
 """
 

@@ -40,7 +40,8 @@ import importlib, re, sys
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         top = name.partition('.')[0]
-        if re.fullmatch(r'rclpy|launch(_ros)?|(ament|ros|rosidl|rcl)_.*|.*_(msgs|srvs|interfaces)', top):
+        ros = r'rclpy|launch(_ros)?|(ament|ros|rosidl|rcl)_.*|.*_(msgs|srvs|interfaces)'
+        if re.fullmatch(ros, top):
             raise ImportError(f'a core imported {name}')
 
 sys.meta_path.insert(0, NoRos())

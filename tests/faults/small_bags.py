@@ -30,7 +30,8 @@ target, path = sys.argv[1:]
 def peak():
     status = open('/proc/self/status').read()
     with open(target, 'w') as stream:
-        print(int(re.search(r'VmHWM:\\s+(\\d+) kB', status)[1]) * 1.024e-3, time.process_time(), file=stream)
+        peak_kb = int(re.search(r'VmHWM:\\s+(\\d+) kB', status)[1])
+        print(peak_kb * 1.024e-3, time.process_time(), file=stream)
 """
 DOORS = {
     'identify': MEASURED

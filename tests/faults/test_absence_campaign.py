@@ -8,9 +8,7 @@ import sys
 from pathlib import Path
 
 
-def test_signals_that_are_missing_for_a_while_neither_break_the_core_nor_vanish_from_the_books() -> (
-    None
-):
+def test_signals_missing_for_a_while_neither_break_the_core_nor_vanish_from_the_books() -> None:
     command = [sys.executable, str(Path(__file__).with_name('absence_campaign.py'))]
     arguments = [
         '--runs',

@@ -318,7 +318,8 @@ def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins
 WANTED = {
     'parameters': '--ros-args -p rate:=2000.0 -p start_offset_s:=1000 -p topics:=[motor/torque]',
     'options of ros2 bag': '-r 2000 --start-offset 1000 --storage mcap --topics motor/torque',
-    'options before parameters': '--rate 2000 -s mcap --ros-args -p rate:=0.001 -p start_offset_s:=1000',
+    'options before parameters': '--rate 2000 -s mcap --ros-args -p rate:=0.001 '
+    '-p start_offset_s:=1000',
 }
 
 

@@ -71,7 +71,7 @@ class CheckpointWriter:
                 failure = None
             except GrayBoxError as error:
                 failure = str(error)
-            except Exception as error:  # a defect; but whoever waits must not wait for ever, and the next may be written
+            except Exception as error:  # a defect: do not let the others wait for ever
                 failure = f'{path}: {error!r}'
             with self._changed:
                 self.failure = failure

@@ -56,7 +56,7 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.description, read_only=not spec.live)
     if spec.choices:
         descriptor.additional_constraints = f'one of: {", ".join(spec.choices)}'
-    if spec.words:  # a number or a word: the type is settled by configuration.py, and a range would refuse the word
+    if spec.words:  # a number or a word: configuration.py checks it, for a range refuses words
         descriptor.dynamic_typing = True
         words = ' or '.join(spec.words)
         descriptor.additional_constraints = (

@@ -15,8 +15,10 @@ from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.settings.parameters import ParameterSpec
 
-_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
-Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and /diagnostics.
+_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded
+from then on.
+Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and
+/diagnostics.
 SIGINT and SIGTERM finish the bag."""
 
 _REFUSED = {

@@ -556,7 +556,8 @@ def main(args: Sequence[str] | None = None) -> int:
         'they run, and '
         'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p '
         'NAME:=VALUE.',
-        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}\n\n'
+        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}'
+        '\n\n'
         'share/gray_box_observer/config/observer.yaml holds them all, to begin with.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
