@@ -252,8 +252,8 @@ def c_forms() -> str:
     for name, argument, expression, description in relations():
         lines += [f'/* {description} */']
         lines += [
-            f'INLINE Real {name}(Real {argument}, Real torque_constant) '
-            f'{{ return {in_c(expression)}; }}',
+            f'INLINE Real {name}(Real {argument}, Real torque_constant)',
+            *braces([f'return {in_c(expression)};']),
             '',
         ]
     lines += ['/* A term for a coefficient of one, and its derivatives. */']
