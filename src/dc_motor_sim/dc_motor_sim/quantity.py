@@ -80,9 +80,9 @@ def about(
 
 def quantity_of(field: Field[Any]) -> Quantity:
     """Return the description of a dataclass field made with `about`."""
-    found = field.metadata[_KEY]
-    assert isinstance(found, Quantity)  # only `about` writes this key
-    return found
+    quantity = field.metadata[_KEY]
+    assert isinstance(quantity, Quantity)  # only `about` writes this key
+    return quantity
 
 
 def check_fields(instance: Any, error: type[SimulationError]) -> None:

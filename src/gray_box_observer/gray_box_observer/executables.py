@@ -94,8 +94,11 @@ def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -
         (word for word in (sys.argv if args is None else args) if not _is_text(word)), None
     )
     if unreadable is not None:  # no message, JSON or report could name it
-        shown = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
-        print(f'{name}: error: the argument {shown} is no UTF-8: rename the file', file=sys.stderr)
+        argument_text = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
+        print(
+            f'{name}: error: the argument {argument_text} is no UTF-8: rename the file',
+            file=sys.stderr,
+        )
         return EXIT_USER_ERROR
     try:
         main = importlib.import_module(module).main

@@ -16,7 +16,7 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
     held, stamps = HeldVoltage(math.nan), [k * 10 * MS for k in range(count)]
     for stamp_ns in stamps:
         held.take(stamp_ns, 1.0)
-        held.step_to(stamp_ns, lost=False)
+        held.step_to(stamp_ns, is_lost=False)
     return held, stamps
 
 

@@ -602,7 +602,7 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
         values = random.choice([0.1, 0.2, math.nan, 1e12], motors, p=[0.45, 0.45, 0.05, 0.05])
         told[signal] += ~missing
         take = pairing.voltage if signal == 'v' else pairing.torque
-        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), missing=missing)
+        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), absent=missing)
         for motor in range(motors):
             counts = pairing.of(motor)
             assert counts.received_torque == told['t'][motor]

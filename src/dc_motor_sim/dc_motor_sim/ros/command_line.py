@@ -23,8 +23,10 @@ def check(args: Sequence[str]) -> None:
         try:
             word.encode('utf-8')
         except UnicodeEncodeError:
-            shown = os.fsencode(word).decode('utf-8', 'backslashreplace')
-            raise ConfigurationError(f'the argument {shown} is no UTF-8: rename the file') from None
+            argument_text = os.fsencode(word).decode('utf-8', 'backslashreplace')
+            raise ConfigurationError(
+                f'the argument {argument_text} is no UTF-8: rename the file'
+            ) from None
     for option, value in pairwise(args):
         if option == '--params-file':
             check_file(value)

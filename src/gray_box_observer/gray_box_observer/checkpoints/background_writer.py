@@ -52,11 +52,11 @@ class CheckpointWriter:
 
     def close(self, timeout_s: float) -> bool:
         """Write what still waits, then end the thread; tell whether that came to pass in time."""
-        done = self.flush(timeout_s)
+        is_written = self.flush(timeout_s)
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        return done
+        return is_written
 
     def _run(self) -> None:
         while True:

@@ -69,8 +69,8 @@ class CheckpointKeeper:
         """Bring the file up to date if needed, without waiting; errors are in :attr:`failure`."""
         if not self.automatic or observer is None or not observer.motors:
             return
-        used = sum(observer.counts(motor).used for motor in observer.configuration.motors)
-        if used == self._kept and self.failure is None:
+        used_count = sum(observer.counts(motor).used for motor in observer.configuration.motors)
+        if used_count == self._kept and self.failure is None:
             return
         try:
             file = self.file
@@ -79,7 +79,7 @@ class CheckpointKeeper:
             return
         self._astray = None
         self._writer.submit(checkpoint.capture(observer), file)
-        self._kept, self._since_s = used, time.monotonic()
+        self._kept, self._since_s = used_count, time.monotonic()
 
     def save(self, observer: Observer) -> str:
         """Write the file now; return where it stands.

@@ -79,15 +79,15 @@ def order_doubt(
         return
     first = int(wrong[0])
     if not np.isfinite(time_s[first]):
-        what = f'is {time_s[first]}'
+        complaint = f'is {time_s[first]}'
     else:
         latest = float(np.max(time_s[:first][in_order[:first]], initial=-np.inf))
-        what = (
+        complaint = (
             f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after '
             f'{latest:.9g} s'
         )
     yield (
-        f'line {lines[first]}, time ({brief(expression)[1:-1]}) {what}; '
+        f'line {lines[first]}, time ({brief(expression)[1:-1]}) {complaint}; '
         f'{wrong.size} rows that are not later than those before are left out'
     )
 
@@ -102,15 +102,15 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     plausible = [
         f for f in factors if 2 * SHORTEST_INTERVAL_S <= interval_s * f <= LONGEST_INTERVAL_S
     ]
-    said = (
+    complaint = (
         f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
         'to '
     )
-    said += f'{LONGEST_INTERVAL_S:g} s apart'
+    complaint += f'{LONGEST_INTERVAL_S:g} s apart'
     if not expression or not plausible:
-        return said
+        return complaint
     column = expression if re.fullmatch(r'[\w.$]+', expression) else f'({expression})'
-    return f'{said}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
+    return f'{complaint}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
 
 
 def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:

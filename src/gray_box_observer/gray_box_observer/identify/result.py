@@ -19,8 +19,8 @@ from gray_box_observer.samples import Rejection
 def warnings_of(outcome: Outcome) -> list[str]:
     """Return everything that the user should know of a run, one sentence each."""
     observer = outcome.observer
-    seen = {*observer.motors, *observer.incidents}
-    unseen = [name for name in observer.configuration.motors if name not in seen]
+    seen_motors = {*observer.motors, *observer.incidents}
+    unseen_motors = [name for name in observer.configuration.motors if name not in seen_motors]
     motors = observer.configuration.motors
     gap_s = observer.configuration['gap_s']
     doubts = {
@@ -37,7 +37,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
             if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
         ),
         *_stops(outcome.observer),
-        *(f'no usable sample of motor {name}; it is not in the result' for name in unseen),
+        *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(
             f'{counts.total()} messages of {name} could not be read'
             for name, counts in outcome.intake.rejected.items()
@@ -90,12 +90,16 @@ def describe(outcome: Outcome) -> dict[str, Any]:
     }
     motors = {name: values for name, values in described.items() if values is not None}
     incidents = observer.incidents.items()
-    stopped = {
+    stopped_motors = {
         name: {'reason': incident.reason, 'traceback': incident.trace}
         for name, incident in incidents
     }
     result: dict[str, Any] = plain(
-        {'motors': motors, **({'stopped': stopped} if stopped else {}), 'digest': outcome.digest}
+        {
+            'motors': motors,
+            **({'stopped': stopped_motors} if stopped_motors else {}),
+            'digest': outcome.digest,
+        }
     )
     return result
 

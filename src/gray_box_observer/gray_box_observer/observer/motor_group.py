@@ -107,9 +107,9 @@ class GroupResult:
             if sample.present is not None and not sample.present[motor]:
                 continue
             one = slice(motor, motor + 1)
-            said = None
+            own_prediction = None
             if prediction is not None:
-                said = Prediction(
+                own_prediction = Prediction(
                     prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None
                 )
             estimate = (
@@ -119,7 +119,7 @@ class GroupResult:
                 sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one],
                 sample.torque_nm[one], sample.speed_rad_s[one],
             )  # fmt: skip
-            yield Result(name, alone, said, estimate, bool(self.alarm[motor]))
+            yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]))
 
 
 def _rollout_of(prediction: Prediction, one: slice) -> Array:

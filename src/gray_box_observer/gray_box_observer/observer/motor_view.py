@@ -145,9 +145,9 @@ class MotorView:
     def remembered(self) -> ReplayBuffer:
         """Return a copy of the samples that are remembered of it."""
         content = self.observer.context_nodes.replay.content(self._one)
-        made = ReplayBuffer(1, max(1, content.shape[2]))
-        made.refill(content)
-        return made
+        buffer = ReplayBuffer(1, max(1, content.shape[2]))
+        buffer.refill(content)
+        return buffer
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of it, for a checkpoint."""

@@ -282,10 +282,10 @@ class Observer:
                 only.
         """
         group, place = self._grouping.place(motor)
-        found = self.forecast_group_held(group, horizon_s)
-        if found is None or not math.isfinite(found[1][place]):
+        group_forecast = self.forecast_group_held(group, horizon_s)
+        if group_forecast is None or not math.isfinite(group_forecast[1][place]):
             return None
-        return Forecast(motor, found[0], float(found[1][place]))
+        return Forecast(motor, group_forecast[0], float(group_forecast[1][place]))
 
     def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
         """Return stamp and torques, (motor,), of :meth:`forecast_held` for a whole group."""
@@ -305,15 +305,15 @@ class Observer:
 
     def group_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
         """Return names and present estimates of every group that has been seen."""
-        found = []
+        estimates = []
         for group in self.every_group:
             observer = group.observer
             if observer is None:
                 continue
             estimate = self.contain(group, observer.estimate)
             if estimate is not None:
-                found.append((group.names, estimate))
-        return found
+                estimates.append((group.names, estimate))
+        return estimates
 
     def estimates(self) -> dict[str, Estimate]:
         """Return the present estimate of every motor seen, by its name; part of the Python API.
@@ -326,24 +326,24 @@ class Observer:
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
         """Return a motor's belief, and whether all is identified; the given one at first."""
-        seen = self.motors.get(motor)
-        if seen is None:
-            given = initial_estimate(self.configuration, self.configuration.motors[motor])
-            return given, given.identified(0)
-        return seen.estimate, seen.identified
+        view = self.motors.get(motor)
+        if view is None:
+            initial = initial_estimate(self.configuration, self.configuration.motors[motor])
+            return initial, initial.identified(0)
+        return view.estimate, view.identified
 
     def parameters_identified(self, motor: str) -> tuple[bool, ...]:
         """Return a motor's identified parameters; before it is seen, the given ones."""
-        seen = self.motors.get(motor)
-        if seen is not None:
-            return seen.parameters_identified
-        given = initial_estimate(self.configuration, self.configuration.motors[motor])
-        return tuple(verdict in COUNTS_AS_KNOWN for verdict in given.verdicts[0])
+        view = self.motors.get(motor)
+        if view is not None:
+            return view.parameters_identified
+        initial = initial_estimate(self.configuration, self.configuration.motors[motor])
+        return tuple(verdict in COUNTS_AS_KNOWN for verdict in initial.verdicts[0])
 
     def fit(self, motor: str) -> FitAssessment:
         """Return how well the white box explains a motor's data; untested before it is seen."""
-        seen = self.motors.get(motor)
-        return FitAssessment() if seen is None else seen.fit
+        view = self.motors.get(motor)
+        return FitAssessment() if view is None else view.fit
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return the delay between voltage and torque of every motor that has been seen."""
@@ -351,11 +351,11 @@ class Observer:
 
     def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
         """Return something of every motor that has been seen; what has stopped is left out."""
-        found = {
+        values = {
             name: self.contain(self.group_of(name), partial(get, motor))
             for name, motor in [*self.motors.items()]
         }
-        return {name: value for name, value in found.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
     def alarm(self, motor: str) -> bool:
         """Whether the residual alarm stands; never where the physics predicts nothing."""
@@ -381,12 +381,12 @@ class Observer:
         """Whether learning is stopped."""
         return self._frozen
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of every motor; predictions go on."""
-        self._frozen = frozen
+        self._frozen = is_frozen
         for group in self.every_group:
             if group.observer is not None:
-                self.contain(group, partial(group.observer.freeze, frozen))
+                self.contain(group, partial(group.observer.freeze, is_frozen))
 
     def reconfigure(self, configuration: Configuration) -> None:
         """Take over the values of parameters that may change at any time; what was learnt stays."""
@@ -404,13 +404,13 @@ class Observer:
 
     def restore(
         self,
-        saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
+        states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
         together: Sequence[Sequence[str]] = (),
     ) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
 
         Args:
-            saved: plain values and arrays, by motor.
+            states: plain values and arrays, by motor.
             together: motors that were computed together: they came in the same messages, what
                 others do nobody knows.
 
@@ -418,20 +418,20 @@ class Observer:
             ConfigurationError: something was learnt with another white box or other parameters.
         """
         places = self._grouping.places
-        made: list[tuple[Group, MotorObserver]] = []
+        replacements: list[tuple[Group, MotorObserver]] = []
         try:
             for names in together:
                 self._grouping.gather(names)
             affected = [
-                group for group in self.every_group if any(name in saved for name in group.names)
+                group for group in self.every_group if any(name in states for name in group.names)
             ]
-            made.extend((group, self._restored(group, saved)) for group in affected)
+            replacements.extend((group, self._restored(group, states)) for group in affected)
         except BaseException:
-            for _, observer in made:
+            for _, observer in replacements:
                 observer.close()
             self._grouping.put_back(places)
             raise
-        for group, observer in made:  # all good: take over
+        for group, observer in replacements:  # all good: take over
             self._flush(group)  # what still waited belongs to the old signal history
             if group.observer is not None:
                 self.contain(group, group.observer.settle)
@@ -445,34 +445,34 @@ class Observer:
                 self.incidents.pop(name, None)
 
     def _restored(
-        self, group: Group, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
+        self, group: Group, saved_states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
     ) -> MotorObserver:
         """Make the observer of a group from what was saved; what was not saved stays as it is."""
-        states = dict(saved)
+        states = dict(saved_states)
         for motor, name in enumerate(group.names):
             if name not in states and group.observer is not None:
                 states[name] = group.observer.state(motor)
-        told = {
+        measured_flags = {
             bool(states[name][0]['white_box']['speed_measured'])
             for name in group.names
             if name in states
         }
-        made = self._make(group, any(told))
+        observer = self._make(group, any(measured_flags))
         try:
             for motor, name in enumerate(group.names):
                 if name not in states:
                     continue
                 plain, arrays = states[name]
-                if made.white_box_of(motor).to_dict() != plain['white_box']:
+                if observer.white_box_of(motor).to_dict() != plain['white_box']:
                     raise ConfigurationError(
                         f'motor {name}: the checkpoint was learnt with other known constants or '
                         'terms'
                     )
-                made.restore(plain, arrays, motor)
+                observer.restore(plain, arrays, motor)
         except BaseException:
-            made.close()
+            observer.close()
             raise
-        return made
+        return observer
 
     def close(self) -> None:
         """Stop whatever trains in the background."""
@@ -509,10 +509,10 @@ class Observer:
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
-        waiting, pairing = deque(samples), group.pairing
+        queue, pairing = deque(samples), group.pairing
         assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
-        while waiting:
-            sample = waiting.popleft()
+        while queue:
+            sample = queue.popleft()
             if group.observer is None:
                 self._adopt(group, self._make(group, bool(np.isfinite(sample.speed_rad_s).any())))
             observer = group.observer
@@ -522,11 +522,13 @@ class Observer:
                 if again is not None and results:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
-            left, estimate = observer.step(sample)
+            aftermath, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
-                GroupResult(group, sample, left.prediction, observer.changed, estimate, left)
+                GroupResult(
+                    group, sample, aftermath.prediction, observer.changed, estimate, aftermath
+                )
             )
             delay_s = None
             if not self._frozen:
@@ -534,16 +536,16 @@ class Observer:
                     pairing.history, sample.stamp_ns, awaited=estimate is not None
                 )
             if delay_s is not None:
-                known, rest = pairing.redelay(delay_s, sample.stamp_ns)
+                past_samples, later_samples = pairing.redelay(delay_s, sample.stamp_ns)
                 motors = [self.configuration.motors[name] for name in group.names]
                 observer.relearn(
-                    context_nodes(self.configuration, motors, observer.white_box), known
+                    context_nodes(self.configuration, motors, observer.white_box), past_samples
                 )
                 estimate = observer.estimate()
                 results[-1] = replace(
                     results[-1], estimate=estimate, changed=np.arange(len(group.names))
                 )
-                waiting = deque(rest)
+                queue = deque(later_samples)
         return results
 
     def _adopt(self, group: Group, observer: MotorObserver) -> None:
@@ -554,11 +556,13 @@ class Observer:
             {name: MotorView(observer, place) for place, name in enumerate(group.names)}
         )
 
-    def _make(self, group: Group, measured: bool) -> MotorObserver:
+    def _make(self, group: Group, speed_measured: bool) -> MotorObserver:
         motors = [self.configuration.motors[name] for name in group.names]
-        made = motor_observer(self.configuration, motors, self._training, measured=measured)
-        made.freeze(self._frozen)
-        return made
+        observer = motor_observer(
+            self.configuration, motors, self._training, speed_measured=speed_measured
+        )
+        observer.freeze(self._frozen)
+        return observer
 
     def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
         """Results of groups, motor by motor."""

@@ -22,8 +22,8 @@ SHIPPED = Path(__file__).with_name('start.safetensors')
 
 def fresh(hidden: int, seed: int) -> Weights:
     """Return a network that answers 0, which leaves the slopes at both ends of the way."""
-    drawn = Weights.initial(INPUTS, hidden, seed)
-    return replace(drawn, output=np.zeros(hidden), output_bias=np.zeros(1))
+    weights = Weights.initial(INPUTS, hidden, seed)
+    return replace(weights, output=np.zeros(hidden), output_bias=np.zeros(1))
 
 
 def first_network(rules: TrainingRules, seed: int) -> Weights:

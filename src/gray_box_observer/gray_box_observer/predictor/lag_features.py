@@ -44,10 +44,12 @@ def followed(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Arr
         speed_rad_s: shape (motor,).
         intervals: shape (motor,): its length, in sample intervals.
     """
-    held = np.empty((*voltage_v.shape, SIGNALS, 1))
-    held[..., 0, 0], held[..., 1, 0] = voltage_v, speed_rad_s
-    reached: Array = held + (traces - held) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
-    return reached
+    inputs = np.empty((*voltage_v.shape, SIGNALS, 1))
+    inputs[..., 0, 0], inputs[..., 1, 0] = voltage_v, speed_rad_s
+    traces_at_end: Array = (
+        inputs + (traces - inputs) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
+    )
+    return traces_at_end
 
 
 def along(voltage_v: Array, speed_rad_s: Array, intervals: Array, start: Array) -> Array:
@@ -59,12 +61,12 @@ def along(voltage_v: Array, speed_rad_s: Array, intervals: Array, start: Array) 
         intervals: shape (motor, time): lengths, in sample intervals.
         start: shape (motor, SIGNALS, rung): at its beginning.
     """
-    left = np.exp(-intervals[..., None] / LADDER)[:, :, None, :]
-    passed = np.stack([voltage_v, speed_rad_s], axis=-1)[..., None] * (1.0 - left)
+    decay = np.exp(-intervals[..., None] / LADDER)[:, :, None, :]
+    path = np.stack([voltage_v, speed_rad_s], axis=-1)[..., None] * (1.0 - decay)
     traces = start
-    for k in range(passed.shape[1]):
-        traces = passed[:, k] = passed[:, k] + traces * left[:, k]
-    return passed
+    for k in range(path.shape[1]):
+        traces = path[:, k] = path[:, k] + traces * decay[:, k]
+    return path
 
 
 def ending(voltage_v: Array, speed_rad_s: Array, intervals: Array) -> Array:

@@ -205,9 +205,9 @@ class Memory:
 
     def where(self, motors: Mask, other: Memory, ops: Any = np) -> Memory:
         """Return this memory for motors in a mask of shape (motor,), another for the rest."""
-        chosen = motors[:, None]
+        mask = motors[:, None]
         return Memory(
-            ops.where(chosen, self.hidden, other.hidden), ops.where(chosen, self.cell, other.cell)
+            ops.where(mask, self.hidden, other.hidden), ops.where(mask, self.cell, other.cell)
         )
 
     def cleared(self, motors: Mask, ops: Any = np) -> Memory:

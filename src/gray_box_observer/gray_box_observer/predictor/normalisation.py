@@ -81,8 +81,10 @@ class Normalisation:
     @classmethod
     def from_dict(cls, ranges: Mapping[str, Sequence[float]]) -> Normalisation:
         """Build the ranges that :meth:`to_dict` described."""
-        made = {name: Range(*bounds) for name, bounds in ranges.items()}
-        return cls(made['voltage'], made['torque'], made.get('speed'))
+        range_by_signal = {name: Range(*bounds) for name, bounds in ranges.items()}
+        return cls(
+            range_by_signal['voltage'], range_by_signal['torque'], range_by_signal.get('speed')
+        )
 
     @classmethod
     def of(cls, voltage_v: Array, torque_nm: Array, speed_rad_s: Array | None) -> Normalisation:

@@ -65,8 +65,10 @@ class OperatingRange:
     @classmethod
     def from_dict(cls, values: Mapping[str, Sequence[float]]) -> OperatingRange:
         """Build the range that :meth:`to_dict` described."""
-        made: dict[str, Any] = {name: (float(v[0]), float(v[1])) for name, v in values.items()}
-        return cls(**made)
+        bounds_by_signal: dict[str, Any] = {
+            name: (float(v[0]), float(v[1])) for name, v in values.items()
+        }
+        return cls(**bounds_by_signal)
 
 
 def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:

@@ -140,11 +140,11 @@ class Predictor:
             return Prediction(blank, lambda: blank, None, None)
         rollout = partial(self._rollout, question, self._rollout_nm)
         torque_nm, memory = self._forecaster.forecast(question)
-        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        correction_nm, recollection = self.residual.correct(question, torque_nm)
         if correction_nm is None:
             return Prediction(torque_nm, rollout, memory, question.way)
         return Prediction(
-            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, learnt
+            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, recollection
         )
 
     def _rollout(self, question: Question, from_nm: Array) -> Array:
@@ -195,10 +195,10 @@ class Predictor:
         if since is not None and since.memory is not None:
             question = replace(question, origin=(_physics_of(since), since.memory))
         torque_nm = self._forecaster.forecast(question)[0]
-        learnt = self.residual.correction
-        if learnt is None or not self.residual.speaks:
+        correction = self.residual.correction
+        if correction is None or not self.residual.speaks:
             return torque_nm
-        path_nm = self._forecaster.path(question, learnt.instants_s(horizon_s))
+        path_nm = self._forecaster.path(question, correction.instants_s(horizon_s))
         return torque_nm + self.residual.along(
             question, path_nm, None if since is None else since.residual_memory
         )
@@ -224,8 +224,8 @@ class Predictor:
         )
         added_nm = None if prediction.physics_nm is None else prediction.torque_nm - physics_nm
         self.residual.remember(added_nm, anew, prediction.residual_memory)
-        started = np.isfinite(prediction.white_box_torque_nm) & ~anew
-        rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        has_prediction = np.isfinite(prediction.white_box_torque_nm) & ~anew
+        rollout_nm = np.where(has_prediction, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
         self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
         # a torque message without its speed must not put NaN into the network's memory or into a
@@ -260,8 +260,10 @@ class Predictor:
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """One motor's network, learnt additions, and state of training, as arrays."""
-        learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
-        return {**self._forecaster.state(), **learnt, **self.training.state(motor)}
+        residual_arrays = (
+            {} if self.residual.correction is None else self.residual.correction.arrays()
+        )
+        return {**self._forecaster.state(), **residual_arrays, **self.training.state(motor)}
 
     def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave of one motor; training goes on from there.

@@ -178,10 +178,10 @@ def largest(values: FloatArray) -> float:
     return float(np.max(np.abs(finite))) if finite.size else 0.0
 
 
-def thinning_note(drawn: Mapping[str, tuple[int, int]]) -> str:
+def thinning_note(counts: Mapping[str, tuple[int, int]]) -> str:
     """Say which series were thinned, from (drawn, of) by name; empty if none was."""
     thin = [
-        f'{name}: {some:,} of {every:,}' for name, (some, every) in drawn.items() if some < every
+        f'{name}: {some:,} of {every:,}' for name, (some, every) in counts.items() if some < every
     ]
     if not thin:
         return ''

@@ -30,23 +30,23 @@ def declare(node: Node) -> Configuration:
         ConfigurationError: a value of the wrong type or out of its range, values that do not fit
             together, or a name that nobody declared.
     """
-    given = {
+    flat_values = {
         name: parameter.value
         for name, parameter in getattr(node, '_parameter_overrides', {}).items()
     }
-    configuration = Configuration.from_flat(given)
-    declared = [
+    configuration = Configuration.from_flat(flat_values)
+    declarations = [
         (spec.name, configuration[spec.name], describe(spec)) for spec in OBSERVER_PARAMETERS
     ]
     described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
     for name, motor in configuration.motors.items():
-        declared += [
+        declarations += [
             (f'{name}.{own}', motor.values[own], descriptor)
             for own, descriptor in described.items()
         ]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
     # as it was understood
-    node.declare_parameters('', declared, ignore_override=True)
+    node.declare_parameters('', declarations, ignore_override=True)
     settle(node, configuration.unknown, configuration.alike)
     return configuration
 
@@ -109,10 +109,10 @@ class LiveParameters:
         return SetParametersResult(successful=True)
 
     def _take_over(self, parameters: list[Parameter]) -> None:
-        changed = self._changed(parameters)
-        if changed != self._configuration:
-            self._configuration = changed
-            self._apply(changed)
+        configuration = self._changed(parameters)
+        if configuration != self._configuration:
+            self._configuration = configuration
+            self._apply(configuration)
 
     def _changed(self, parameters: list[Parameter]) -> Configuration:
         return self._configuration.changed(

@@ -62,8 +62,8 @@ class Chore:
                 (messages that lead to nothing), it is not waited for.
         """
         self._met_s = time.monotonic()
-        due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
-        if not due and self._met_s - self._done_s <= LATE * self._period_s:
+        is_due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
+        if not is_due and self._met_s - self._done_s <= LATE * self._period_s:
             return False
         self.do()
         return True

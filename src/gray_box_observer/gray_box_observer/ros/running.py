@@ -69,9 +69,9 @@ class Stop:
         with self._lock:
             self.error = self.error or error
             self._requested = True
-            waiting = self._waiting
-        if waiting is not None and not waiting.done():
-            waiting.set_result(None)
+            future = self._waiting
+        if future is not None and not future.done():
+            future.set_result(None)
 
     @property
     def requested(self) -> bool:
@@ -259,8 +259,8 @@ def _signals_to(stop: Stop) -> Iterator[None]:
 
 def _listen(descriptor: socket.socket, stop: Stop) -> None:
     first_s: float | None = None
-    while received := descriptor.recv(1):
-        number = received[0]
+    while signal_bytes := descriptor.recv(1):
+        number = signal_bytes[0]
         now_s = time.monotonic()
         if first_s is None:
             first_s = now_s

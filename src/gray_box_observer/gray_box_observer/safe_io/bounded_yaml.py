@@ -181,13 +181,13 @@ def _value(event: yaml.ScalarEvent) -> Any:
     return text
 
 
-def _refusal(event: yaml.Event, what: str) -> InputError:
+def _refusal(event: yaml.Event, complaint: str) -> InputError:
     mark = event.start_mark
     where = f'line {mark.line + 1}: ' if mark is not None else ''
-    return InputError(f'{where}{what}')
+    return InputError(f'{where}{complaint}')
 
 
 def _shown(text: object) -> str:
     """Text from the file for a message: short, and without signs that a terminal would obey."""
-    written = repr(str(text))[1:-1]
-    return written if len(written) <= _SHOWN else f'{written[:_SHOWN]}...'
+    printable_text = repr(str(text))[1:-1]
+    return printable_text if len(printable_text) <= _SHOWN else f'{printable_text[:_SHOWN]}...'

@@ -101,32 +101,32 @@ def check_array(name: str, array: Any, rule: ArrayRule) -> None:
     Raises:
         CheckpointError: it is missing or breaks the rule.
     """
-    shown = printable(name, 80)
+    label = printable(name, 80)
     if array is None:
-        raise CheckpointError(f'{shown} is missing')
+        raise CheckpointError(f'{label} is missing')
     if array.dtype.name != rule.dtype:
-        raise CheckpointError(f'{shown} is of type {array.dtype}, expected {rule.dtype}')
+        raise CheckpointError(f'{label} is of type {array.dtype}, expected {rule.dtype}')
     fits = len(array.shape) == len(rule.shape)
     if not fits or any(
         want not in (None, size) for size, want in zip(array.shape, rule.shape, strict=True)
     ):
-        expected = ', '.join('any' if size is None else str(size) for size in rule.shape)
-        raise CheckpointError(f'{shown} is of shape {array.shape}, expected ({expected})')
+        shape_text = ', '.join('any' if size is None else str(size) for size in rule.shape)
+        raise CheckpointError(f'{label} is of shape {array.shape}, expected ({shape_text})')
     if not array.size or rule.dtype == FLAG:
         return
     low, high = float(np.fmin.reduce(array, axis=None)), float(np.fmax.reduce(array, axis=None))
     if rule.dtype in (FLOAT, SINGLE):
         if not rule.blank and np.isnan(array).any():
-            raise CheckpointError(f'{shown} holds what is no number')
+            raise CheckpointError(f'{label} holds what is no number')
         if math.isnan(low):  # nothing else
             return
         if not rule.endless and not (math.isfinite(low) and math.isfinite(high)):
-            raise CheckpointError(f'{shown} is not finite')
+            raise CheckpointError(f'{label} is not finite')
     if (low < rule.low and not (rule.endless and low == -math.inf)) or (
         high > rule.high and not (rule.endless and high == math.inf)
     ):
         worst = low if low < rule.low else high
-        raise CheckpointError(f'{shown} holds {worst:.6g}, expected {rule.low:g} to {rule.high:g}')
+        raise CheckpointError(f'{label} holds {worst:.6g}, expected {rule.low:g} to {rule.high:g}')
 
 
 def check_covariance(name: str, covariance: Array, *, certain: bool = True) -> None:

@@ -142,12 +142,12 @@ class HeldVoltage:
             return until_ns
         return end_ns + 1 if rhythm.silent(seconds(end_ns - since_ns)) else until_ns
 
-    def step_to(self, stamp_ns: int, *, lost: bool) -> tuple[Any, Any]:
+    def step_to(self, stamp_ns: int, *, is_lost: bool) -> tuple[Any, Any]:
         """Go on to the stamp of a torque.
 
         Args:
             stamp_ns: the stamp.
-            lost: nobody knows any more what is in force there.
+            is_lost: nobody knows any more what is in force there.
 
         Returns:
             The voltage in force before the stamp, and one that begins there; blank where there is
@@ -155,7 +155,7 @@ class HeldVoltage:
         """
         while self._coming and self._coming[0][0] < stamp_ns:
             self._hold_next()
-        if lost:
+        if is_lost:
             self._held_v = self._blank
         begins = bool(self._coming) and self._coming[0][0] == stamp_ns
         return self._held_v, self._coming[0][1] if begins else self._blank

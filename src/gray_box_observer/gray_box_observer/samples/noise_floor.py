@@ -60,8 +60,8 @@ def quantisation_step(readings: Array) -> Array:
     Returns:
         Shape (motor,): the step, in the unit of the readings; 0 where there is none to be seen.
     """
-    ordered = np.sort(readings, axis=1)
-    repeated = np.sum(np.diff(ordered, axis=1) == 0.0, axis=1) >= max(
+    sorted_readings = np.sort(readings, axis=1)
+    repeated = np.sum(np.diff(sorted_readings, axis=1) == 0.0, axis=1) >= max(
         2.0, REPEATED * readings.shape[1]
     )
     step = np.zeros(readings.shape[0])

@@ -79,10 +79,10 @@ class _Numbers:
     @classmethod
     def of(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
         """Remember rows, values of shape (value, row), in one piece; no more than ``most``."""
-        made = cls(values.shape[0], most)
-        made._stamps.frombytes(stamps.tobytes())
-        made._values.frombytes(values.T.tobytes())
-        return made
+        rows = cls(values.shape[0], most)
+        rows._stamps.frombytes(stamps.tobytes())
+        rows._values.frombytes(values.T.tobytes())
+        return rows
 
     def __len__(self) -> int:
         return min(len(self._stamps), self._most)
@@ -211,12 +211,12 @@ class RawHistory:
 
     def of(self, motor: int) -> RawHistory:
         """Return the remembered rows of one motor of a group, without unusable ones."""
-        made = RawHistory()
-        made.restarts = self.restarts
+        history = RawHistory()
+        history.restarts = self.restarts
         if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):
             raise GrayBoxError('a single motor has signals of its own, expected .signals')
-        made._voltages, made._torques = self._voltages.of(motor), self._torques.of(motor)
-        return made
+        history._voltages, history._torques = self._voltages.of(motor), self._torques.of(motor)
+        return history
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
         """Read out what is known for certain once the torque of a stamp is complete under a delay.

@@ -56,13 +56,14 @@ def torch_device(name: str) -> str | None:
         ) from error
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if count == 0:
-        built = (
+        build_note = (
             ''
             if torch.version.cuda or torch.version.hip
             else f' (torch {torch.__version__} is built without CUDA)'
         )
         raise ConfigurationError(
-            f'parameter device is {name}, but torch sees no GPU{built}: install a driver and a '
+            f'parameter device is {name}, but torch sees no GPU{build_note}: install a driver and '
+            'a '
             'torch built for it, or '
             'set device to cpu'
         )

@@ -88,15 +88,15 @@ class McapFile:
         self, topic: str, type_name: str, schema_text: str, metadata: dict[str, str]
     ) -> int:
         """Declare a topic; the result is the number by which `add_message` knows it."""
-        text, tail, declared = schema_text.encode(), self._tail, b''
+        text, tail, schema_bytes = schema_text.encode(), self._tail, b''
         schema = next((s for s in tail.schemas if s.name == type_name and s.data == text), None)
         if schema is None:
             schema = Schema(id=len(tail.schemas) + 1, data=text, encoding='ros2msg', name=type_name)
-            declared = bytes_of(schema)
+            schema_bytes = bytes_of(schema)
             tail.schemas.append(schema)
         channel = Channel(len(tail.channels) + 1, topic, 'cdr', metadata, schema.id)
         tail.channels.append(channel)
-        self._write(declared + bytes_of(channel))
+        self._write(schema_bytes + bytes_of(channel))
         return int(channel.id)
 
     def add_message(
@@ -195,9 +195,9 @@ class McapFile:
 
     def _put(self, content: bytes) -> None:
         self._stream.seek(self.size)
-        rest = memoryview(content)
-        while rest:
-            rest = rest[self._stream.write(rest) :]
+        remainder = memoryview(content)
+        while remainder:
+            remainder = remainder[self._stream.write(remainder) :]
 
     def _undo(self) -> None:
         with suppress(

@@ -109,14 +109,14 @@ _LOST = 'the connection to the Dask scheduler was lost before it was read'
 
 
 def _spread(
-    client: Client, work: Work, bags: Sequence[Path], chosen: Sequence[int]
+    client: Client, work: Work, bags: Sequence[Path], indices: Sequence[int]
 ) -> Iterator[tuple[int, BagResult | None]]:
     """Let the workers read the chosen bags; None for one whose worker died too often."""
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
-    futures = client.map(work, [bags[index] for index in chosen], pure=False)
-    places: dict[Future[BagResult], int] = dict(zip(futures, chosen, strict=True))
+    futures = client.map(work, [bags[index] for index in indices], pure=False)
+    places: dict[Future[BagResult], int] = dict(zip(futures, indices, strict=True))
     del futures  # what is done may be forgotten
     for future in as_completed(list(places), loop=client.loop):
         index = places.pop(future)
@@ -159,13 +159,13 @@ def _check_workers(client: Client) -> None:
     """
     own = program()
     try:
-        found = client.run(program)
+        programs = client.run(program)
     except Exception as error:  # whatever a foreign environment makes of it
         reason = ' '.join(f'{type(error).__name__}: {error}'.split())
         raise GrayBoxError(
             f'the Dask workers cannot run this program: {reason}; install gray_box_observer there'
         ) from error
-    for worker, theirs in found.items():
+    for worker, theirs in programs.items():
         if theirs != own:
             raise GrayBoxError(
                 f'the Dask worker {worker} runs gray_box_observer {theirs[0]} with numpy '

@@ -63,8 +63,8 @@ def rows(results: Iterable[BagResult]) -> Iterator[dict[str, Any]]:
                 'samples': motor['samples'],
                 'alarms': None if alarms is None else alarms['raised'],
             }
-            for parameter, found in motor['parameters'].items():
-                yield of_motor | {'parameter': parameter, **found}
+            for parameter, figures in motor['parameters'].items():
+                yield of_motor | {'parameter': parameter, **figures}
 
 
 def write_table(results: Iterable[BagResult], path: Path) -> None:

@@ -15,13 +15,13 @@ from gray_box_observer.report.trend.trend import MotorTrend, ParameterTrend
 
 def gather(results: Iterable[BagResult]) -> tuple[MotorTrend, ...]:
     """Sort all estimates by motor, parameter and time; names in the order of appearance."""
-    found: dict[str, dict[tuple[str, str], list[tuple[int, str, Any]]]] = defaultdict(
+    estimates: dict[str, dict[tuple[str, str], list[tuple[int, str, Any]]]] = defaultdict(
         lambda: defaultdict(list)
     )
     for result in results:
-        for motor, told in result.motors.items():
-            for name, parameter in told['parameters'].items():
-                found[motor][name, parameter['unit']].append(
+        for motor, motor_result in result.motors.items():
+            for name, parameter in motor_result['parameters'].items():
+                estimates[motor][name, parameter['unit']].append(
                     (result.start_ns[motor], result.bag, parameter)
                 )
     return tuple(
@@ -29,7 +29,7 @@ def gather(results: Iterable[BagResult]) -> tuple[MotorTrend, ...]:
             motor,
             tuple(_trend(name, unit, entries) for (name, unit), entries in parameters.items()),
         )
-        for motor, parameters in found.items()
+        for motor, parameters in estimates.items()
     )
 
 

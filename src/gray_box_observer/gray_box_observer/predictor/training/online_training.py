@@ -112,12 +112,12 @@ class OnlineTraining:
         """Whether a job may start or finish with the next sample."""
         return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume; frozen samples are not kept, and a new signal history follows."""
-        if frozen == self._frozen:
+        if is_frozen == self._frozen:
             return
-        self._frozen = frozen
-        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
+        self._frozen = is_frozen
+        self._resumes = None if is_frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
         """Remember these samples instead, paired anew; drops what was learnt beside the physics.
@@ -155,8 +155,8 @@ class OnlineTraining:
             'total': np.array(self.replay.total),
         }
         if motor in self._settled:
-            theta, seen = self._settled[motor]
-            common |= {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
+            theta, range_seen = self._settled[motor]
+            common |= {'settled_theta': theta, **_named('settled_seen', range_seen.to_dict())}
         if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
             return common
         return {
@@ -205,9 +205,13 @@ class OnlineTraining:
         }
         job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
         if job:
-            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
+            job_arrays = {
+                name: array for name, array in job.items() if not name.startswith('seen_')
+            }
             residual = bool(job['residual'])
-            self._submit({**kept, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()})
+            self._submit(
+                {**job_arrays, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()}
+            )
 
     def _check(self, arrays: Mapping[str, Array]) -> None:
         """Refuse a saved state that could not have been.
@@ -248,20 +252,25 @@ class OnlineTraining:
         ):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
         residual = self._schedule.due(self.replay)
-        turn, which = self._turn, slice(self._turn, self._turn + 1)
+        turn, motor_slice = self._turn, slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
-        idle = self._nothing_to_gain(turn, theta[which], covariance[which]) and not residual
-        remembered = int(self.replay.remembered(which)[0])
+        idle = (
+            self._nothing_to_gain(turn, theta[motor_slice], covariance[motor_slice])
+            and not residual
+        )
+        remembered = int(self.replay.remembered(motor_slice)[0])
         if self._training.resting or idle or remembered < self._rules.length:
             return
         anew = residual and self._schedule.anew
         count = min(remembered, self._rules.job_samples)
-        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
+        samples = (
+            self._schedule.job(self.replay) if residual else newest(self.replay, count, motor_slice)
+        )
         self._submit(
             {
                 **samples,
-                'theta': theta[which].copy(),
-                'covariance': covariance[which].copy(),
+                'theta': theta[motor_slice].copy(),
+                'covariance': covariance[motor_slice].copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
@@ -281,8 +290,8 @@ class OnlineTraining:
     def _nothing_to_gain(self, motor: int, theta: Array, covariance: Array) -> bool:
         if motor not in self._settled:
             return False
-        settled, seen = self._settled[motor]
-        return seen == self._seen and not have_moved(theta, settled, covariance)
+        settled_theta, settled_range = self._settled[motor]
+        return settled_range == self._seen and not have_moved(theta, settled_theta, covariance)
 
     def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1

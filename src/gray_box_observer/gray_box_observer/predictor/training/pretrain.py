@@ -42,8 +42,10 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
 
     random = np.random.default_rng([seed, 1])
     pupil = Pupil(fresh(hidden, seed), FIRST_RATE, TrainingRules().gradient_clip)
-    for done in progress:
-        rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (1.0 + math.cos(math.pi * done))
+    for progress_share in progress:
+        rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (
+            1.0 + math.cos(math.pi * progress_share)
+        )
         pupil.optimiser.param_groups[0]['lr'] = rate
         pupil.learn(lesson(pupil.weights, draw_family(random, SEQUENCES, LENGTH)))
     return pupil.weights
@@ -51,9 +53,11 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
 
 def held_out_errors(weights: Weights, seed: int) -> Array:
     """Mean free-run error on motors that never taught, in units of each spread, (motor,)."""
-    drawn = draw_family(np.random.default_rng([seed, 4]), HELD_OUT, LENGTH)
-    exact = exact_run(drawn)
-    errors: Array = np.abs(free_run(weights, drawn)[0] - exact).mean(axis=1) / spread(drawn, exact)
+    sequences = draw_family(np.random.default_rng([seed, 4]), HELD_OUT, LENGTH)
+    exact = exact_run(sequences)
+    errors: Array = np.abs(free_run(weights, sequences)[0] - exact).mean(axis=1) / spread(
+        sequences, exact
+    )
     return errors
 
 

@@ -158,17 +158,17 @@ class ResidualSchedule:
         self._store.restore(arrays)
 
 
-def newest(replay: ReplayBuffer, count: int, which: slice = slice(None)) -> dict[str, Any]:
+def newest(replay: ReplayBuffer, count: int, motor_slice: slice = slice(None)) -> dict[str, Any]:
     """Copy up to ``count`` of the newest samples: each of SIGNALS, and their ``number``.
 
     Args:
         replay: remembers them.
         count: how many.
-        which: of which motors; where it is not all, they have to remember as many.
+        motor_slice: of which motors; where it is not all, they have to remember as many.
     """
     count = min(count, len(replay))
     interval_s, voltage_v, torque_nm, speed_rad_s = (
-        signal.copy() for signal in replay.newest(count, which)
+        signal.copy() for signal in replay.newest(count, motor_slice)
     )
     signals = {
         'interval_s': interval_s,

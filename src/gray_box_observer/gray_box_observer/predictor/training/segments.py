@@ -156,15 +156,15 @@ def maps(segments: list[Array]) -> Array:
     )  # shapes: (segment, motor, time)
     count, motors, _ = volt.shape
     place = np.arange(count * motors).reshape(count, motors, 1) * BINS**2 + volt * BINS + torque
-    counted: Array = np.bincount(place.ravel(), minlength=count * motors * BINS**2).astype(float)
-    return counted.reshape(count, motors, BINS**2)
+    counts: Array = np.bincount(place.ravel(), minlength=count * motors * BINS**2).astype(float)
+    return counts.reshape(count, motors, BINS**2)
 
 
-def most_represented(counted: Array) -> int:
+def most_represented(counts: Array) -> int:
     """Return the segment without which the others cover most, the oldest of equals.
 
     Args:
-        counted: shape (segment, motor, cell): samples.
+        counts: shape (segment, motor, cell): samples.
     """
-    others = counted.sum(axis=0) - counted
-    return int(np.argmax(np.log1p(others / WORTH).sum(axis=(1, 2))))
+    rest_counts = counts.sum(axis=0) - counts
+    return int(np.argmax(np.log1p(rest_counts / WORTH).sum(axis=(1, 2))))

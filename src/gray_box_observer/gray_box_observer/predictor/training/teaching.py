@@ -39,8 +39,8 @@ def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
     interval = Relaxation(
         **{f.name: _like(readout, getattr(lesson.intervals, f.name)) for f in fields(Relaxation)}
     )
-    moved = interval.distance * torch.expm1(-exponent(torch, interval, readout))
-    defect = moved - _like(readout, lesson.moved)
+    movement = interval.distance * torch.expm1(-exponent(torch, interval, readout))
+    defect = movement - _like(readout, lesson.moved)
     adds_up = -torch.expm1(-interval.duration.clamp_min(SHORTEST))
     loss: torch.Tensor = (defect.abs() / adds_up).mean()
     return loss

@@ -153,22 +153,22 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     residual = residual_figure(motor.fit)
     if residual is not None:
         figures[f'motor-{index}-residual'] = residual
-        drawn = framed(
+        frame = framed(
             f'motor-{index}-residual', residual, 'residual of the free run', motor.name, timed=False
         )
-        parts.append('<h3>Does the white box explain the data?</h3>' + drawn)
+        parts.append('<h3>Does the white box explain the data?</h3>' + frame)
     parts.append(sections.validation_table(motor.validation))
     parts.append(
         '<h3>Predictor</h3><div class="scroll">' + sections.scores_table(motor.scores) + '</div>'
     )
     parts.append('<h3>Rejected samples</h3>')
-    rejected = rejection_figure(motor)
-    if rejected is None:
+    rejections = rejection_figure(motor)
+    if rejections is None:
         checks = ', '.join(sections.words(reason) for reason in motor.rejected)
-        checked = f' Checked: {checks}.' if checks else ''
-        parts.append(f'<p class="empty">No sample was rejected.{checked}</p>')
+        checks_note = f' Checked: {checks}.' if checks else ''
+        parts.append(f'<p class="empty">No sample was rejected.{checks_note}</p>')
     else:
-        parts.append(figure('rejected', rejected, 'by reason, and when'))
+        parts.append(figure('rejected', rejections, 'by reason, and when'))
     parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
     return ''.join(parts) + '</section>'
 
@@ -200,11 +200,11 @@ def _plotly() -> tuple[str, dict[str, str]]:
     except ImportError as error:
         raise ReportError(_PLOTLY_MISSING) from error
     text = str(get_plotlyjs())
-    found = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
+    match = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
     versions = {
         'Python': platform.python_version(),
         'NumPy': np.__version__,
         'plotly': str(plotly.__version__),
-        'plotly.js': found.group(1) if found else 'of unknown version',
+        'plotly.js': match.group(1) if match else 'of unknown version',
     }
     return text, versions

@@ -190,10 +190,10 @@ def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
 
 def verdict_key(motor: MotorHistory) -> str:
     """Explain the colours of the verdict strips, for the verdicts that occur."""
-    seen = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
+    words = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
     fit = motor.fit.verdict
     entries = ''.join(
-        f'<li>{badge(word, fit)} {escape(look_of(word, fit).meaning)}</li>' for word in seen
+        f'<li>{badge(word, fit)} {escape(look_of(word, fit).meaning)}</li>' for word in words
     )
     return f'<ul class="key" aria-label="Verdicts">{entries}</ul>' if entries else ''
 
@@ -205,10 +205,10 @@ def scores_table(scores: Mapping[str, float]) -> str:
     rows = []
     for name, value in scores.items():
         label, meaning = _SCORES.get(name, (words(name), ''))
-        shown = percent(value) if name == 'nmae' else _score(value)
+        value_text = percent(value) if name == 'nmae' else _score(value)
         rows.append(
             f'<tr><th scope="row">{label}</th><td '
-            f'class="number">{shown}</td><td>{meaning}</td></tr>'
+            f'class="number">{value_text}</td><td>{meaning}</td></tr>'
         )
     head = (
         '<tr><th scope="col">score</th><th scope="col">value</th><th scope="col">meaning</th></tr>'
@@ -246,16 +246,16 @@ def _sensitivity_cell(change: float) -> str:
 
 def _strongest(sensitivity: Mapping[str, Mapping[str, float]]) -> str:
     """Name the constants on which estimates lean strongly; nothing where there is none."""
-    found = [
+    warnings = [
         f'{words(name)} moves by {percent(change / 100.0, signed=True)} with 1 % more of '
         f'{words(constant)}'
         for constant, changes in sensitivity.items()
         for name, change in changes.items()
         if abs(change) > STRONG
     ]
-    if not found:
+    if not warnings:
         return ''
-    return f'<p class="fit misfit">Measure before you lean on it: {"; ".join(found)}.</p>'
+    return f'<p class="fit misfit">Measure before you lean on it: {"; ".join(warnings)}.</p>'
 
 
 def validation_table(validation: Mapping[str, Any] | None) -> str:
@@ -281,10 +281,12 @@ def validation_table(validation: Mapping[str, Any] | None) -> str:
     )
     head = ''.join(f'<th scope="col">{title}</th>' for title in titles)
     fit = validation['fit']
-    tested = f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
+    fit_text = (
+        f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
+    )
     where = (
         f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. '
-        f'{tested}'
+        f'{fit_text}'
     )
     return (
         f'<h3>Validation</h3><p class="caption">{where}</p><div '
@@ -324,8 +326,10 @@ def footer(history: RunHistory | ArchiveHistory, versions: Mapping[str, str]) ->
             for name, value in parameters.items()
         )
         parts.append(f'<dt>parameters</dt><dd><ul class="parameters">{entries}</ul></dd>')
-    made = ', '.join(f'{escape(name)} {escape(version)}' for name, version in versions.items())
-    parts.append(f'<dt>versions</dt><dd>{made}</dd>')
+    version_text = ', '.join(
+        f'{escape(name)} {escape(version)}' for name, version in versions.items()
+    )
+    parts.append(f'<dt>versions</dt><dd>{version_text}</dd>')
     return f'<footer><dl>{"".join(parts)}</dl></footer>'
 
 

@@ -160,10 +160,10 @@ def make_parser() -> argparse.ArgumentParser:
 def by_command_line(options: argparse.Namespace) -> dict[str, Any]:
     """What the command line says of writing, by the names of overridden parameters."""
     names = ('max_file_bytes', 'max_file_duration_s', 'compression', 'storage_preset_profile')
-    said = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    if said.keys() & {
+    values = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    if values.keys() & {
         'compression',
         'storage_preset_profile',
     }:  # one of them; it replaces both parameters
-        said = {'compression': 'none', 'storage_preset_profile': 'none', **said}
-    return said
+        values = {'compression': 'none', 'storage_preset_profile': 'none', **values}
+    return values

@@ -152,11 +152,11 @@ class BagRecorder(Node):
                 self._refuse(name, f'has several types: {", ".join(types)}')
                 continue
             profile = subscription_profile([e.qos_profile for e in endpoints], self._depth)
-            recorded = self._recorded.get(name)
-            if recorded is not None:
-                if needs_weaker(recorded.profile, profile):
-                    self.destroy_subscription(recorded.subscription)
-                    self._subscribe(name, recorded.type_name, profile)
+            recording = self._recorded.get(name)
+            if recording is not None:
+                if needs_weaker(recording.profile, profile):
+                    self.destroy_subscription(recording.subscription)
+                    self._subscribe(name, recording.type_name, profile)
             elif self._declare(name, types[0], endpoints):
                 self._subscribe(name, types[0], profile)
 
@@ -215,10 +215,10 @@ class BagRecorder(Node):
         subscription = self._recorded[name].subscription
         with subscription.handle:
             for _ in range(limit):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
+                serialized = subscription.handle.take_message(subscription.msg_type, True)
+                if serialized is None:
                     return False
-                self._write(name, *taken)
+                self._write(name, *serialized)
         return True
 
     def _drain(self) -> None:

@@ -101,11 +101,11 @@ class Diagnoser:
 
     def _has_namesake(self, name: str) -> bool:
         """Whether another node has our name, said once while it lasts; nobody can part them."""
-        found = [
+        node_names = [
             f'{space.rstrip("/")}/{own}'
             for own, space in self._node.get_node_names_and_namespaces()
         ]
-        has_namesake = found.count(name) > 1
+        has_namesake = node_names.count(name) > 1
         if has_namesake and not self._has_warned_of_namesake:
             self._node.get_logger().warning(NAMESAKE.format(name))
         self._has_warned_of_namesake = has_namesake

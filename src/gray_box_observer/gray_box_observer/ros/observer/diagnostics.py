@@ -193,18 +193,18 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
 
 def _failed_training(motor: str, now: Situation) -> Judgement | None:
     """What stays true whether samples come or not."""
-    seen = now.observer.motors.get(motor)
-    if seen is None or seen.training is None or seen.training.failure is None:
+    view = now.observer.motors.get(motor)
+    if view is None or view.training is None or view.training.failure is None:
         return None
-    return DiagnosticStatus.ERROR, seen.training.failure
+    return DiagnosticStatus.ERROR, view.training.failure
 
 
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     """Why no sample came of late, or too many were refused."""
     traffic = now.traffic.motors[motor]
-    refused = _refused(motor, now)
-    if refused is not None:
-        return refused
+    judgement = _refused(motor, now)
+    if judgement is not None:
+        return judgement
     if traffic.used:
         return None
     silent = [name for name, count in traffic.received.items() if count == 0]
@@ -243,13 +243,13 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     """What makes estimates worse than they could be, or will be missed later."""
     observer = now.observer
     if observer.alarm(motor):
-        changed = now.traffic.motors[motor].changes
-        followed = (
-            f'; the motor was found changed ({changed} times) and is being followed'
-            if changed
+        change_count = now.traffic.motors[motor].changes
+        change_note = (
+            f'; the motor was found changed ({change_count} times) and is being followed'
+            if change_count
             else ''
         )
-        return DiagnosticStatus.WARN, REMEDY + followed
+        return DiagnosticStatus.WARN, REMEDY + change_note
     undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
@@ -286,18 +286,18 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     doubt = contradiction(now.observer.configuration.motors[motor], estimate)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
-    changed = now.traffic.motors[motor].changes
+    change_count = now.traffic.motors[motor].changes
     if estimate.identified(0):
-        followed = ': the motor has changed and was followed' if changed else ''
+        change_note = ': the motor has changed and was followed' if change_count else ''
         return (
             DiagnosticStatus.OK,
-            f'every parameter identified{followed}{_small_print(motor, now)}',
+            f'every parameter identified{change_note}{_small_print(motor, now)}',
         )
     if now.observer.frozen:
         return DiagnosticStatus.OK, 'frozen'
     return (
         DiagnosticStatus.OK,
-        'converging: the motor has changed and is being followed' if changed else 'converging',
+        'converging: the motor has changed and is being followed' if change_count else 'converging',
     )
 
 
@@ -305,7 +305,7 @@ def _advice(motor: str, now: Situation) -> Judgement | None:
     """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
     estimate = now.observer.motors[motor].estimate
     for verdict, advice in ADVICE.items():
-        at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
+        at = [j for j, own_verdict in enumerate(estimate.verdicts[0]) if own_verdict is verdict]
         if at:
             names = [
                 f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at
@@ -316,7 +316,7 @@ def _advice(motor: str, now: Situation) -> Judgement | None:
 
 def _small_print(motor: str, now: Situation) -> str:
     """What an identified motor leans on: nearly zero parameters, and unstated assumptions."""
-    said = ''
+    note = ''
     estimate = now.observer.motors[motor].estimate
     names = [
         parameter.name
@@ -324,10 +324,10 @@ def _small_print(motor: str, now: Situation) -> str:
         if verdict is Verdict.NEGLIGIBLE
     ]
     if names:
-        said += f'; {", ".join(names)} negligible: too small to matter, and known to be'
+        note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
     assumed = assumptions(
         now.observer.configuration.motors[motor], now.observer.motors[motor].white_box
     )
     if assumed:
-        said += f'; assumed: {", ".join(assumed)}, see assumptions'
-    return said
+        note += f'; assumed: {", ".join(assumed)}, see assumptions'
+    return note

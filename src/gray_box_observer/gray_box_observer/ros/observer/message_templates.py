@@ -76,12 +76,12 @@ class TorqueMessages:
             stamp_ns: the stamp.
             torque_nm: shape (motor,).
         """
-        known = np.isfinite(torque_nm)
-        if not known.all():
+        is_finite = np.isfinite(torque_nm)
+        if not is_finite.all():
             names = tuple(
-                name for name, is_known in zip(names, known.tolist(), strict=True) if is_known
+                name for name, is_known in zip(names, is_finite.tolist(), strict=True) if is_known
             )
-            torque_nm = torque_nm[known]
+            torque_nm = torque_nm[is_finite]
         seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
         if not names or seconds not in _SECONDS:
             return None

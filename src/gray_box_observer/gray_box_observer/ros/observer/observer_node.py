@@ -227,10 +227,10 @@ class ObserverNode(LifecycleNode):
         self._begin()
         assert self._observer is not None
         if self._keeper.automatic:
-            resumed = self._keeper.resume(self._observer)
-            if resumed.refusal is not None:
-                self.get_logger().error(f'starting from the initial values: {resumed.refusal}')
-            elif resumed.found:
+            resumption = self._keeper.resume(self._observer)
+            if resumption.refusal is not None:
+                self.get_logger().error(f'starting from the initial values: {resumption.refusal}')
+            elif resumption.found:
                 self.get_logger().info(f'continuing from {self._keeper.file}')
             else:
                 self.get_logger().info(
@@ -281,16 +281,16 @@ class ObserverNode(LifecycleNode):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
         try:
-            taken = self._intake.take(name, message, arrival_ns)
-            self._outputs.results(taken.groups)
-            if name == 'voltage' and taken.names:
-                for group in self._observer.groups(taken.names):
-                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
-            for result in taken.groups:
+            input_result = self._intake.take(name, message, arrival_ns)
+            self._outputs.results(input_result.groups)
+            if name == 'voltage' and input_result.names:
+                for group in self._observer.groups(input_result.names):
+                    self._foretell(self._observer, self._outputs, group, input_result.stamp_ns)
+            for result in input_result.groups:
                 self._observer.foresee(result.group)
-            self._meter.take(taken.groups)
-            self._unsettled += taken.groups
-            if all(result.estimate is None for result in taken.groups):
+            self._meter.take(input_result.groups)
+            self._unsettled += input_result.groups
+            if all(result.estimate is None for result in input_result.groups):
                 self._settle()  # else the next prediction comes first: an update has taken its time
             if len(self._observer.incidents) != len(self._reported):
                 self._report_incidents()
@@ -298,7 +298,7 @@ class ObserverNode(LifecycleNode):
             self._stop(error)
             return
         self._meter.worked(since_s)
-        self._do_chore(quiet=bool(taken.groups) and not self._unsettled)
+        self._do_chore(quiet=bool(input_result.groups) and not self._unsettled)
 
     def _refuse(self, name: str, reason: Rejection) -> None:
         if self._intake is None or self._stop.requested:
@@ -315,11 +315,11 @@ class ObserverNode(LifecycleNode):
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
-        done, self._unsettled = self._unsettled, []
+        results, self._unsettled = self._unsettled, []
         outputs, observer = self._outputs, self._observer
         if outputs is None or observer is None:
             return
-        pending = deque(done)
+        pending = deque(results)
         while True:
             try:
                 outputs.alarms(_consumed(pending))
@@ -337,9 +337,9 @@ class ObserverNode(LifecycleNode):
         if torque_nm is not None:
             outputs.prediction(group.names, stamp_ns, torque_nm)
         horizon_s = self._configuration['horizon_s']
-        held = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
-        if held is not None:
-            outputs.forecast(group.names, *held)
+        group_forecast = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
+        if group_forecast is not None:
+            outputs.forecast(group.names, *group_forecast)
 
     def _tell(self) -> None:
         """Publish diagnostics, and alarms that no further message has led to."""
@@ -383,9 +383,11 @@ class ObserverNode(LifecycleNode):
         aside = self._keeper.forget()
         self._begin()
         self._announce(is_new=True)
-        kept = '' if aside is None else f'; the checkpoint is kept as {aside}'
+        checkpoint_note = '' if aside is None else f'; the checkpoint is kept as {aside}'
         response.success = True
-        response.message = f'everything learnt is forgotten; starting from the initial values{kept}'
+        response.message = (
+            f'everything learnt is forgotten; starting from the initial values{checkpoint_note}'
+        )
         self.get_logger().info(f'~/reset: {response.message}')
         return response
 
@@ -499,8 +501,8 @@ class ObserverNode(LifecycleNode):
     @staticmethod
     def _announce_motor(observer: Observer, outputs: Outputs, motor: str) -> None:
         outputs.alarm(motor, observer.alarm(motor))
-        estimate, identified = observer.known(motor)
-        outputs.estimate(motor, estimate, identified)
+        estimate, is_identified = observer.known(motor)
+        outputs.estimate(motor, estimate, is_identified)
         outputs.parameters_identified(
             motor, estimate.parameters, observer.parameters_identified(motor)
         )
