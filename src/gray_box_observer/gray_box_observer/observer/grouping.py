@@ -61,7 +61,7 @@ class Part:
             return pairing.torque(
                 stamp_ns, self._spread(values), self._spread(speeds), self._missing
             )
-        return pairing.take[signal](stamp_ns, self._spread(values), missing=self._missing)
+        return pairing.take[signal](stamp_ns, self._spread(values), absent=self._missing)
 
     @property
     def _missing(self) -> NDArray[np.bool_] | None:
