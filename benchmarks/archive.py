@@ -1,5 +1,4 @@
-"""What spreading an archive over two processes brings: 200 bags of 60 s, beside one process that
-reads them all.
+"""Cost of reading an archive of 200 bags of 60 s with two processes, beside one process.
 
 The clock runs from before the workers start to the last result, so that the start is paid for. Both
 engines do the same work without the predictor (``--skip-predictor``), and every digest must be
@@ -51,7 +50,7 @@ def make_archive(folder: Path, bags: int) -> list[Path]:
 def timed(
     engine: SerialEngine | ProcessEngine, work: BagWork, bags: Sequence[Path]
 ) -> tuple[float, list[BagResult]]:
-    """Read every bag; return the time on the clock in s and the results in the order of the bags."""
+    """Read every bag; return the wall time in s and the results in the order of the bags."""
     start = time.perf_counter()
     found = dict(
         tqdm(engine.run(work, bags), desc=engine.name, total=len(bags), disable=None, leave=False)

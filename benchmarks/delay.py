@@ -1,5 +1,4 @@
-"""Whether a delay between voltage and torque is found where there is one, how well, and never where
-there is none.
+"""Is a delay between voltage and torque found where there is one, and nowhere else?
 
 Pairing and the search for the delay on the eight data sets of the thesis, 100 Hz; context nodes are
 left out, they have no part in it.
@@ -39,9 +38,7 @@ CHANGES = (
 
 @dataclass(frozen=True)
 class Course:
-    """What was said of one motor's delay: the last word, and whether a delay was ever flagged or
-    suspected.
-    """
+    """Words about one motor's delay: the last one, and whether any was flagged or suspected."""
 
     last: DelayEstimate
     flagged: bool
@@ -85,8 +82,9 @@ def watch(
 def rows(
     hours: float, seconds: float, seeds: int
 ) -> Iterator[tuple[str, list[Course], list[Course], list[float], int]]:
-    """Yield, by data set: courses without delay, courses with one, normalised errors, and alarms at
-    changed motors.
+    """Yield per data set: runs without and with delay, normalised errors, false alarms.
+
+    The alarms are those at motors that changed.
     """
     seed = iter(range(1_000_000))  # no two runs share their noise
     for excitation in TABLE_5_1.values():
@@ -120,7 +118,8 @@ def main() -> int:
     quick = parser.parse_args().quick
     hours, seconds, seeds = (0.02, 60.0, 2) if quick else (1.0, 60.0, 8)
     print(
-        f'{"data":<24}{"hours without":>14}{"flags":>7}{"suspected":>11}{"delays":>8}{"found":>7}{"rms error/std":>15}'
+        f'{"data":<24}{"hours without":>14}{"flags":>7}{"suspected":>11}{"delays":>8}{"found":>7}'
+        f'{"rms error/std":>15}'
     )
     total_hours = 0.0
     flags = suspicions = delays = hits = alarms = 0
@@ -129,7 +128,8 @@ def main() -> int:
         flagged, suspected = sum(c.flagged for c in none), sum(c.suspected for c in none)
         hit, rms = sum(c.flagged for c in found), math.sqrt(float(np.mean(np.square(normalised))))
         print(
-            f'{excitation:<24}{hours * len(none):>14.2f}{flagged:>7}{suspected:>11}{len(found):>8}{hit:>7}{rms:>15.2f}',
+            f'{excitation:<24}{hours * len(none):>14.2f}{flagged:>7}{suspected:>11}'
+            f'{len(found):>8}{hit:>7}{rms:>15.2f}',
             flush=True,
         )
         total_hours += hours * len(none)

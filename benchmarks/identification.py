@@ -1,5 +1,4 @@
-"""How well and how fast are the parameters found, beside the methods that a user would otherwise
-pick?
+"""How well and how fast are the parameters found, beside the methods users would pick?
 
 Monte Carlo over seeds: five data sets, torque noise of 0, 0.5, 1 and 2 % of the torque's standard
 deviation, every method on the same recordings from the same starts. Errors are given in % and as
@@ -250,9 +249,7 @@ def _tune(pool: ProcessPoolExecutor) -> int:
 
 
 def _progress(title: str, futures: Iterable[Future[Any]]) -> list[Any]:
-    """Wait for all; the bar goes to stderr. The order is that of completion: nothing may lean on
-    it.
-    """
+    """Wait for all runs, in the order of completion; the progress bar goes to stderr."""
     waiting = list(futures)
     return [
         f.result()

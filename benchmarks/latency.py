@@ -1,5 +1,4 @@
-"""From the stamp of a sample to the publication of its prediction and estimate, beside a bare
-relay.
+"""From the stamp of a sample to its published prediction and estimate, beside a bare relay.
 
 Source, relay, observer (with its training process) and listener are processes of their own on real
 DDS. The source serves relay and observer by turns in one run, so that the machine's noise hits both
@@ -149,9 +148,7 @@ def quantiles(latency_ms: Milliseconds) -> list[float]:
 
 
 def paired_ratio(measured: dict[str, Measured]) -> float:
-    """Median over the turns of the ratio of p99 of the prediction: what a burst of noise in one
-    turn cannot move.
-    """
+    """Median over the turns of the ratio of p99 of the prediction; robust against one turn."""
     relay, observer = (measured[device] for device in DEVICES)
     ratios = []
     for turn in np.unique(relay.turn[WARM_UP:]):

@@ -1,5 +1,4 @@
-"""What the live observer costs: samples lost, CPU, memory and the wait for the first estimate,
-training on.
+"""Cost of the live observer: samples lost, CPU, memory, wait for the first estimate.
 
 Simulator and observer run as processes of their own on real DDS; the observer's training process is
 counted in. Of many motors in the same messages (``--motors 1000``) the observer publishes what it
@@ -125,9 +124,7 @@ def main() -> int:
 def follow(
     watch: Watch, simulator: subprocess.Popen[str], observer: psutil.Process, duration_s: float
 ) -> tuple[list[int], float, float]:
-    """Watch until the simulator ends; return memory in bytes over time, and CPU seconds of observer
-    and training.
-    """
+    """Watch until the simulator ends; return memory over time, CPU seconds of both processes."""
     memory: list[int] = []
     used_s = {'observer': 0.0, 'training': 0.0}
     give_up_s = time.monotonic() + duration_s + PATIENCE_S

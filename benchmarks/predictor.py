@@ -72,7 +72,10 @@ def by_set(title: str, rows: dict[str, Scores], worst: bool = False) -> str:
 
 def forecasts(rows: Sequence[OneStep]) -> str:
     """Lay out forecasts in one step."""
-    title = 'One step of any length, motors of every kind, error in % of the way left to the steady state'
+    title = (
+        'One step of any length, motors of every kind, error in % of the way left to the steady '
+        'state'
+    )
     header = [
         'time constants',
         'network, mean',
@@ -163,10 +166,16 @@ def main() -> int:
     print(
         by_set('Parameters identified on R[1,2]D[3,3], 60 s, 1 % torque noise', noisy, worst=True)
     )
-    off = f'{len(strangers)} motors never seen, L, R and K_HS each off by up to {100 * OFF:.0f} %, true parameters'
+    off = (
+        f'{len(strangers)} motors never seen, L, R and K_HS each off by up to {100 * OFF:.0f} %, '
+        'true parameters'
+    )
     print(by_set(off, unseen, worst=True))
     print(by_set(f'The same at {SLOW_HZ:g} Hz', slow, worst=True))
-    again = f'The same at {SLOW_HZ:g} Hz, another network taught from scratch, {60.0 * spent_min:.0f} s of one core'
+    again = (
+        f'The same at {SLOW_HZ:g} Hz, another network taught from scratch, {60.0 * spent_min:.0f} '
+        's of one core'
+    )
     print(by_set(again, scratch, worst=True))
     print(forecasts([one_step(duration, 2000, 1) for duration in DURATIONS]))
     steps_s = np.array(steps)

@@ -107,8 +107,7 @@ def step_cases(data: Path) -> Iterator[Case]:
 
 
 def onset_s(log: Path) -> tuple[float, float]:
-    """Time from the step of the voltage to the onset of the current and to its steepest rise, by
-    eye so to speak.
+    """Time from the voltage step to the onset of the current and to its steepest rise.
 
     The onset is where the line through the first two samples that stand out by ten standard
     deviations meets the current before; the steepest rise is the lag at which the slopes of voltage
@@ -220,9 +219,7 @@ def rows(case: Case, motor: str, estimate: Estimate) -> Iterator[str]:
 
 
 def without_measurements(benchmark: str, data: Path, *, asked: bool) -> int:
-    """Say that the logs are not there, an error only where somebody has named their folder; return
-    the exit status.
-    """
+    """Say that the logs are missing; return the exit status: 0, or an error if a folder is set."""
     what = (
         f'no measurements in {data}: expected openservocore, regbot_rev2b or fra233 with their logs'
     )
@@ -278,9 +275,7 @@ def parameters(present: Sequence[Case]) -> list[Figure]:
 
 
 def delays(present: Sequence[Case]) -> list[Figure]:
-    """Print the delays that are found in the logs of steps beside those that are seen by eye;
-    return the figures.
-    """
+    """Print the delays in the logs of steps beside those seen by eye; return the figures."""
     print(
         f'\n{"delay in ms":<28}{"found":>10}{"std":>8}{"applied":>9}{"onset":>9}{"steepest":>10}  '
         'verdict'

@@ -1,5 +1,4 @@
-"""Predicting real motors: the gray box beside its own white box and beside a plain LSTM, on what
-nobody has seen.
+"""Predicting real motors on unseen data: the gray box, its white box and a plain LSTM.
 
 Runs only where the measurements are (``../shared/data`` beside the repository, or ``--data
 FOLDER``); they are read in place and never copied. Every prediction is a free run from voltage (and
@@ -140,8 +139,9 @@ def _split(
 
 
 def _ramps(path: Path) -> Iterator[tuple[str, Task]]:
-    """The ramp with and without its speed. It cannot tell a delay from a dead zone, so none is
-    estimated.
+    """The ramp with and without its speed; no delay is estimated.
+
+    A ramp cannot tell a delay from a dead zone.
     """
     columns = (
         'time=t_s',

@@ -1,5 +1,4 @@
-"""Ten minutes in one regime, an hour in another, then back: is what was learnt beside the physics
-still known?
+"""Ten minutes in one regime, an hour in another, then back: is the first still known?
 
 The motor has something that the white box lacks, and its parameters are known: what is left is the
 residual. Everything
@@ -74,9 +73,7 @@ MOTORS = (
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Mean absolute errors over those of the white box: at the end of each part, and after coming
-    back.
-    """
+    """Mean absolute errors over those of the white box: end of each part, and after the return."""
 
     home: float
     away: float
@@ -133,9 +130,7 @@ def _missed(one: Predictor, samples: list[Sample], theta: FloatArray) -> FloatAr
 
 
 def _relative(missed: FloatArray) -> float:
-    """Mean absolute error over that of the white box, at the end and not before a second has
-    passed.
-    """
+    """Mean absolute error over the white box's, from one second before the end at the earliest."""
     judged = missed[max(round(RATE_HZ), len(missed) - round(2.0 * JUDGED_S * RATE_HZ)) :]
     own, white_box_error = np.abs(judged).mean(axis=0)
     return float(own / white_box_error)

@@ -1,5 +1,4 @@
-"""How fast the offline command reads a bag: beside reading it with mcap alone, and where its time
-goes.
+"""How fast the offline command reads a bag, beside mcap alone, and where its time goes.
 
 Whole processes are compared, interpreter and imports included, by the processor time that the
 operating system counts for them: both are single-threaded, and what else the machine does counts
@@ -37,7 +36,8 @@ ENVIRONMENT = {
     'OMP_NUM_THREADS': '1',
     'OPENBLAS_NUM_THREADS': '1',
     'MKL_NUM_THREADS': '1',
-    'PYTHONDONTWRITEBYTECODE': '',  # mcap was compiled when it was installed, this package is at its first run
+    # mcap was compiled when it was installed, this package is at its first run
+    'PYTHONDONTWRITEBYTECODE': '',
 }
 
 

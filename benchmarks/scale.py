@@ -1,5 +1,4 @@
-"""What does a motor-sample cost when there are more motors? Against as many filterpy filters, and
-against the machine.
+"""Cost of a motor-sample by number of motors, against filterpy filters and the machine.
 
 One process, one thread, CPU time (so that a busy machine does not count against anybody),
 everything in one run; where torch sees a GPU, or with ``--device``, up to a million motors on it
@@ -71,12 +70,14 @@ and are read once; and once a block, both ways, the covariance, that of long hol
 and two dozen numbers."""
 
 FLOPS = (
-    4 * 20 + 20  # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
+    # rate of the current with its two derivatives, four times, and what Runge and Kutta make of it
+    4 * 20 + 20
     + 4 * (3 + 3 * PARAMETERS) + 8 * UNKNOWNS  # the variational equation
     + 2 * (2 + PARAMETERS)  # recurrences: current, by the first current, by every coordinate
     + 2 * UNKNOWNS**2 + 2 * UNKNOWNS  # variance of the innovation
     + 2 * UNKNOWNS**2 + 2 * UNKNOWNS + 12  # normal equations, residual, limits
-    + (8 * UNKNOWNS**3 + 4 * PARAMETERS**3 + 16 * PARAMETERS**2) / BLOCK  # solves, transfer, score tests
+    # solves, transfer, score tests
+    + (8 * UNKNOWNS**3 + 4 * PARAMETERS**3 + 16 * PARAMETERS**2) / BLOCK
 )  # fmt: skip
 """Operations that the update of a motor-sample needs, products and sums alike."""
 
@@ -89,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument(
         '--device',
-        help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU that torch sees, if it '
+        help='device of torch for more rows, in wall time: cuda, cuda:1, ...; default: the GPU '
+        'that torch sees, if it '
         f'sees one; {TORCH_ON_CPU}: a try of these rows without a GPU, of few motors',
     )
     options = parser.parse_args(arguments)
@@ -189,9 +191,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def taught() -> tuple[Any, list[tuple[float, float]]]:
-    """Identify the motor of the thesis; return its context nodes and further voltages and torques
-    without noise.
-    """
+    """Identify the thesis's motor; return its context nodes and further noise-free signals."""
     from dc_motor_sim.plant import PlantParameters
     from dc_motor_sim.simulation import Simulation
 
@@ -206,11 +206,10 @@ def taught() -> tuple[Any, list[tuple[float, float]]]:
 
 
 def stream(
-    samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0, outliers: float = 0.0
+    samples: Sequence[tuple[float, float]], motors: int, count: int, begin: int = 0,
+    outliers: float = 0.0
 ) -> list[Any]:  # fmt: skip
-    """Samples of many motors, each with its own noise and a share of torques that are half too
-    large.
-    """
+    """Samples of many motors, each with its own noise; some torques are half too large."""
     random, made = np.random.default_rng([motors, begin]), []
     for k, (v, t) in enumerate(samples[begin : begin + count], start=begin):
         torque = t * np.where(random.random(motors) < outliers, 1.5, 1.0) + random.normal(
@@ -221,10 +220,10 @@ def stream(
 
 
 def update(
-    one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int, outliers: float = 0.0
+    one: Any, samples: Sequence[tuple[float, float]], motors: int, repeats: int,
+    outliers: float = 0.0
 ) -> float:  # fmt: skip
-    """CPU time in us of a motor-sample's update: the median of some runs, each of whole rounds of
-    blocks.
+    """CPU time in us of one motor-sample's update: median of runs of whole rounds of blocks.
 
     The runs follow each other in one recording, so that what comes now and then costs what it
     costs.
@@ -280,9 +279,7 @@ def settling(motors: int, count: int) -> float:
 
 
 def filters_us(motors: int, count: int) -> float:
-    """CPU time in us of a motor-sample of so many of filterpy's extended Kalman filters, one after
-    another.
-    """
+    """CPU time in us of one motor-sample in filterpy's extended Kalman filters, run in series."""
     from common.cases import CASES
     from common.study import simulate
     from common.tuning import estimators
@@ -302,9 +299,7 @@ def filters_us(motors: int, count: int) -> float:
 
 
 def machine() -> tuple[float, float]:
-    """Bandwidth of a large copy in B/s, read and write counted, and speed of a large matrix product
-    in flop/s.
-    """
+    """Bandwidth of a large copy in B/s (read and write) and speed of a matrix product in flop/s."""
     source = np.ones(20_000_000)
     target, matrix = np.zeros_like(source), np.random.default_rng(0).normal(size=(1200, 1200))
     copy_s = least(lambda: np.copyto(target, source))
@@ -323,9 +318,7 @@ def least(work: Callable[[], Any], repeats: int = 7) -> float:
 
 
 def memory(one: Any, motors: int) -> float:
-    """Arrays that context nodes hold, in kB a motor; what of the sample memory is not written to
-    yet counts too.
-    """
+    """Arrays that context nodes hold, in kB per motor; unused sample memory counts too."""
     return nbytes(rule(motors), set()) / motors / 1e3
 
 

@@ -1,5 +1,4 @@
-"""Table 5.1 of the thesis, made again: which of its four variants predicts data that it was not
-trained on?
+"""Table 5.1 of the thesis, made again: which of four variants predicts unseen data best?
 
 All variants are trained on R[1,2]D[3,3] alone, with the same network, data, learning rate and
 number of epochs, theta identified in the same run, and are judged on the eight sets of the thesis
@@ -111,9 +110,7 @@ def _plan(options: argparse.Namespace) -> Plan:
 
 
 def _run(pool: ProcessPoolExecutor, plan: Plan) -> list[Outcome]:
-    """Every variant of the package, in every setting and run; the order of the outcomes is that of
-    completion.
-    """
+    """Every variant of the package, in every setting and run, in the order of completion."""
     from common.table_5_1.study import Work, carry_out
     from tqdm import tqdm
 

@@ -1,5 +1,4 @@
-"""Whether ``identified`` can be believed: motors, drivers and sensors, most with what the white box
-leaves out.
+"""Can ``identified`` be believed? Motors, drivers and sensors, most beyond the white box.
 
 Every record is simulated here, by a simulator that shares nothing with the packages, and goes
 through the observer as ``identify --skip-predictor`` would take it. A parameter is *false* where it

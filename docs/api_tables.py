@@ -46,8 +46,10 @@ QOS_OVERRIDES = 'qos_overrides.'
 
 SERVICES = {
     'gray_box_observer/reset': 'Forget everything learnt and start from the initial values.',
-    'gray_box_observer/save': 'Write what was learnt to the checkpoint (`checkpoint.path`), all or nothing.',
-    'gray_box_observer/load': 'Take back what a checkpoint holds, bit for bit; one that does not fit is refused.',
+    'gray_box_observer/save': 'Write what was learnt to the checkpoint (`checkpoint.path`), '
+    'all or nothing.',
+    'gray_box_observer/load': 'Take back what a checkpoint holds, bit for bit; '
+    'one that does not fit is refused.',
     'gray_box_observer/freeze': 'True: stop learning and keep predicting. False: learn again.',
     'bag_player/pause': 'Stop before the next message.',
     'bag_player/resume': 'Go on.',
@@ -154,17 +156,13 @@ def simulator_rows(declaring: Any, prefix: str = '', live: bool = False) -> Iter
 
 
 def sentence(text: str) -> str:
-    """A description with a full stop, and with a capital unless it begins with a value such as
-    `rotor:`.
-    """
+    """A description with a full stop, and with a capital unless it begins with a value."""
     first = text.split(maxsplit=1)[0]
     return f'{text if first.endswith((",", ":")) else text[0].upper() + text[1:]}'.rstrip('.') + '.'
 
 
 def override_lines(seen: Seen) -> list[str]:
-    """By which parameters the quality of service of a node's topics can be changed; none where it
-    cannot.
-    """
+    """Parameters that change the quality of service of a node's topics; none where fixed."""
     names = [
         name.removeprefix(QOS_OVERRIDES) for name in seen.declared if name.startswith(QOS_OVERRIDES)
     ]

@@ -1,5 +1,4 @@
-"""Writes ``docs/API.md`` from the code: topics, services, parameters, options and exit codes. Run
-it by ``make docs``.
+"""Writes ``docs/API.md`` from the code (``make docs``): topics, services, options, exit codes.
 
 Parameters and topics come from their declarations; endpoints, services and what the nodes of bags
 declare come from nodes made here, on no network. A test fails when the committed page is not what
@@ -54,15 +53,18 @@ from gray_box_observer.settings.parameters import (
 PAGE = ROOT / 'docs' / 'API.md'
 
 TOPICS_OF_A_BAG = {
-    'recorder': 'Subscribes to what it records, of any type, with the quality of service that the publishers offer.',
-    'player': 'Publishes what the bag holds, with the quality of service recorded with it; with `clock` also `/clock`.',
+    'recorder': 'Subscribes to what it records, of any type, with the quality of service that the '
+    'publishers offer.',
+    'player': 'Publishes what the bag holds, with the quality of service recorded with it; with '
+    '`clock` also `/clock`.',
 }
 """Of the two nodes whose topics depend on a bag."""
 
 HEAD = f"""<!-- Written by `make docs` from the code; edit the declarations, not this page. -->
 # API
 
-Every executable with its options, topics, services and parameters. Names of topics are relative and can be remapped;
+Every executable with its options, topics, services and parameters. \
+Names of topics are relative and can be remapped;
 `~` is the node's own name, `<motor>` the name of a motor. All units are SI.
 
 An executable of `gray_box_observer` ends with
@@ -71,11 +73,15 @@ An executable of `gray_box_observer` ends with
 | --- | --- |
 | {running.EXIT_DONE} | it has finished, or was asked to end by SIGINT, SIGTERM or SIGHUP |
 | {running.EXIT_USER_ERROR} | the user must change something: one line on standard error says what |
-| 1 | `identify`: a defect has stopped a motor; a warning says which, what is known of the others stands |
-| {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, and some gave nothing ([archives](ARCHIVES.md)) |
-| {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; a node was interrupted a second time while it was closing |
+| 1 | `identify`: a defect has stopped a motor; a warning says which, \
+what is known of the others stands |
+| {archive_options.EXIT_SOME_FAILED} | `identify` read every bag by itself, \
+and some gave nothing ([archives](ARCHIVES.md)) |
+| {archive_options.EXIT_INTERRUPTED} | `identify` was interrupted; \
+a node was interrupted a second time while it was closing |
 
-Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, and with 1 when the plant
+Anything else is a defect, and shows its traceback. `motor_sim` ends with 0 and 2 alike, \
+and with 1 when the plant
 could not be simulated on.
 """
 

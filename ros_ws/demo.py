@@ -1,5 +1,4 @@
-"""Identifies a motor live: simulator (or a replayed bag), observer and recorder, each a process of
-its own.
+"""Identifies a motor live: simulator or replayed bag, observer, recorder, one process each.
 
 Ends with one line of JSON on stdout; everything else goes to stderr. Run it by ``make demo``.
 """
@@ -106,9 +105,7 @@ def say(text: str) -> None:
 
 
 def isolate() -> None:
-    """Keep the run to this machine and to a domain that nobody uses, unless the user has chosen
-    one.
-    """
+    """Keep the run on this machine and in an unused domain, unless the user has chosen one."""
     if 'ROS_DOMAIN_ID' not in os.environ:
         domains = random.SystemRandom().sample(range(1, 101), 100)
         os.environ['ROS_DOMAIN_ID'] = str(next((d for d in domains if _is_free(d)), domains[0]))
@@ -177,9 +174,7 @@ def follow(children: Children, watch: Any, source: Source) -> None:
 
 
 def settle(children: Children, watch: Any) -> None:
-    """Let the observer use what is on its way: until two of its reports in a row count the same
-    samples.
-    """
+    """Let the observer use what is on its way: until two reports count the same samples."""
     deadline_s = time.monotonic() + SETTLE_PATIENCE_S
     reports, counted = watch.diagnostics_count, -1
     while time.monotonic() < deadline_s:
@@ -271,9 +266,7 @@ def run_demo(options: argparse.Namespace) -> None:
 
 
 def main() -> int:
-    """Run the demo; 0 when it is through, 1 with one clear message when it could not be, 130 after
-    Ctrl-C.
-    """
+    """Run the demo; 0 when complete, 1 with one clear message on failure, 130 after Ctrl-C."""
     options = parse_arguments()
     # A background job of a script starts with SIGINT ignored, and so would every process started
     # from it.

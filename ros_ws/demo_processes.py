@@ -1,6 +1,4 @@
-"""The processes of the demo: each in a group of its own, with its output in a file, ended in good
-order.
-"""
+"""The processes of the demo: each in a group of its own, with its output in a file."""
 
 from __future__ import annotations
 
@@ -61,8 +59,7 @@ class Children:
         return self._children[name]
 
     def start(self, name: str, command: Sequence[str | Path]) -> Child:
-        """Start ``command`` in a new session: a Ctrl-C at the terminal reaches the demo alone,
-        which ends the others.
+        """Start ``command`` in a new session: Ctrl-C at the terminal reaches only the demo.
 
         Raises:
             DemoError: It cannot be started.
@@ -83,7 +80,7 @@ class Children:
         return self._children[name]
 
     def require_alive(self, *names: str) -> None:
-        """Raise a `DemoError` with the last lines of the first of these processes that has ended."""
+        """Raise a `DemoError` with the last lines of the first of these processes to end."""
         for name in names:
             child = self._children[name]
             code = child.process.poll()
@@ -122,9 +119,7 @@ class Children:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Let SIGINT and SIGTERM wait: one that strikes inside Popen would leave a process that nobody
-    knows of.
-    """
+    """Defer SIGINT and SIGTERM: one inside Popen would leave an unknown process behind."""
     arrived: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda n, _: arrived.append(n)) for number in numbers}

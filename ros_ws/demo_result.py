@@ -15,8 +15,7 @@ Values = Mapping[str, Mapping[str, float]]
 
 
 def load_truth(path: Path | None) -> Values:
-    """The true parameters by motor from a truth file; of a parameter that changes with time, its
-    last value.
+    """The true parameters by motor from a truth file; the last value of one that changes.
 
     Args:
         path: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``, or None for an
@@ -56,8 +55,7 @@ def estimates_text(estimates: Values) -> str:
 def result_of(
     estimates: Values, stds: Values, truth: Values
 ) -> dict[str, dict[str, dict[str, float | None]]]:
-    """The last live estimate of every parameter with its standard deviation and, where known, its
-    truth.
+    """The last live estimate of every parameter with standard deviation and, if known, truth.
 
     Args:
         estimates: SI units, by motor and parameter.

@@ -56,8 +56,7 @@ def simulator(
     seed: int,
     torque_noise: float,
 ) -> Source:
-    """The simulated motor of the thesis; without a parameter file the observer starts three times
-    off.
+    """The thesis's motor, simulated; without a parameter file the observer starts off by three.
 
     Args:
         run: folder for the files that it needs.

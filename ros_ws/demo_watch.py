@@ -71,9 +71,7 @@ class Watch:
             self._executor.spin_once(timeout_sec=0.0)
 
     def samples_used(self) -> int | None:
-        """Torque samples that the observer says it has used, over all motors; None before it says
-        so.
-        """
+        """Torque samples that the observer reports as used, over all motors; None at first."""
         key = 'samples used'
         counts = [int(values[key]) for values in self.diagnostics.values() if key in values]
         return sum(counts) if counts else None

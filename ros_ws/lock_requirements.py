@@ -1,5 +1,4 @@
-"""Write ``requirements/locked/``: every package that a set-up installs, with its version and the
-hashes of its files.
+"""Write ``requirements/locked/``: every installed package with its version and file hashes.
 
     ros_ws/run.sh python ros_ws/lock_requirements.py [--upgrade]
 

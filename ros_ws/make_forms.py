@@ -1,5 +1,4 @@
-"""Writes the forms of the declared motor: ``forms.py`` for numbers, arrays and tensors, ``forms.h``
-for compiled code.
+"""Writes the declared motor as ``forms.py`` (numbers, arrays, tensors) and ``forms.h`` (C).
 
     make physics        # ros_ws/run.sh python ros_ws/make_forms.py [--check]
 
@@ -65,9 +64,7 @@ class _Printer(PythonCodePrinter):  # type: ignore[misc]
 
 
 def parsed(formula: str) -> Expression:
-    """Turn a formula into an expression, in which symbols stand for fractions: these stay as they
-    are written.
-    """
+    """Turn a formula into an expression with symbols for fractions, which stay as written."""
     expression = sympy.sympify(formula, locals=SYMBOLS)
     strange = expression.free_symbols - set(SYMBOLS.values())
     if strange:
@@ -167,7 +164,10 @@ def _form(key: str, arguments: Sequence[str], formula: str) -> list[str]:
 
 # --- for compiled code
 
-_TERM = f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, box->torque_constant);'
+_TERM = (
+    f'const Term t = term(of.codes[{{}}], of.speed_measured, {", ".join(SIGNALS)}, '
+    f'box->torque_constant);'
+)
 UNKNOWN = Loop('for (int j = 1; j < of.coordinates; j++)', _TERM.format('j - 1'))
 KNOWN = Loop('for (int k = 0; k < of.known; k++)', _TERM.format('of.coordinates - 1 + k'))
 COORDINATES = Loop('for (int j = 0; j < of.coordinates; j++)')
@@ -181,9 +181,7 @@ class _List:
 
 
 class _WhiteBox:
-    """A motor of whatever terms: the balances are those of every motor, with terms that stand in
-    loops.
-    """
+    """A motor of any terms: the balances of every motor, with the terms in loops."""
 
     def balances(self, signal: Written) -> list[Balance]:
         """Return the balance of every state."""
@@ -226,9 +224,7 @@ def _drive(formula: str) -> Form | None:
 
 
 def _function(names: Sequence[str], expression: Expression) -> Callable[..., Any]:
-    """Return a function that works out an expression, of numbers as well as of what is written
-    down.
-    """
+    """Return a function that evaluates an expression, for numbers and for traced symbols."""
     numbers = sorted((s for s in expression.free_symbols if str(s).startswith(NUMBER)), key=str)
     arguments = [*(SYMBOLS[name] for name in names), *numbers]
     made = sympy.lambdify(arguments, expression, [{'sign': sign}], _Printer, dummify=True)
@@ -256,8 +252,8 @@ def c_forms() -> str:
     for name, argument, expression, description in relations():
         lines += [f'/* {description} */']
         lines += [
-            f'INLINE Real {name}(Real {argument}, Real torque_constant) '
-            f'{{ return {in_c(expression)}; }}',
+            f'INLINE Real {name}(Real {argument}, Real torque_constant)',
+            *braces([f'return {in_c(expression)};']),
             '',
         ]
     lines += ['/* A term for a coefficient of one, and its derivatives. */']
@@ -327,7 +323,10 @@ def _runge_kutta_step() -> list[str]:
 
     def rate_at(states: Sequence[Written], speed: Written) -> flow.Linear:
         name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in COMPILED)
-        call = f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, {{{len(COMPILED)}}});'
+        call = (
+            f'const Linear {name} = rate_of(box, of, (Real[]){{{{{places}}}}}, over->voltage, '
+            f'{{{len(COMPILED)}}});'
+        )
         made = Written(name, (*states, speed), declared=call)
         return _linear('{0}.').mapped(
             lambda member: Written(member.text, (made,), every=member.every)

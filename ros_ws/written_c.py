@@ -1,5 +1,4 @@
-"""Stands in for numbers in a function and writes down in C what the function computes, operation by
-operation.
+"""Stands in for numbers in a function and writes its operations down in C, one by one.
 
 A number that there is one of for every term or coordinate is written inside a loop. What is used
 twice gets a name.
@@ -35,7 +34,8 @@ class Written:
     """
 
     def __init__(
-        self, text: str, operands: tuple[Written, ...] = (), every: Loop | None = None, declared: str = ''
+        self, text: str, operands: tuple[Written, ...] = (), every: Loop | None = None,
+        declared: str = ''
     ) -> None:  # fmt: skip
         self.text = text
         self.operands = operands

@@ -1,6 +1,4 @@
-"""What tests of real nodes share: a domain of their own, the test's own node in it, and the
-processes it starts.
-"""
+"""Tests of real nodes share this: a domain and node of their own, and started processes."""
 
 from __future__ import annotations
 
@@ -41,8 +39,7 @@ def _free_domain() -> int:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let a test on real DDS be tried once more where its process ended, and only there: a test
-    that fails, fails.
+    """Repeat a test on real DDS once if its process ended; a test that fails still fails.
 
     Fast DDS has died of a segmentation fault while a participant was being deleted. The run tells
     of it (``rerun``).
@@ -67,9 +64,7 @@ class Peer:
         self._running: list[subprocess.Popen[str]] = []
 
     def start(self, module: str, *arguments: str, **parameters: object) -> subprocess.Popen[str]:
-        """Start a module or a script; ``motor__resistance=2.0`` sets its parameter
-        ``motor.resistance``.
-        """
+        """Start a module or script; ``motor__resistance=2.0`` sets ``motor.resistance``."""
         program = [module] if module.endswith('.py') else ['-m', module]
         command = [sys.executable, *program, *arguments]
         if parameters and '--ros-args' not in arguments:

@@ -31,13 +31,14 @@ def test_the_page_is_what_the_code_says():
 
 @pytest.mark.system
 def test_a_page_that_says_something_else_is_found(tmp_path: Path):
-    """The check itself is tried on a copy of the repository's script whose page was changed by
-    hand.
-    """
+    """The check itself is tried on a copy of the script whose page was changed by hand."""
     wrong = PAGE.replace('| `gap_s` | double | s | `0.5`', '| `gap_s` | double | s | `5.0`')
     assert wrong != PAGE
     (tmp_path / 'API.md').write_text(wrong, encoding='utf-8')
-    script = f'import sys; sys.path.insert(0, {str(MAKE.parent)!r}); import make_api; from pathlib import Path; '
+    script = (
+        f'import sys; sys.path.insert(0, {str(MAKE.parent)!r}); import make_api; from pathlib '
+        'import Path; '
+    )
     script += (
         f'make_api.PAGE = Path({str(tmp_path / "API.md")!r}); sys.exit(make_api.main(["--check"]))'
     )

@@ -1,6 +1,4 @@
-"""Everything that this repository starts stays on this host, unless the user has said anything
-about discovery.
-"""
+"""Everything started by this repository stays on this host, unless the user decides."""
 
 from __future__ import annotations
 

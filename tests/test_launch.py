@@ -225,9 +225,7 @@ def test_a_number_that_is_none_is_refused_by_name(path: Path, name: str):
 
 @pytest.mark.usefixtures('stand_ins')
 def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
-    """``launch_ros`` ends with an error where a managed node is launched and a second end is asked
-    for.
-    """
+    """``launch_ros`` fails when a managed node is launched and a second end is asked for."""
     _, nodes = launched(DEMO)
     assert {n.executable: (type(n), type(n.on_exit)) for n in nodes} == dict.fromkeys(
         ('observer', 'recorder', 'motor_sim'), (Node, Shutdown)
@@ -272,7 +270,7 @@ def test_the_demo_takes_a_namespace_and_a_parameter_file_for_all_of_its_nodes(tm
 @pytest.mark.usefixtures('stand_ins')
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=IDS)
 def test_what_is_launched_stays_on_this_host_unless_the_user_has_decided(path: Path):
-    """A variable of the launch itself would cut off whatever an including file launches afterwards."""
+    """A variable of the launch itself would affect whatever an including file launches next."""
     environment = {'HOME': '/home'}
     _, nodes = launched(path, environment)
     assert [node.additional_env for node in nodes] == [

@@ -1,6 +1,4 @@
-"""Every topic, field and key in the layouts of Foxglove and PlotJuggler is one that the nodes
-really publish.
-"""
+"""Every topic, field and key in the Foxglove and PlotJuggler layouts is really published."""
 
 from __future__ import annotations
 
@@ -80,9 +78,7 @@ def foxglove_path(text: str) -> LayoutPath:
 
 
 def plotjuggler_path(text: str) -> LayoutPath:
-    """Split `/topic/field[0]`, or `/topic/joint/field` as PlotJuggler calls the values of a
-    JointState.
-    """
+    """Split `/topic/field[0]`, or `/topic/joint/field` as PlotJuggler names joint values."""
     topic = max((name for name in DECLARED if text.startswith(f'{name}/')), key=len, default='')
     assert topic, f'{text}: no such topic'
     rest = text.removeprefix(f'{topic}/')

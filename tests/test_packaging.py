@@ -1,6 +1,4 @@
-"""The packages are what their descriptions say: manifests, entry points, installed files,
-dependencies, borders.
-"""
+"""The packages match their descriptions: manifests, entry points, files, dependencies."""
 
 from __future__ import annotations
 
@@ -42,7 +40,8 @@ import importlib, re, sys
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         top = name.partition('.')[0]
-        if re.fullmatch(r'rclpy|launch(_ros)?|(ament|ros|rosidl|rcl)_.*|.*_(msgs|srvs|interfaces)', top):
+        ros = r'rclpy|launch(_ros)?|(ament|ros|rosidl|rcl)_.*|.*_(msgs|srvs|interfaces)'
+        if re.fullmatch(ros, top):
             raise ImportError(f'a core imported {name}')
 
 sys.meta_path.insert(0, NoRos())
@@ -61,9 +60,7 @@ def core_modules(package: str) -> list[str]:
 
 
 def imported(paths: list[Path]) -> set[str]:
-    """Top-level names of everything that the files import, wherever in them, less the standard
-    library.
-    """
+    """Top-level names of all imports in the files, less the standard library."""
     names: set[str] = set()
     for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
@@ -254,7 +251,7 @@ def test_a_library_that_cannot_be_built_anew_does_not_stay(tmp_path: Path) -> No
 
 
 def test_everything_that_is_pinned_is_locked_in_that_version_with_hashes_and_without_any_address():
-    """`ros_ws/lock_requirements.py` writes the locked lists; it has to be run when a pin changes."""
+    """`ros_ws/lock_requirements.py` writes the locked lists; run it when a pin changes."""
     locked: dict[str, set[str]] = {}
     for path in (ROOT / 'ros_ws' / 'requirements' / 'locked').glob('*.txt'):
         text = path.read_text(encoding='utf-8')

@@ -1,6 +1,4 @@
-"""Every node has an SROS2 policy that is well-formed and grants what the running node takes, no
-more and no less.
-"""
+"""Every node has a valid SROS2 policy that grants what it takes, no more and no less."""
 
 from __future__ import annotations
 
@@ -95,7 +93,7 @@ def profile_of(path: Path) -> ET.Element:
 
 
 def granted(path: Path) -> set[Right]:
-    """The rights in a policy, with the full names that SROS2 makes of `~/name`, `name` and `/name`."""
+    """The rights in a policy, with the full names that SROS2 makes of its short ones."""
     profile = profile_of(path)
     namespace, node = profile.attrib['ns'].rstrip('/'), profile.attrib['node']
     full = set()
@@ -145,9 +143,7 @@ def start_simulator(peer: Any, folder: Path) -> subprocess.Popen[str]:
 
 
 def start_observer(peer: Any, folder: Path) -> subprocess.Popen[str]:
-    """The observer with everything that takes a right: all context nodes, a horizon, simulated
-    time.
-    """
+    """The observer with all that takes a right: context nodes, horizon, simulated time."""
     nodes = ', '.join(sorted(TERMS, key=lambda name: name != 'inductance'))
     (folder / 'all.yaml').write_text(
         '/**:\n  ros__parameters:\n    use_sim_time: true\n    horizon_s: 0.1\n'
@@ -164,9 +160,7 @@ def start_observer(peer: Any, folder: Path) -> subprocess.Popen[str]:
 
 
 def start_recorder(peer: Any, folder: Path) -> subprocess.Popen[str]:
-    """The recorder in simulated time, beside publishers of everything that it records without being
-    asked.
-    """
+    """The recorder in simulated time, beside publishers of all that it records by default."""
     clock = peer.node.create_publisher(Clock, '/clock', simulated.CLOCK_QOS)
     ticks = itertools.count(1)
     peer.node.create_timer(0.05, lambda: clock.publish(Clock(clock=Time(sec=next(ticks)))))

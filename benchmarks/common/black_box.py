@@ -85,9 +85,7 @@ class BlackBox:
     def _taught(
         self, hidden: int, steps: int, rate: float, seed: int
     ) -> tuple[float, Weights, float]:
-        """Return the lowest judged error on the way, the network that had it, and the learning
-        rate.
-        """
+        """Return the lowest judged error so far, the network that had it, and the learning rate."""
         random = np.random.default_rng([seed, hidden])
         network = TorchNetwork.of(Weights.initial(self._x[0].shape[1], hidden, seed))
         optimiser = torch.optim.AdamW(network.trainable(), rate, weight_decay=1e-3)
@@ -108,9 +106,7 @@ class BlackBox:
     def _windows(
         self, random: np.random.Generator
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Draw the windows of a step, filled up behind the ends of short recordings with what does
-        not count.
-        """
+        """Draw the windows of a step; short recordings are padded with samples of no weight."""
         lengths = np.array([len(y) for y in self._y])
         drawn = []
         for which in random.choice(lengths.size, WINDOWS, p=lengths / lengths.sum()):
@@ -131,9 +127,7 @@ class BlackBox:
         return x, y, counts
 
     def _judged(self, network: TorchNetwork) -> float:
-        """Mean absolute error of the free run over the samples that judge, in units of the torque's
-        spread.
-        """
+        """Mean absolute error of the free run over the judged samples, in spreads of the torque."""
         with torch.no_grad():
             missed = [
                 (network(x[None])[0] - y)[j].abs()

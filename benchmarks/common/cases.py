@@ -163,9 +163,7 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Clean:
-    """Noise-free recordings of one case, a motor a seed: noise is added to them as often as it is
-    wanted.
-    """
+    """Noise-free recordings of one case, one motor per seed; noise is added to copies later."""
 
     case: Case
     seeds: tuple[int, ...]
@@ -177,8 +175,7 @@ class Clean:
     def record(
         self, seed: int, noise: float, *, outliers: str = '', either_way: bool = False
     ) -> Record:
-        """Add white torque noise, and where asked gross outliers to ``torque`` or ``voltage``, all
-        seeded.
+        """Add white torque noise and, where asked, gross outliers to ``torque`` or ``voltage``.
 
         One sample in a hundred is an outlier, by up to 20 standard deviations: of the torque noise,
         or for the voltage of the same fraction of its own spread.

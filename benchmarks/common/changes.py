@@ -1,6 +1,4 @@
-"""Motors that change while they are identified: a step, a slow climb of R, and an hour in which
-nothing happens.
-"""
+"""Motors that change while they are identified: a step, a slow climb of R, and a quiet hour."""
 
 from __future__ import annotations
 
@@ -51,9 +49,7 @@ class Followed:
 
 
 def watch(step: Step, case: Case, seed: int, build: Build) -> Followed:
-    """Change a parameter at an instant that differs with the seed, so that no method's own rhythm
-    meets it in step.
-    """
+    """Change a parameter at an instant that the seed draws, so that no method is in step."""
     at_s = 20.0 + float(np.random.default_rng([seed, 30]).uniform(0.0, 4.0))
     value = step.factor * float(getattr(case.plant, step.parameter))
     schedule = [f'motor.{step.parameter}={value:g}@{at_s:.4f}']
@@ -104,9 +100,7 @@ def climb(case: Case, seed: int, build: Build) -> Climbed:
 
 
 def learnt(build: Build, record: Record, stds: FloatArray | None = None) -> FloatArray:
-    """Values after every sample, shape (sample, parameter), inf where the method failed; fill in
-    what it states.
-    """
+    """Values after every sample, shape (sample, parameter); inf where the method failed."""
     rows = np.full((record.stamp_ns.size, record.case.truth.size), np.inf)
     try:
         estimator = build(record)
@@ -126,8 +120,7 @@ def learnt(build: Build, record: Record, stds: FloatArray | None = None) -> Floa
 
 
 def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
-    """Let the last voltage of a recording go on; return the least ratio of each standard deviation
-    to the one before.
+    """Hold the last voltage on; return the least ratio of each standard deviation to the previous.
 
     Before is two seconds into the hold: the transition that the recording ended in still tells of
     all parameters.
@@ -156,9 +149,7 @@ def hold(estimator: OwnRule, record: Record, seconds: float) -> FloatArray:
 
 
 def _steady_nm(record: Record) -> FloatArray:
-    """The true torque that follows a recording while its last voltage is held, until it has
-    settled.
-    """
+    """The true torque after a recording while its last voltage is held, until it has settled."""
     case, count = record.case, 20 * round(record.case.rate_hz)
     held = Inputs(
         np.full(count, 1.0 / case.rate_hz),

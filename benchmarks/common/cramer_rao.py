@@ -1,5 +1,4 @@
-"""The Cramer-Rao bound: how well anyone could know the parameters from a recording (docs/METHOD.md,
-The bound).
+"""The Cramer-Rao bound: the least error that a recording allows (docs/METHOD.md, The bound).
 
 For white torque noise of standard deviation s, no unbiased estimate has a covariance below ``s^2
 (sum_k S_k S_k')^-1``, where ``S_k`` is the derivative of the noise-free output by the unknowns: the
@@ -41,16 +40,12 @@ def reference_noise_a(record: Record) -> float:
 
 
 def bound(record: Record) -> FloatArray:
-    """Smallest standard deviation of each parameter at the end, as a fraction of its value, shape
-    (parameter,).
-    """
+    """Smallest relative standard deviation of each parameter at the end, shape (parameter,)."""
     return bound_over_time(record, np.array([record.stamp_ns.size - 1]))[0]
 
 
 def bound_over_time(record: Record, samples: FloatArray) -> FloatArray:
-    """The bound of everything up to the given samples, shape (len(samples), parameter); inf where
-    nothing is known.
-    """
+    """The bound at the given samples, shape (len(samples), parameter); inf without information."""
     gathered = information(record)[np.asarray(samples, dtype=int)]
     scale = np.sqrt(np.maximum(np.diagonal(gathered, axis1=1, axis2=2), 1e-300))
     normalised = gathered / (scale[:, :, None] * scale[:, None, :])

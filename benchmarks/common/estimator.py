@@ -82,9 +82,7 @@ class OwnRule:
 
 
 def samples_of(record: Record) -> list[Sample]:
-    """Turn a recording into the observer's samples: each with the voltage of the interval that led
-    to it.
-    """
+    """Turn a recording into samples of the observer, each with the voltage before it."""
     inputs = record.inputs
     intervals = np.concatenate([[0.0], inputs.interval_s])
     voltages = np.concatenate([[0.0], inputs.voltage_v])

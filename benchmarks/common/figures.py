@@ -1,6 +1,4 @@
-"""How a benchmark tells its results: figures with goals, plain tables, and one line of JSON at the
-end.
-"""
+"""Results of a benchmark: figures with goals, plain tables, and one line of JSON at the end."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ class Figure:
 
     @property
     def met(self) -> bool | None:
-        """Whether the goal is reached; None without a goal, a value or a run large enough to tell."""
+        """Whether the goal is reached; None without a goal, a value or a large enough run."""
         if self.value is None or self.goal is None or not self.counts:
             return None
         if isinstance(self.goal, tuple):

@@ -126,9 +126,7 @@ class _Problem:
         return p[0] * v - drop
 
     def ahead(self, i: float, p: list[float], k: int) -> tuple[float, float]:
-        """Return the current at sample k from that at k - 1, by one Runge-Kutta step, and the one
-        halfway.
-        """
+        """Return the currents at sample k and halfway to it, by one Runge-Kutta step from k - 1."""
         h, v = self.interval[k], self.voltage[k]
         w0, w1 = self.speed[k - 1], self.speed[k]
         wm = 0.5 * (w0 + w1)
@@ -139,9 +137,7 @@ class _Problem:
         return i + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4), i + 0.5 * h * k2
 
     def jacobian(self, im: float, p: list[float], k: int) -> list[float]:
-        """First row of the transition's Jacobian, the rate linearised halfway: exact to third order
-        in the step.
-        """
+        """First row of the transition's Jacobian, linearised halfway: third order in the step."""
         h, v = self.interval[k], self.voltage[k]
         kt, kb = self.kt, self.kb
         if self.rotor:

@@ -1,6 +1,4 @@
-"""Peers: padasip's recursive least squares on differences, and scipy's batch output-error least
-squares.
-"""
+"""Peers: recursive least squares of padasip and batch output-error least squares of scipy."""
 
 from __future__ import annotations
 
@@ -39,8 +37,9 @@ class RecursiveSettings:
 
 
 def differences(record: Record, stride: int, integrated: bool) -> tuple[FloatArray, FloatArray]:
-    """Regressors, shape (n, parameter), and target in V of ``mean(V - Kb w) = L di/dt + R mean(i) +
-    K mean(|w| i)``.
+    """Regressors, shape (n, parameter), and target in V of the voltage balance over one interval.
+
+    The balance is ``mean(V - Kb w) = L di/dt + R mean(i) + K mean(|w| i)``.
 
     The derivative is the difference over ``stride`` samples; the means are of the trapezoidal rule
     over all of them, or over their two ends. Row k belongs to the window that ends at sample k +
@@ -72,9 +71,7 @@ def differences(record: Record, stride: int, integrated: bool) -> tuple[FloatArr
 
 
 class Recursive:
-    """padasip's FilterRLS on one recording; regressors in units of the start, so that one ``eps``
-    serves all.
-    """
+    """padasip's FilterRLS on one recording; regressors are scaled by the start, for one ``eps``."""
 
     def __init__(self, record: Record, settings: RecursiveSettings) -> None:
         self._stride = settings.stride
@@ -100,16 +97,12 @@ class Recursive:
 
     @property
     def covariance(self) -> None:
-        """None: the residuals of differences are not white, so the filter's matrix is no
-        covariance.
-        """
+        """None: residuals of differences are not white, so the matrix is not a covariance."""
         return
 
 
 def linear_start(record: Record, samples: int) -> FloatArray:
-    """Ordinary least squares of the integrated equation over windows of the first samples, shape
-    (parameter,).
-    """
+    """Ordinary least squares of the integrated equation over first windows, shape (parameter,)."""
     stride = min(START_WINDOW, max(1, samples // 4))
     phi, target = differences(record, stride, integrated=True)
     used = max(len(record.case.parameters), samples - stride)

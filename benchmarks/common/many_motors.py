@@ -1,6 +1,4 @@
-"""Motors of the thesis by the thousand, for benchmarks of what they cost: physics, rules, samples
-as arrays.
-"""
+"""Thousands of the thesis's motors for benchmarks of cost: physics, settings, sample arrays."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ def sample(k: int, voltage_v: Any, torque_nm: Any) -> Any:
 def one_predictor(
     motors: int, device: str | None = None, replay_capacity: int = 6000
 ) -> tuple[Any, Any]:
-    """A predictor that is not trained, and the parameters of its motors, shape (motor, parameter)."""
+    """An untrained predictor, and the parameters of its motors, shape (motor, parameter)."""
     from gray_box_observer.predictor import Predictor, TrainingRules
 
     theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))

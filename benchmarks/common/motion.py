@@ -1,5 +1,4 @@
-"""The benchmarks' own solution of the motor equation, with sensitivities: a second opinion on the
-packages'.
+"""The benchmarks' own solution of the motor equation, with sensitivities, as a cross-check.
 
 ``L di/dt = V - R i - Kb w - K_HS |w| i`` (docs/METHOD.md, The form) over held voltages, in the
 physical parameters themselves. All intervals are stepped at once, each from a guess of its start;
@@ -170,9 +169,7 @@ def solve(
 
 
 def _chain(by_start: FloatArray, forcing: FloatArray) -> FloatArray:
-    """Solve ``y_0 = f_0``, ``y_{k+1} = a_k y_k + f_{k+1}``; forcing has shape (n + 1,) or (n + 1,
-    columns).
-    """
+    """Solve ``y_0 = f_0``, ``y_{k+1} = a_k y_k + f_{k+1}``; forcing has time on its first axis."""
     bands = np.ones((2, by_start.size + 1))
     bands[1, :-1] = -by_start
     result: FloatArray = solve_banded((1, 0), bands, forcing, check_finite=False)

@@ -32,8 +32,7 @@ RATE_HZ = 100.0
 
 
 def device_of(asked: str | None) -> str | None:
-    """The device that was asked for; else the GPU that torch sees, if there is torch and it sees
-    one.
+    """The requested device; without a request, the GPU that torch sees, or None.
 
     Raises:
         ConfigurationError: there is no such device.
@@ -86,9 +85,7 @@ def rows_on_device(
 def update(
     device: str, one: Any, samples: Sequence[tuple[float, float]], motors: int, rounds: int = ROUNDS
 ) -> float:
-    """Wall time in us of a motor-sample's update: whole rounds of blocks, the first of which is not
-    counted.
-    """
+    """Wall time in us of one motor-sample's update over whole rounds of blocks after the first."""
     plain, arrays = one.state()
     arrays = {**arrays, 'replay': arrays['replay'][:, :, -2 * BLOCK :]}
     nodes = rule(motors, CAPACITY, device)

@@ -1,6 +1,4 @@
-"""Free runs of the predictor against simulated motors: what the benchmark of the predictor
-measures.
-"""
+"""Free runs of the predictor against simulated motors: what the predictor benchmark measures."""
 
 from __future__ import annotations
 
@@ -56,7 +54,7 @@ class NoTraining:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Mean absolute errors of the free run in % of the torque's standard deviation, shape (motor,)."""
+    """Mean absolute errors of the free run in % of the torque's spread, shape (motor,)."""
 
     network: FloatArray
     untrained: FloatArray
@@ -88,9 +86,7 @@ def record(
     rate_hz: float = 100.0,
     **more: Any,
 ) -> Recording:
-    """Simulate motors together, finely enough that the simulator's error is far below what is
-    measured.
-    """
+    """Simulate motors together, with an error of the simulator far below what is measured."""
     step_s = 1.0 / (SOLVER_STEPS_PER_SAMPLE * max(rate_hz, 100.0))
     named = {f'motor{k}': plant for k, plant in enumerate(plants)}
     made = Simulation(
@@ -133,8 +129,9 @@ def free_run(
     network: dict[str, FloatArray] | None,
     start: str,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict every sample from voltages alone; return the network's and the white box's torque,
-    (motor, sample).
+    """Predict every sample from voltages alone; return network's and white box's torque.
+
+    Both have shape (motor, sample).
     """
     made = Predictor(
         white_box(plants),
@@ -213,9 +210,7 @@ class OneStep:
 
 
 def one_step(duration: float, count: int, seed: int) -> OneStep:
-    """Forecast motors of every kind (brushes and all four quadrants among them) over one interval
-    of a given length.
-    """
+    """Forecast motors of every kind, brushes and four quadrants included, over one interval."""
     drawn = draw_family(np.random.default_rng([seed, 40]), count, 1)
     columns, zero = list(drawn.theta.T), np.zeros(count)
     way = course(np, drawn.white_box, columns, drawn.voltage_v[:, 0], zero, zero)
@@ -273,9 +268,7 @@ def after_a_step(
 
 
 def microseconds(recording: Recording) -> tuple[float, float]:
-    """Median time of one prediction (network, steady state and rollout) and of learning the sample,
-    one motor.
-    """
+    """Median time of one prediction and of learning the sample, for one motor."""
     theta = theta_of([THESIS_MOTOR])
     made = Predictor(
         white_box([THESIS_MOTOR]), 1, theta[0], TrainingRules(), NoTraining(), speed_measured=False

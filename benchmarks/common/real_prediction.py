@@ -145,9 +145,7 @@ def _scores(test: Sequence[Sample], said: dict[str, FloatArray], from_s: float) 
 
 
 def identified(task: Task) -> tuple[Observer, list[list[Sample]]]:
-    """Run the observer over what is known; return it and the signal histories with the delay that
-    it has found.
-    """
+    """Run the observer over the first part; return it and histories with the estimated delay."""
     observer, _ = _run(task.known, task.parameters)
     delay_s = observer.delays()['motor'].applied_s
     return observer, histories_of(task.known, {**task.parameters, 'motor.delay': delay_s})
@@ -195,8 +193,9 @@ def _first_rows(log: Log) -> str:
 
 
 def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
-    """Rows of comma-separated numbers under a line of names, one column so many rows later; its
-    first number holds.
+    """Numeric columns of a comma-separated text below a line of names; each value holds on.
+
+    There is one row every so many lines; the first number of a column holds until the next.
     """
     rows, at = (
         [line.split(',') for line in lines[head:]],
@@ -210,9 +209,7 @@ def _moved(lines: Sequence[str], head: int, column: str, by: int) -> list[str]:
 
 
 def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
-    """Signals of a history, each of shape (time,); a speed that did not come is that of the sample
-    before.
-    """
+    """Signals of a history, each of shape (time,); a missing speed repeats the previous one."""
     names = ('interval_s', 'voltage_v', 'torque_nm', 'speed_rad_s')
     made = {name: np.array([getattr(sample, name)[0] for sample in history]) for name in names}
     known = np.isfinite(made['speed_rad_s'])
@@ -225,9 +222,7 @@ def series(history: Sequence[Sample]) -> dict[str, FloatArray]:
 def trained(
     observer: Observer, histories: Sequence[Sequence[Sample]], seed: int, rounds: int
 ) -> dict[str, Any]:
-    """Run rounds of the package's trainer over all histories; return the arrays of networks and
-    correction.
-    """
+    """Run rounds of the package's trainer over all histories; return the learned arrays."""
     motor = observer.motors['motor']
     estimate = motor.estimate
     parts = [series(history) for history in histories]
@@ -255,9 +250,7 @@ def trained(
 def free_run(
     observer: Observer, test: Sequence[Sample], theta: FloatArray, network: dict[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict a history from its voltages (and speeds); return the predictor's torque and the white
-    box's, (time,).
-    """
+    """Predict a history from voltages (and speeds); return torques of predictor and white box."""
     box = observer.motors['motor'].white_box
     made = Predictor(
         box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured
@@ -285,9 +278,7 @@ def black_box(
 
 
 def _inputs(part: dict[str, FloatArray]) -> FloatArray:
-    """Voltage of the interval and, where it is measured, the speed at its beginning: what the gray
-    box is shown.
-    """
+    """Voltage of the interval and, where measured, the speed at its beginning."""
     columns = [part['voltage_v']]
     if np.all(np.isfinite(part['speed_rad_s'])):
         columns.append(np.concatenate([part['speed_rad_s'][:1], part['speed_rad_s'][:-1]]))

@@ -106,7 +106,10 @@ def _table(results: Results, case: Case, noise: float, either_way: bool) -> str:
         rows.append(['Cramer-Rao bound', *(number(100.0 * v) for v in limits), *blank])
     length = f'{runs[0][2][-1]:.0f} s at {case.rate_hz:g} Hz' if runs else ''
     start = f'; start: {STARTS[either_way]}' if noise == 0.01 else ''
-    return f'{case.name}: {case.excitation}, {length}, noise {100 * noise:g} %{start}\n{table(header, rows)}'
+    return (
+        f'{case.name}: {case.excitation}, {length}, noise {100 * noise:g} '
+        f'%{start}\n{table(header, rows)}'
+    )
 
 
 def _cells(row: Summary) -> list[str]:
@@ -168,9 +171,7 @@ def _settled(results: Results, method: str, case: Case, step: str) -> float | No
 
 
 def _climb(results: Results, method: str, case: Case) -> list[str]:
-    """Root mean square error of each parameter during a slow climb of R, in % and in stated
-    standard deviations.
-    """
+    """Root mean square error of each parameter during a slow climb of R, in % and in std."""
     climbs = [
         o.climbs[method] for o in results.outcomes if o.case == case.name and method in o.climbs
     ]
@@ -182,8 +183,9 @@ def _climb(results: Results, method: str, case: Case) -> list[str]:
 
 
 def _moved(results: Results, method: str, case: Case, kind: str) -> float | None:
-    """How far outliers move an estimate, in units of its error without them; the worst parameter,
-    RMS over seeds.
+    """Shift of an estimate by outliers, in units of its error without them, RMS over seeds.
+
+    The worst parameter counts.
     """
     moves = [
         o.moved[method, kind]
@@ -329,9 +331,7 @@ def _figures_of_other(results: Results, method: str, case: Case) -> list[Figure]
 
 
 def _against_peers(results: Results, method: str, case: Case, either_way: bool) -> list[Figure]:
-    """Ours over the best online peer: root mean square multiple of the bound over parameters and
-    all common seeds.
-    """
+    """Ours over the best online peer: RMS multiple of the bound, parameters and common seeds."""
     ratios = {}
     for name in [name for name in results.plan.methods if name in PEERS]:
         seeds = results.plan.own_seeds if name in results.plan.rivals else results.plan.seeds

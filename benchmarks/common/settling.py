@@ -8,8 +8,7 @@ from common.motion import FloatArray
 
 
 def settled_s(deviation: FloatArray, time_s: FloatArray, tolerance: float) -> float:
-    """First instant from which the deviation stays within the tolerance to the end; inf if there is
-    none.
+    """First instant from which the deviation stays within the tolerance; inf if there is none.
 
     Args:
         deviation: shape (mark,), not negative; NaN counts as outside.

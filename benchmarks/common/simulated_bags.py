@@ -1,4 +1,4 @@
-"""Bags of simulated motors, made on the spot: seeded, so that the same call makes the same bytes."""
+"""Bags of simulated motors, made when needed: seeded, so that a call repeats its bytes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ SAMPLE_RATE_HZ = 100.0
 def write_bag(
     folder: Path, seed: int, duration_s: float, *, start_ns: int, resistance: float = 1.0
 ) -> None:
-    """Record the motor of the thesis at 100 Hz, torque noise of 1 %, in chunks of a second as the
-    recorder writes them.
+    """Record the thesis's motor at 100 Hz with torque noise of 1 %, in chunks of one second.
 
     Args:
         folder: of the rosbag2 bag; must not exist.

@@ -1,6 +1,4 @@
-"""The runs behind the figures: one unit of work is one seed of one case, so that two processes can
-share them.
-"""
+"""The runs behind the figures, one unit of work per seed and case, for two processes."""
 
 from __future__ import annotations
 
@@ -125,9 +123,7 @@ def _hit_with_outliers(outcome: Outcome, clean: Clean, rule: str) -> None:
 def microseconds_per_sample(
     record: Record, builders: dict[str, Callable[[Record], Online]], repeats: int = 3
 ) -> dict[str, float]:
-    """Mean time to learn one sample, the least of some repeats, taken in turns so that all meet the
-    same weather.
-    """
+    """Mean time to learn one sample: the least of some repeats, the methods taking turns."""
     spent: dict[str, list[float]] = {name: [] for name in builders}
     for _ in range(repeats):
         for name, build in builders.items():
@@ -150,9 +146,7 @@ def false_alarms_in_an_hour(case: Case, rule: str, seed: int) -> int:
 
 
 def constant_hour(case: Case, rule: str, seed: int) -> FloatArray:
-    """Learn a recording, then an hour of its last voltage: by what the standard deviations were
-    multiplied at least.
-    """
+    """Learn a recording, then an hour of its last voltage; return the least ratios of std."""
     record = simulate(case, [seed]).record(seed, 0.01)
     estimator = OwnRule(rule, record)
     for k in range(record.stamp_ns.size):

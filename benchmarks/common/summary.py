@@ -1,6 +1,4 @@
-"""From traces to the numbers of a row: root mean squares over seeds, multiples of the bound,
-settling, consistency.
-"""
+"""From traces to the numbers of a row: RMS over seeds, multiples of the bound, settling, NEES."""
 
 from __future__ import annotations
 
@@ -78,8 +76,6 @@ def summarise(runs: Sequence[tuple[Trace, FloatArray, FloatArray]], noise: float
 
 
 def nees_band(parameters: int, runs: int) -> tuple[float, float]:
-    """Where the mean NEES of a consistent estimator lies in 95 of 100 studies (Bar-Shalom, Li,
-    Kirubarajan 2001).
-    """
+    """The 95 % band of a consistent estimator's mean NEES (Bar-Shalom, Li, Kirubarajan 2001)."""
     low, high = chi2.ppf([0.025, 0.975], parameters * runs) / runs
     return float(low), float(high)

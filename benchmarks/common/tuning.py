@@ -1,5 +1,4 @@
-"""How the peers are tuned: a grid over held-out seeds, each data set for itself, which is more than
-a user can do.
+"""Tuning of the peers: a grid over held-out seeds, separately for each data set.
 
 For every data set the setting wins whose error at the end of the recording, in multiples of the
 Cramer-Rao bound and averaged over seeds on a logarithmic scale (so that one diverged run does not
@@ -142,9 +141,7 @@ def jobs() -> list[tuple[str, Case]]:
 
 
 def tune(name: str, case: Case) -> tuple[str, dict[str, Any], float]:
-    """Find the best settings of a peer; return their key, their values and their error in multiples
-    of the bound.
-    """
+    """Find the best settings of a peer; return key, values and error in multiples of the bound."""
     peer = PEERS[name]
     seeds = range(FIRST_SEED, FIRST_SEED + peer.seeds)
     clean = simulate(case, seeds, peer.part * case.duration_s)

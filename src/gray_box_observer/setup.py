@@ -26,7 +26,7 @@ COMPILED = Extension(
 
 
 class BuildOrNone(build_ext):
-    """Builds compiled code; where that fails, what an earlier build has left does not stand for it."""
+    """Builds compiled code; where that fails, no earlier build takes its place."""
 
     def build_extension(self, ext: Extension) -> None:
         """Build one library, or leave none: neither where it is built nor beside the sources."""

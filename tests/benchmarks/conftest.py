@@ -1,6 +1,4 @@
-"""The benchmarks are programs, not a package: their folder goes on the path, as it is when one of
-them runs.
-"""
+"""Puts the benchmarks' folder on the path, as it is when one of these programs runs."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The bound: against its published values, against its own limit in time, and reached by the
-offline reference.
-"""
+"""The bound: against published values, its limit in time, and the offline reference."""
 
 from __future__ import annotations
 

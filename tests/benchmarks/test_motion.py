@@ -1,6 +1,4 @@
-"""The benchmarks' own solution: against the closed form, against differences, and against the
-package's.
-"""
+"""The benchmarks' own solution: against closed form, differences, and the package's."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The benchmark of the predictor: its scores against their formula, and its plan against what it
-must cover.
-"""
+"""The benchmark of the predictor: its scores by formula, and its plan by what it covers."""
 
 from __future__ import annotations
 

@@ -32,7 +32,8 @@ def servo_log(tmp_path: Path) -> Path:
             duty = float(random.uniform(0.4, 1.0))
         voltage = duty * 2000 * 2.466e-3
         lines.append(
-            f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
+            f'{duty * 32767:.0f},2000,0,'
+            f'{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
         )
         for _ in range(20):
             drop = 0.455 * current / (abs(current) + 0.02)

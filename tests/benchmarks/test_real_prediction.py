@@ -120,7 +120,8 @@ def test_the_servo_alone_gives_its_figures_on_the_last_line(tmp_path: Path) -> N
         duty = 0.4 if (k // 20) % 2 else 0.8
         voltage = duty * 2000 * 2.466e-3
         lines.append(
-            f'{duty * 32767:.0f},2000,0,{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
+            f'{duty * 32767:.0f},2000,0,'
+            f'{current / 0.8952e-3 + 108.5 + random.normal(0.0, 0.2):.3f},1'
         )
         for _ in range(20):
             current += (

@@ -1,6 +1,4 @@
-"""Table 5.1 made again: its scores against closed forms, its data apart, the thesis's numbers, and
-a tiny run.
-"""
+"""Table 5.1 made again: scores by closed forms, data apart, the thesis's numbers, a tiny run."""
 
 from __future__ import annotations
 
@@ -80,9 +78,7 @@ def test_a_shifted_prediction_has_a_perfect_difference_score_and_a_wrong_torque(
     )
 
 
-def test_a_prediction_that_is_missing_where_it_is_judged_is_infinitely_wrong_and_before_that_is_not() -> (
-    None
-):
+def test_a_prediction_missing_where_it_is_judged_is_infinitely_wrong_but_not_before() -> None:
     series = ramp(1e-3)
     late, early = series.torque_nm.copy(), series.torque_nm.copy()
     late[0, WARM_UP + 3] = early[0, WARM_UP - 1] = np.nan
@@ -226,9 +222,7 @@ def test_validation_and_test_data_never_reach_the_weights() -> None:
     assert not np.array_equal(trained[0][0].validation, trained[1][0].validation)
 
 
-def test_further_variants_and_ours_go_through_the_observer_which_learns_nothing_from_the_tests() -> (
-    None
-):
+def test_further_variants_go_through_the_observer_which_learns_nothing_from_the_tests() -> None:
     pytest.importorskip('torch')
     data = record_all(0, 10.0, 3.0, OURS.every)
     for variant in ('supervised', *extra_variants()):

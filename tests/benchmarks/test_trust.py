@@ -1,6 +1,4 @@
-"""The judge of trust: its simulator against closed forms, its classes against their names, its
-rules.
-"""
+"""The judge of trust: its simulator by closed forms, its classes by name, its rules."""
 
 from __future__ import annotations
 

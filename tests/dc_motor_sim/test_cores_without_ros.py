@@ -13,7 +13,8 @@ import importlib, sys
 
 class Block:
     def find_spec(self, name, path=None, target=None):
-        if name.split('.')[0] in {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'rosgraph_msgs', 'gray_box_observer'}:
+        foreign = {'rclpy', 'rcl_interfaces', 'sensor_msgs', 'rosgraph_msgs', 'gray_box_observer'}
+        if name.split('.')[0] in foreign:
             raise ImportError(f'a core imported {name}')
 
 sys.meta_path.insert(0, Block())

@@ -1,5 +1,4 @@
-"""Takes signals away from the observer's core: each alone and together, for one sample to ten
-seconds.
+"""Takes signals from the observer's core, alone and together, for one sample to ten seconds.
 
     python tests/faults/absence_campaign.py [--outages 12] [--seed 1] [--motors 1 2 9 64]
         [--longest 10000] [--runs N]
@@ -81,9 +80,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """Regular voltages with what belongs to them, and then samples of 10 ms without what is
-    missing.
-    """
+    """Regular voltages with the signals beside them, then samples of 10 ms with some missing."""
 
     regular: int
     missing: int

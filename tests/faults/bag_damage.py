@@ -1,6 +1,4 @@
-"""Bags to be damaged, made of the recorded ones, and the ways in which they are damaged. Everything
-takes a seed.
-"""
+"""Damaged bags, made from recorded ones, and the seeded ways in which they are damaged."""
 
 from __future__ import annotations
 
@@ -147,9 +145,7 @@ def _changed(change: Callable[[random.Random, bytearray], None]) -> Harm:
 
 
 def _place(draw: random.Random, content: bytearray) -> int:
-    """A byte: anywhere, or in the first or last thousand, where the declarations and the summary
-    stand.
-    """
+    """A byte: anywhere, or in the first or last thousand (declarations and summary)."""
     size = len(content)
     near = min(1000, size)
     start, end = draw.randrange(near), size - 1 - draw.randrange(near)

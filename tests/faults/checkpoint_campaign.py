@@ -1,5 +1,4 @@
-"""Loads thousands of checkpoints with a right checksum and a wrong content, and goes on from those
-that are accepted.
+"""Loads thousands of checkpoints with right checksums and wrong content, and runs on.
 
     python tests/faults/checkpoint_campaign.py [--cases 10000] [--seed 1] [--minutes M] [--only
     CASE]
@@ -73,14 +72,17 @@ KINDS: Mapping[str, Kind] = {
     'recursive': Kind({'predictor': False}),
     'gradient': Kind({'predictor': False, 'context_update': 'gradient'}),
     'young': Kind({'predictor': False}, before=20),
-    'delay estimated': Kind({'predictor': False, 'm0.delay': 'estimate'}, before=1500, delay_ns=53_000_000),
+    'delay estimated': Kind({'predictor': False, 'm0.delay': 'estimate'}, before=1500,
+        delay_ns=53_000_000),
     'speed measured': Kind(
-        {'predictor': False, 'm0.context_nodes': ['inductance', 'resistance', 'hysteresis', 'back_emf_constant']},
+        {'predictor': False,
+            'm0.context_nodes': ['inductance', 'resistance', 'hysteresis', 'back_emf_constant']},
         simulation={'speed_mode': 'rotor'},
     ),
     'predictor': Kind({**SMALL_TRAINING}),
     'residual': Kind(
-        {**SMALL_TRAINING, 'training.start': 'fresh', 'training.replay_capacity': 1024, 'training.segments': 2,
+        {**SMALL_TRAINING, 'training.start': 'fresh', 'training.replay_capacity': 1024,
+            'training.segments': 2,
          'training.learning_rate': 0.02, 'horizon_s': 0.4, 'm0.voltage_limits': [-33.0, 33.0]},
         before=2210, simulation={'speed_mode': 'rotor'},
     ),
@@ -116,8 +118,9 @@ class Case:
         return Observer(self._configuration, InlineTraining)
 
     def go_on(self, observer: Observer) -> tuple[int, NDArray[np.bool_]]:
-        """Feed what follows; return how much was not finite, and which predictions are none, shape
-        (result, motor).
+        """Feed what follows; return the count of non-finite values, and failed predictions.
+
+        The latter have shape (result, motor).
         """
         return self._feed(observer, self._kind.before, self._kind.before + self._samples)
 

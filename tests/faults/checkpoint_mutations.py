@@ -21,8 +21,10 @@ NUMBERS = (
 )  # fmt: skip
 
 LEAVES: tuple[Any, ...] = (
-    None, True, False, -1, 0, 1, 2, 40, 4095, -4096, 2**31, 2**53, 2**63, 10**30, -(10**30), 10**400, 0.5, 1e308,
-    float('nan'), float('inf'), '', 'recursive', 'CONFIRMED', '\x1b[2J', [], [[]], {}, {'a': 1}, ['m0'], [0.5, None],
+    None, True, False, -1, 0, 1, 2, 40, 4095, -4096, 2**31, 2**53, 2**63, 10**30, -(10**30),
+    10**400, 0.5, 1e308,
+    float('nan'), float('inf'), '', 'recursive', 'CONFIRMED', '\x1b[2J', [], [[]], {}, {'a': 1},
+    ['m0'], [0.5, None],
 )  # fmt: skip
 
 
@@ -70,7 +72,10 @@ def _plain(plain: Any, chance: random.Random) -> str:
         parent[key] = copy.deepcopy(other[name])
     else:
         parent[key] = copy.deepcopy(chance.choice(LEAVES))
-    return f'{key}: {str(before)[:40]} -> {str(parent.get(key) if isinstance(parent, dict) else parent[key])[:40]}'
+    return (
+        f'{key}: {str(before)[:40]} -> '
+        f'{str(parent.get(key) if isinstance(parent, dict) else parent[key])[:40]}'
+    )
 
 
 def _places(node: Any) -> Any:
@@ -174,8 +179,8 @@ def _other_shape(array: Array, chance: random.Random) -> Array:
 
 
 KINDS: tuple[Callable[[Array, random.Random], Array], ...] = (
-    _one_entry, _one_entry, _every_entry, _one_scaled, _one_scaled, _scaled, _scaled, _noisy, _noisy, _negated,
-    _shuffled, _other_type, _other_shape,
+    _one_entry, _one_entry, _every_entry, _one_scaled, _one_scaled, _scaled, _scaled, _noisy,
+    _noisy, _negated, _shuffled, _other_type, _other_shape,
 )  # fmt: skip
 
 

@@ -1,6 +1,4 @@
-"""The campaigns are programs, not a package: their folder goes on the path, as it is when one of
-them runs.
-"""
+"""Puts the campaigns' folder on the path, as it is when one of these programs runs."""
 
 from __future__ import annotations
 

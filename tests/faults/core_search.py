@@ -1,5 +1,4 @@
-"""Searches the observer's core for sequences that break it: messages, gaps, repeats, resets,
-freezes, new parameters.
+"""Searches for sequences that break the core: messages, gaps, repeats, resets, freezes.
 
     python tests/faults/core_search.py [--steps 1000000] [--seed 1] [--no-shrink]
 
@@ -233,7 +232,7 @@ class Script:
             yield from sent
 
     def _regular(self, action: Regular) -> list[Message]:
-        """Messages in the order of their delivery: voltage earlier by as many periods as it leads."""
+        """Messages in the order of delivery: voltage earlier by the periods that it leads."""
         timed: list[tuple[int, int, Message]] = []
         for k in range(action.count):
             stamp_ns, self._at = self._now_ns + k * action.period_ms * MS, self._at + 1

@@ -1,6 +1,4 @@
-"""Bags of at most a megabyte that ask for as much memory as they can. Records are written here,
-byte by byte.
-"""
+"""Bags of at most a megabyte that ask for much memory; records are written byte by byte."""
 
 from __future__ import annotations
 
@@ -125,7 +123,7 @@ def empties(byte_count: int, number: int = 2) -> Iterator[bytes]:
 
 
 def padded(blocks: Iterable[bytes], seed: int, byte_count: int) -> Iterator[bytes]:
-    """The same behind noise that no compression makes smaller, so that the whole looks like data."""
+    """The same behind incompressible noise, so that the whole looks like data."""
     yield record(PRIVATE, random.Random(seed).randbytes(byte_count))
     yield from blocks
 
@@ -137,9 +135,7 @@ class Hole(NamedTuple):
 
 
 def write(path: Path, *parts: bytes | Hole, has_end: bool = False) -> None:
-    """Write a file of these parts, after the samples of a motor, so that a reader has a reason to
-    go on.
-    """
+    """Write a file of these parts after samples of a motor, so that a reader goes on."""
     with path.open('wb') as stream:
         stream.write(MAGIC + record(HEADER, text('ros2') + text('')))
         for part in parts:
@@ -205,7 +201,7 @@ def wide_window(path: Path) -> None:
 
 
 def a_packed_file(path: Path) -> None:
-    """A whole file packed by rosbag2's compression, which unpacks to a little less than the limit."""
+    """A whole file in rosbag2's compression, which unpacks to just below the limit."""
     write(
         path,
         declarations(),
@@ -218,9 +214,7 @@ def a_packed_file(path: Path) -> None:
 
 
 def a_packed_file_without_size(path: Path) -> None:
-    """The same, whose head does not tell that it unpacks to a gibibyte; noise keeps the ratio of a
-    log.
-    """
+    """The same without its size of a gibibyte in the head; noise keeps a log's ratio."""
     frame, _ = packed(
         chain([MAGIC, random.Random(1).randbytes(900_000)], repeat(bytes(BLOCK_BYTES), 1 << 10)),
         'zstd',
@@ -229,9 +223,7 @@ def a_packed_file_without_size(path: Path) -> None:
 
 
 def packed_messages(path: Path) -> None:
-    """Messages packed one by one; each unpacks to as much as it may, and together to ten times the
-    limit.
-    """
+    """Messages packed singly; each unpacks to its limit, together to ten times the limit."""
     data = encode_joint_state(START_NS, ['motor'], effort=[1.0]) + random.Random(1).randbytes(
         80_000
     )

@@ -1,6 +1,4 @@
-"""How a campaign tells its results: figures beside their goals, and one line of JSON, as the
-benchmarks do.
-"""
+"""Results of a campaign: figures beside goals, and one line of JSON, as in benchmarks."""
 
 from __future__ import annotations
 
@@ -47,9 +45,7 @@ def tell(
 
 
 def growth(memory: Sequence[float]) -> float:
-    """How much the second half of a series rises: the median of its last fifth over that of its
-    first fifth.
-    """
+    """How much a series rises: the median of its last fifth over that of its first fifth."""
     half = memory[len(memory) // 2 :]
     if len(half) < 5:
         return 0.0

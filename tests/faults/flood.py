@@ -1,5 +1,4 @@
-"""Floods the observer's topics for a while: what it holds of them in memory, and how soon it ends
-when asked to.
+"""Floods the observer's topics: what it holds in memory, and how soon it ends on request.
 
     python tests/faults/flood.py [--seconds 60] [--kinds large names layouts small] [--megabytes 20]
     [--senders 2]
@@ -115,9 +114,7 @@ def main() -> int:
 
 
 def flood(kind: str, options: argparse.Namespace, log: IO[str]) -> tuple[float, float, int]:
-    """Flood one observer; return its largest memory in MB, the time that its end took, and how much
-    was sent.
-    """
+    """Flood one observer; return its largest memory in MB, time to end, and amount sent."""
     context = multiprocessing.get_context('spawn')
     ready, stop = context.Semaphore(0), context.Event()
     sent = context.Value('q', 0)
@@ -164,9 +161,7 @@ def watched(process: subprocess.Popen[str], duration_s: float) -> float:
 
 
 def send(kind: str, size: int, topic: str, ready: Any, stop: Any, sent: Synchronized[int]) -> None:
-    """Send one kind of messages to a topic, as fast as they go, from the first reader on until told
-    to stop.
-    """
+    """Send one kind of message at full speed, from the first reader on until told to stop."""
     rclpy.init()
     node = rclpy.create_node(f'flood_{os.getpid()}')
     publisher = node.create_publisher(JointState, topic, QoSProfile(depth=QUEUE))

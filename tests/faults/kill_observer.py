@@ -1,5 +1,4 @@
-"""Kills the observer at seeded moments while it learns, and looks at what the next one goes on
-from.
+"""Kills the learning observer at seeded moments, and checks what the next one goes on from.
 
     python tests/faults/kill_observer.py [--times 50] [--seed 1] [--period 0.01]
 
@@ -84,8 +83,7 @@ class Announced:
 
 
 def read(path: Path) -> tuple[bytes, np.ndarray, np.ndarray]:
-    """Read a checkpoint with the core; return values and covariance as bytes, the values and their
-    std.
+    """Read a checkpoint with the core; return bytes of values and covariance, values, std.
 
     Raises:
         GrayBoxError: it cannot be used.

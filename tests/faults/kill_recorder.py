@@ -158,9 +158,7 @@ def _judge(folder: Path, sent_s: list[float], killed_s: float) -> Round:
 
 
 def _ours(folder: Path) -> tuple[list[int], int]:
-    """The numbers of the fast topic's messages in the bag, and how many messages of both topics
-    there are.
-    """
+    """Message numbers of the fast topic in the bag, and message counts of both topics."""
     try:
         with BagReader(folder) as bag:
             messages = list(bag.messages())
@@ -200,7 +198,10 @@ def _rosbags(folder: Path) -> int:
 def _line(r: Round) -> str:
     others = ', '.join(name for name, reads in r.readers.items() if reads) or 'nobody else'
     gaps = '' if r.is_whole else ' WITH GAPS'
-    return f'lived {r.lived_s:.2f} s, lost {r.lost_s:.3f} s, {r.found} messages{gaps}; read by us, {others}'
+    return (
+        f'lived {r.lived_s:.2f} s, lost {r.lost_s:.3f} s, {r.found} messages{gaps}; read by us, '
+        f'{others}'
+    )
 
 
 def _tell(rounds: list[Round], options: argparse.Namespace) -> int:

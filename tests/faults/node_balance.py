@@ -1,6 +1,4 @@
-"""Whether an observer can account for every message it was sent, by nothing but its own
-diagnostics.
-"""
+"""Whether an observer accounts for every message sent, by its own diagnostics alone."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A proxy between simulator and observer, two real nodes on real DDS, that spoils what passes
-through it.
+"""A proxy on real DDS between simulator and observer that spoils what passes through it.
 
     python tests/faults/node_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts
     10]
@@ -98,9 +97,7 @@ class Proxy:
         self.start_simulator()
 
     def pump(self, most: int, *, clean: bool = False) -> int:
-        """Pass on messages as long as few are on their way; return how many were taken from the
-        simulator.
-        """
+        """Pass on messages while few are on their way; return how many were taken."""
         on_the_way = self._bench.sent - received(self._bench.facts)
         room = min(most, WINDOW - on_the_way)
         taken = 0

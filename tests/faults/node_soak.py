@@ -1,5 +1,4 @@
-"""Lets simulator and observer run for long as two nodes, with `/clock` sped up: estimates on truth,
-memory flat.
+"""Lets simulator and observer run long, with fast `/clock`: estimates true, memory flat.
 
     python tests/faults/node_soak.py [--hours 24] [--speed-up 10] [--seed 1]
 

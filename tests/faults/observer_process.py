@@ -86,9 +86,7 @@ class Bench:
         return process
 
     def start_observer(self, checkpoint: Path, **parameters: object) -> None:
-        """Start an observer that continues from its checkpoint, and wait until it listens and has
-        said so.
-        """
+        """Start an observer that continues from its checkpoint; wait until it listens."""
         depth = {f'qos_overrides.{topic}.subscription.depth': QUEUE for topic in TOPICS.values()}
         own = {
             'checkpoint.path': checkpoint,

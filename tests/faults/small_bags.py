@@ -1,5 +1,4 @@
-"""Peak memory of bags of at most a megabyte that are made to take much more: of ``identify``, and
-of reading them all.
+"""Peak memory of ``identify`` and readers on bags of a megabyte made to take much more.
 
     python tests/faults/small_bags.py [--only NAME ...]
 
@@ -31,7 +30,8 @@ target, path = sys.argv[1:]
 def peak():
     status = open('/proc/self/status').read()
     with open(target, 'w') as stream:
-        print(int(re.search(r'VmHWM:\\s+(\\d+) kB', status)[1]) * 1.024e-3, time.process_time(), file=stream)
+        peak_kb = int(re.search(r'VmHWM:\\s+(\\d+) kB', status)[1])
+        print(peak_kb * 1.024e-3, time.process_time(), file=stream)
 """
 DOORS = {
     'identify': MEASURED
@@ -60,9 +60,7 @@ peak()
 
 
 class Ending(NamedTuple):
-    """How reading one bag ended: peak memory in MB, processor time in s, and what is wrong with it,
-    if anything.
-    """
+    """The end of reading one bag: peak memory in MB, processor time in s, and any error."""
 
     peak_mb: float
     cpu_s: float

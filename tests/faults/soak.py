@@ -1,5 +1,4 @@
-"""Lets the observer's core run for simulated hours: estimates on truth, covariance honest, memory
-flat.
+"""Lets the core run for simulated hours: estimates true, covariance honest, memory flat.
 
     python tests/faults/soak.py [--hours 24] [--rate 100] [--seed 1] [--predictor]
 

@@ -1,5 +1,4 @@
-"""Faults between a driver and the observer: whatever a network, a clock or a broken driver does to
-stamped messages.
+"""Faults between a driver and the observer, by network, clock or driver, on messages.
 
 Seeded, and without ROS: the campaigns put it before the core (`core_campaign`) and between two
 nodes (`node_campaign`).

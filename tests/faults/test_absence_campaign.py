@@ -1,6 +1,4 @@
-"""A small, always equal share of the campaign of `absence_campaign`, which runs all of it as a
-command.
-"""
+"""A small, fixed share of the campaign of `absence_campaign`, which runs whole as a command."""
 
 from __future__ import annotations
 
@@ -10,9 +8,7 @@ import sys
 from pathlib import Path
 
 
-def test_signals_that_are_missing_for_a_while_neither_break_the_core_nor_vanish_from_the_books() -> (
-    None
-):
+def test_signals_missing_for_a_while_neither_break_the_core_nor_vanish_from_the_books() -> None:
     command = [sys.executable, str(Path(__file__).with_name('absence_campaign.py'))]
     arguments = [
         '--runs',

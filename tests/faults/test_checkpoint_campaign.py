@@ -1,6 +1,4 @@
-"""A small, always equal share of the campaign of `checkpoint_campaign`, which runs all of it as a
-command.
-"""
+"""A small, fixed share of `checkpoint_campaign`, which runs whole as a command."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A small, always equal share of the campaign of `core_campaign`, which runs all of it as a
-command.
-"""
+"""A small, fixed share of the campaign of `core_campaign`, which runs whole as a command."""
 
 from __future__ import annotations
 
@@ -12,9 +10,7 @@ from pathlib import Path
 MESSAGES = 6000
 
 
-def test_messages_that_faults_have_been_at_neither_break_the_core_nor_vanish_nor_move_the_estimate() -> (
-    None
-):
+def test_faulty_messages_neither_break_the_core_nor_vanish_nor_move_the_estimate() -> None:
     command = [sys.executable, str(Path(__file__).with_name('core_campaign.py'))]
     arguments = ['--messages', str(MESSAGES), '--restarts', '2', '--seed', '1']
     done = subprocess.run(

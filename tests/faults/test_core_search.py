@@ -1,6 +1,4 @@
-"""A small, always equal share of the search of `core_search`, and the sequences that once broke
-something.
-"""
+"""A small, fixed share of the search of `core_search`, and sequences that once broke it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small, always equal share of the campaign of `corrupt_bags`, which runs all of it as a command."""
+"""A small, fixed share of the campaign of `corrupt_bags`, which runs whole as a command."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A small share of `flood`, which runs all of it as a command: a real node under messages that are
-far too large.
-"""
+"""A small share of `flood`: a real node under messages that are far too large."""
 
 from __future__ import annotations
 

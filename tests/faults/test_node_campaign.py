@@ -1,6 +1,4 @@
-"""A small share of `node_campaign`, which runs all of it as a command: real nodes, real DDS, faults
-between them.
-"""
+"""A small share of `node_campaign`: real nodes on real DDS with faults between them."""
 
 from __future__ import annotations
 

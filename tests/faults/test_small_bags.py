@@ -1,6 +1,4 @@
-"""A share of the campaign of `small_bags`: the bags that are read in a second, each with real
-processes.
-"""
+"""A share of the campaign of `small_bags`: the quickly read bags, with real processes."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The faults themselves: as many as asked for, of every kind, the same for the same seed, none
-without a count.
-"""
+"""The faults themselves: the number asked for, every kind, repeatable by seed, counted."""
 
 from __future__ import annotations
 

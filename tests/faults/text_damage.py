@@ -1,6 +1,4 @@
-"""Seeded damage to text files that people write and others hand on: parameters, truths, the
-metadata of bags.
-"""
+"""Seeded damage to texts that people hand on: parameters, truths, metadata of bags."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Damages parameter files, truth files, metadata of bags and logs in seeded ways and reads them as
-the commands do.
+"""Damages parameters, truths, metadata and logs by seed, and reads them as commands do.
 
     python tests/faults/text_mutations.py [--cases 10000] [--seed 1] [--only CASE]
 

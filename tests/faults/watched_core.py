@@ -1,6 +1,4 @@
-"""An observer's core that is asked everything a node asks it, and of which every answer is looked
-at.
-"""
+"""An observer's core asked everything that a node asks, with every answer checked."""
 
 from __future__ import annotations
 
@@ -142,9 +140,7 @@ class WatchedCore:
         self.observer.freeze(frozen)
 
     def reconfigure(self, changes: dict[str, Any]) -> None:
-        """Change parameters of a running observer; what the others do not allow is refused, as a
-        node does.
-        """
+        """Change parameters of a running observer; refuse forbidden ones, as a node does."""
         with suppress(ConfigurationError):
             configuration = Configuration.from_flat({**self._settings, **changes})
             self._settings = {**self._settings, **changes}

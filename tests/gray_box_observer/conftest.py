@@ -1,6 +1,4 @@
-"""What the tests of the observer's cores share: simulated motors, their samples, and small bags
-made of them.
-"""
+"""Tests of the cores share this: simulated motors, their samples, and small bags of them."""
 
 from __future__ import annotations
 
@@ -37,9 +35,7 @@ def _record(
 
 @pytest.fixture(scope='session')
 def record() -> Callable[..., Recording]:
-    """Record simulated motors; the first has the values of the thesis, each further one 0.5 ohm
-    more.
-    """
+    """Record simulated motors: the first is the thesis's, each further one has 0.5 ohm more."""
 
     def make(
         excitation: str = 'R[5,15]D[1,20]',
@@ -87,9 +83,7 @@ def thesis_box() -> MotorWhiteBox:
 
 @pytest.fixture(scope='session')
 def messages_of() -> Callable[..., list[Message]]:
-    """Turn a recording into the messages of a bag: voltage and torque of every stamp, voltage
-    first.
-    """
+    """Turn a recording into the messages of a bag: per stamp voltage, then torque."""
 
     def make(
         recording: Recording, speed: bool = False, start_ns: int = 1_000_000_000

@@ -32,9 +32,7 @@ executables.identify()
 
 
 def start(*arguments: str) -> tuple[int, str, str]:
-    """Start an executable in a Python that lacks the modules; return exit code, standard output and
-    error.
-    """
+    """Start an executable in a Python without the modules; return exit code and outputs."""
     done = subprocess.run(
         [sys.executable, '-c', START, *arguments], capture_output=True, text=True, timeout=100
     )

@@ -1,5 +1,4 @@
-"""Hosts of a network, made of Linux namespaces: each has interfaces, a name and shared memory of
-its own, and a cable.
+"""Hosts of a network, as Linux namespaces: own interfaces, name, shared memory, cable.
 
 Everything hangs on processes that end with the test, however it ends; nothing is left behind, and
 no rights are needed where the kernel lets users have namespaces.
@@ -98,15 +97,11 @@ class Network:
         return ['nsenter', '--target', str(pid), '--user', '--preserve-credentials', *namespaces]
 
     def on(self, host: str, command: Sequence[str]) -> list[str]:
-        """The command line that runs a command on a host; the process is the command itself and
-        hears signals.
-        """
+        """The command line that runs a command on a host, as one process that hears signals."""
         return [*self._entered(self._pids[host], '--net', '--mount', '--uts', '--ipc'), *command]
 
     def pull_plug(self, host: str) -> None:
-        """Cut a host off: its interface has no carrier any more; the others forget its address, as
-        in time they do.
-        """
+        """Cut a host off: its carrier is gone, and others forget its address, as in time."""
         self._at_switch('ip', 'link', 'set', host, 'down')
         for other in self._pids.keys() - {host}:
             self._run(

@@ -1,6 +1,4 @@
-"""Simulator, observer and recorder on three hosts: what a network between them may do to samples,
-and what not.
-"""
+"""Simulator, observer and recorder on three hosts: what a network may do to samples."""
 
 from __future__ import annotations
 
@@ -59,9 +57,7 @@ class Robot:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, host: str, module: str, *arguments: str, **parameters: object) -> None:
-        """Start a program on its host; ``motor__resistance=2.0`` sets its parameter
-        ``motor.resistance``.
-        """
+        """Start a program on its host; ``motor__resistance=2.0`` sets ``motor.resistance``."""
         command = [sys.executable, '-m', module, *arguments, '--ros-args']
         for name, value in parameters.items():
             command += ['-p', f'{name.replace("__", ".")}:={value}']
@@ -100,7 +96,8 @@ class Robot:
     def simulate(self, rate_hz: float, duration_s: float, depth: int) -> None:
         """Let the motor run once both others listen; 0 s: until the end."""
         self.start(
-            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=rate_hz, duration_s=duration_s,
+            'simulator', 'dc_motor_sim.ros.motor_sim', sample_rate_hz=rate_hz,
+            duration_s=duration_s,
             wait_for_subscribers=2, excitation='R[1,5]D[0.05,0.5]', torque_noise_relative=0.01,
             **overrides('publisher', depth),
         )  # fmt: skip
@@ -171,9 +168,7 @@ def overrides(end: str, depth: int) -> dict[str, int]:
 
 
 def cut_off(robot: Robot, after: int, samples: int, at_most: int = sys.maxsize) -> None:
-    """Cut the observer off once so many samples are in the bag, for as long as it takes to record
-    some more.
-    """
+    """Cut the observer off once so many samples are in the bag, until some more are there."""
     robot.wait(lambda: robot.recorded() >= after, 'samples to flow')
     robot.network.pull_plug('observer')
     before = robot.network.bytes_to('observer')

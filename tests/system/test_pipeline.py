@@ -1,6 +1,4 @@
-"""The whole system: simulator, observer, controller, recorder, player and identify as processes, on
-real DDS.
-"""
+"""The whole system as processes on real DDS: simulator, observer, controller, bags, identify."""
 
 from __future__ import annotations
 
@@ -34,9 +32,7 @@ Estimates = dict[str, float]
 
 
 class Controller:
-    """Listens to what a controller needs: the estimates, whether they hold, and the predicted
-    torque.
-    """
+    """Listens to a controller's inputs: estimates, whether they hold, predicted torque."""
 
     def __init__(self, peer) -> None:
         self.peer = peer

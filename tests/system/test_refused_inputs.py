@@ -1,6 +1,4 @@
-"""Every executable refuses an input that cannot be read or meant in one line, with exit code 2, and
-waits for none.
-"""
+"""Every executable refuses bad input in one line, with exit code 2, and waits for nothing."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The set-up script finds the right ROS and Python, and names what is missing; the workspace runs
-on its own.
-"""
+"""The set-up script finds ROS and Python, or names what is missing; the workspace runs."""
 
 from __future__ import annotations
 

@@ -1,3 +1,1 @@
-"""What the benchmarks of running nodes share: processes, a source of samples, a bare relay and a
-listener.
-"""
+"""Shared by the benchmarks of nodes: processes, a source of samples, a relay, a listener."""

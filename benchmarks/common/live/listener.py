@@ -1,5 +1,4 @@
-"""Notes when the messages of both devices arrive: an observer of the observer, in a process of its
-own.
+"""Notes when the messages of both devices arrive, in a process of its own.
 
 Times of receipt are those of the middleware, taken in its own thread as a message arrives; this
 process only fetches them now and then, so that it takes little of the machine and its own queue
@@ -31,9 +30,7 @@ DEEP = QoSProfile(depth=20_000)
 
 @dataclass(slots=True)
 class Heard:
-    """One topic: when its messages were published (the publisher's word), when received, and their
-    stamps.
-    """
+    """One topic: publication times by the publisher, reception times, and stamps."""
 
     subscription: Subscription
     has_stamp: bool

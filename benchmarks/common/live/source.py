@@ -1,5 +1,4 @@
-"""Publishes a recorded motor at a steady rate, by turns to the relay and to the observer, and notes
-when it did.
+"""Publishes a recorded motor at a steady rate, to relay and observer in turn, and notes when.
 
 Everything is computed before the first sample and messages go out as bytes, so that the source
 takes little of the machine. Stamps are those of the ideal grid; a device sees one signal without
@@ -39,9 +38,7 @@ _VALUE = struct.Struct('<d')
 def recorded(
     rate_hz: float, count: int, seed: int
 ) -> tuple[int, NDArray[np.float64], NDArray[np.float64]]:
-    """Simulate the thesis's motor with 1 % torque noise; return period in ns, voltages in V and
-    torques in N m.
-    """
+    """Simulate the thesis's motor with 1 % torque noise; return period (ns), voltages, torques."""
     simulation = Simulation(
         {MOTOR: PlantParameters()},
         'R[1,5]D[0.05,0.5]',

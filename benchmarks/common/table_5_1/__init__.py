@@ -1,3 +1,1 @@
-"""The experiment of the thesis, table 5.1: its numbers, its data, its training, our training,
-scores and words.
-"""
+"""The experiment of the thesis, table 5.1: its numbers, data, training, scores and words."""

@@ -1,5 +1,4 @@
-"""The thesis's training: epochs over one recording, windows of past voltages in and one torque out
-(thesis 4.2.4, 5.1).
+"""The thesis's training: epochs over windows of one recording (thesis 4.2.4, 5.1).
 
 Losses, network, ranges and the rule of the context nodes are the package's; only the loop over
 epochs is here, because the package trains on a stream that never ends.
@@ -129,7 +128,7 @@ class EpochTraining:
         return predicted
 
     def _outputs(self, voltage_v: Array) -> torch.Tensor:
-        """Torque in N m, shape (window,), at the end of windows of voltages, shape (window, time)."""
+        """Torque in N m, shape (window,), at the end of voltage windows, shape (window, time)."""
         theta = np.broadcast_to(self._nodes.theta, (len(voltage_v), self._nodes.theta.shape[1]))
         columns = self._layout.columns(self._ranges, voltage_v, None, theta)
         shaped = [
@@ -173,7 +172,7 @@ class EpochTraining:
 
 
 def _block_starts(series: Series, context: int, shift: int) -> NDArray[np.intp]:
-    """First samples of blocks that lie end to end, shifted so that every difference gets its turn."""
+    """First samples of adjacent blocks, shifted so that every difference gets its turn."""
     return np.arange(context + shift % BLOCK, series.torque_nm.shape[1] - BLOCK + 1, BLOCK)
 
 

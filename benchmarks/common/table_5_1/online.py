@@ -1,6 +1,4 @@
-"""Training through the package's front door: the observer itself, fed one recording over and over,
-then frozen.
-"""
+"""Training through the observer itself: one recording fed over and over, then frozen."""
 
 from __future__ import annotations
 
@@ -40,8 +38,7 @@ class NoTraining:
 def train(
     configuration: Configuration, series: Series, passes: int, *, network: bool = True
 ) -> Observer:
-    """Feed one recording to a fresh observer, pass after pass; its predictor trains in between, as
-    it does live.
+    """Feed one recording to a fresh observer, pass after pass; its predictor trains in between.
 
     Args:
         configuration: of the observer.
@@ -56,9 +53,7 @@ def train(
 
 
 def predict(trained: Observer, tests: Series) -> Array:
-    """Torque that the trained observer forecasts on every set, learning no more; shape (set,
-    sample), in N m.
-    """
+    """Torque that the trained, frozen observer forecasts on every set; shape (set, sample), N m."""
     learnt = {MOTOR: trained.motors[MOTOR].state()}
     predicted = np.full(tests.torque_nm.shape, np.nan)
     for j in range(len(tests.names)):
@@ -84,7 +79,7 @@ def _no_training(_job: dict[str, Any]) -> NoTraining:
 
 
 def _feed(observer: Observer, series: Series, which: int, offset_ns: int) -> list[Result]:
-    """Play one set: every stamp with the voltage that is held from there on, and the torque there."""
+    """Play one set: each stamp with the voltage held from there on, and the torque there."""
     held = np.append(series.voltage_v[which, 1:], series.voltage_v[which, -1])
     results = []
     for stamp, voltage, torque in zip(series.stamp_ns, held, series.torque_nm[which], strict=True):

@@ -1,5 +1,6 @@
-"""Data of the experiment: a training recording, one for validation, eight test sets, never the same
-seed twice.
+"""Data of the experiment: one training and one validation recording, eight test sets.
+
+No seed is used twice.
 """
 
 from __future__ import annotations

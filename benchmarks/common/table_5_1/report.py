@@ -56,9 +56,7 @@ class Results:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Rows that were run: the thesis's four, further variants, then those that need no
-        training.
-        """
+        """Rows that were run: the thesis's four, further variants, then those without training."""
         further = [row for variant in extra_variants() for row in (variant, untaught(variant))]
         order = (*thesis.FOUR, *further, WHITE_BOX, WHITE_BOX_GRADIENT, PERSISTENCE, CONSTANT)
         return tuple(row for row in order if any(True for _ in self._of(row)))
@@ -76,9 +74,7 @@ class Results:
         return np.array([o.theta for o in self._of(row) if o.theta is not None])
 
     def settled(self, row: str) -> float | None:
-        """Validation loss half way over that at the end, the median of the runs; None where there
-        are no epochs.
-        """
+        """Validation loss at half time over that at the end, median of the runs, or None."""
         found = [o.settled for o in self._of(row) if o.settled is not None]
         return float(np.median(found)) if found else None
 
@@ -106,9 +102,7 @@ def tables(results: Results) -> str:
 
 
 def _excess_table(results: Results) -> str:
-    """Table 5.1, one line a set: relative to the best of the four, less one; the thesis's own in
-    brackets.
-    """
+    """Table 5.1, one line per set: relative to the best of four, less one; thesis in brackets."""
     medians = {row: np.median(results.difference_nm(row), axis=0) for row in results.rows}
     lines = []
     for j, name in enumerate(SETS):
@@ -137,7 +131,10 @@ def _error_table(results: Results) -> str:
         lines.append(
             [name, *(f'{number(float(np.median(c)))} / {number(float(c.max()))}' for c in cells)]
         )
-    caption = "Mean absolute error of the torque in % of the set's torque standard deviation, median / worst run."
+    caption = (
+        "Mean absolute error of the torque in % of the set's torque standard deviation, median / "
+        'worst run.'
+    )
     return f'{caption}\n{table(["set", *(title(row) for row in results.rows)], lines)}'
 
 
@@ -207,9 +204,7 @@ def order(errors: thesis.Errors, column: int) -> list[str]:
 
 
 def ranking_in_words(results: Results) -> list[str]:
-    """Say set by set and claim by claim where the ranking agrees with the thesis's and where it
-    does not.
-    """
+    """Say, set by set and claim by claim, where the ranking agrees with the thesis's."""
     errors = {row: results.difference_nm(row) for row in thesis.FOUR}
     here, torque = (
         _medians(errors),
@@ -310,7 +305,7 @@ def figures(results: Results) -> list[Figure]:
 
 
 def _physics_figures(results: Results) -> list[Figure]:
-    """Of the fifth variant, on the worst run; without a value where the package does not have it."""
+    """Figure of the fifth variant, on the worst run; no value where the package lacks it."""
     name, goal = results.setting.name, results.setting.online
     worst = typical = ratio = control = None
     if PHYSICS in results.rows:

@@ -33,9 +33,7 @@ class Score:
 
 
 def score(series: Series, predicted_nm: Array) -> Score:
-    """Score a prediction, shape (set, sample); one that is not finite where it is judged is
-    infinitely wrong.
-    """
+    """Score a prediction, shape (set, sample); one that is not finite scores infinity."""
     torque, predicted = series.torque_nm[:, WARM_UP:], predicted_nm[:, WARM_UP:]
     with np.errstate(invalid='ignore'):
         difference = np.abs(np.diff(predicted, axis=1) - np.diff(torque, axis=1)).mean(axis=1)
@@ -44,9 +42,7 @@ def score(series: Series, predicted_nm: Array) -> Score:
 
 
 def persistence(series: Series) -> Array:
-    """Torque stays what it was a sample ago; shape (set, sample). Unlike the others it is shown
-    measured torque.
-    """
+    """Torque stays what it was a sample ago, shape (set, sample); needs measured torque."""
     return np.concatenate([series.torque_nm[:, :1], series.torque_nm[:, :-1]], axis=1)
 
 

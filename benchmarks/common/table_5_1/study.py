@@ -106,7 +106,7 @@ def white_box(setting: Setting) -> MotorWhiteBox:
 
 
 def untaught(variant: str) -> str:
-    """Row of the variant with a network that has learnt nothing: what it owes to the physics alone."""
+    """Row of the variant with an untrained network: what it owes to the physics alone."""
     return f'{variant}_untrained'
 
 
@@ -127,9 +127,7 @@ def _observed(setting: Setting, recordings: Recordings, work: Work) -> Outcome:
 
 
 def _untaught(setting: Setting, recordings: Recordings, work: Work) -> Outcome:
-    """The control; ``training.start`` is the parameter by which a variant may begin with a network
-    it comes with.
-    """
+    """The control; ``training.start`` names the network that a variant may begin with."""
     passes = work.amount.passes if setting.online else THETA_EPOCHS
     configuration = setting.configuration(work.variant, **{'training.start': 'fresh'})
     observer = online.train(configuration, recordings.training, passes, network=False)

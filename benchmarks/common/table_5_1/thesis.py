@@ -1,4 +1,4 @@
-"""What the thesis reports: table 5.1 (page 42), and what its text (pages 42 to 43) reads from it."""
+"""What the thesis reports: table 5.1 (page 42), and the claims of its text (pages 42 to 43)."""
 
 from __future__ import annotations
 

@@ -1,3 +1,1 @@
-"""Whether ``identified`` can be believed: a simulator of its own, scenarios, and the judge; see
-``scenarios.py``.
-"""
+"""Can ``identified`` be believed: a simulator of its own, scenarios, judge (``scenarios.py``)."""

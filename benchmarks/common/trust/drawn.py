@@ -1,6 +1,4 @@
-"""Motors, excitations and faults drawn at random: nothing of it may break a number or end in a
-traceback.
-"""
+"""Motors, excitations and faults drawn at random: none may cause a traceback or break numbers."""
 
 from __future__ import annotations
 
@@ -121,9 +119,7 @@ def drawn_table(drawn: Sequence[tuple[Trial, list[str]]]) -> str:
 
 
 def command_failure(record: Record) -> str:
-    """Run ``identify --json -`` on a bag of the record; return what is wrong with how it ends, or
-    nothing.
-    """
+    """Run ``identify --json -`` on a bag of the record; return what is wrong, or nothing."""
     output = io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder) / 'bag'

@@ -57,9 +57,7 @@ Reading = Callable[[Readings, np.random.Generator], Readings]
 
 
 def noise(size: int, std: float, rng: np.random.Generator, memory: float = 0.0) -> FloatArray:
-    """Draw noise of a standard deviation: white, or of first order with a memory from sample to
-    sample.
-    """
+    """Draw noise of a standard deviation: white, or of first order with a memory."""
     white = rng.normal(size=size)
     if memory == 0.0:
         return np.asarray(std * white)
@@ -101,9 +99,7 @@ def slew(intervals: float, span_v: float) -> Shape:
 
 
 def sag(share: float) -> Shape:
-    """Let the battery fall by a share of its voltage over the record, half of it in its last
-    quarter.
-    """
+    """Let the battery lose a share of its voltage, half of it in the last quarter."""
 
     def shape(voltage: FloatArray, grid: Grid, rng: np.random.Generator) -> FloatArray:
         progress = np.linspace(0.0, 1.0, voltage.size)

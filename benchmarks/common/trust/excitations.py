@@ -17,9 +17,7 @@ Signal = Callable[[FloatArray, np.random.Generator], FloatArray]
 
 
 def steps(low: float, high: float, shortest_s: float, longest_s: float) -> Signal:
-    """Return ``R[low,high]D[shortest,longest]``: levels drawn uniformly, each held for a time drawn
-    uniformly.
-    """
+    """Return ``R[low,high]D[shortest,longest]``: uniformly drawn levels, held for drawn times."""
 
     def signal(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
         starts = [0.0]

@@ -1,6 +1,4 @@
-"""Faults of logs, drawn beside the motors: readings that are no numbers, stamps out of order, units
-that are wrong.
-"""
+"""Faults of logs, drawn beside the motors: bad readings, unordered stamps, wrong units."""
 
 from __future__ import annotations
 

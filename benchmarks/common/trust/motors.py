@@ -30,7 +30,7 @@ def gear_motor(rng: np.random.Generator) -> Motor:
 
 
 def steady_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor whose speed is straight between samples to below the noise: 60 to 200 ms."""
+    """Draw a geared motor with speed straight between samples within noise: 60 to 200 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     return replace(motor, inertia=_log_uniform(rng, 0.06, 0.2) * scale)
@@ -44,9 +44,7 @@ def hysteresis_motor(rng: np.random.Generator) -> Motor:
 
 
 def slow_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor with L/R of 3 to 6 ms and 0.1 to 0.3 s of mechanical time constant, for
-    slow sampling.
-    """
+    """Draw a geared motor for slow sampling: L/R of 3 to 6 ms, mechanical time of 0.1 to 0.3 s."""
     motor = gear_motor(rng)
     inductance = motor.resistance * _log_uniform(rng, 3e-3, 6e-3)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
@@ -68,16 +66,14 @@ def strong_motor(rng: np.random.Generator) -> Motor:
 
 
 def fast_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor of 10 to 20 ms, whose speed is not straight between samples 1 ms apart."""
+    """Draw a geared motor of 10 to 20 ms, with speed not straight between samples of 1 ms."""
     motor = gear_motor(rng)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance
     return replace(motor, inertia=_log_uniform(rng, 0.01, 0.02) * scale)
 
 
 def sticky_motor(rng: np.random.Generator) -> Motor:
-    """Draw a geared motor with so much viscous friction that its rotor follows the current within 5
-    to 20 ms.
-    """
+    """Draw a geared motor with viscous friction: its rotor follows the current in 5 to 20 ms."""
     motor = gear_motor(rng)
     follows_s = _log_uniform(rng, 0.005, 0.02)
     scale = motor.torque_constant * motor.back_emf_constant / motor.resistance

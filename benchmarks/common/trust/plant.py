@@ -1,5 +1,6 @@
-"""A motor with a rotor, dry friction and brushes, stepped exactly between events: independent of
-both packages.
+"""A motor with rotor, dry friction and brushes, stepped exactly between events.
+
+It is independent of both packages.
 
 ``L di/dt = V - R i - K_HS |w| i - Kb w - V_b sign(i)`` and ``J dw/dt = Kt i - B w - T_c sign(w)``.
 What is linear is advanced by a matrix exponential, so that the step may be longer than L/R;
@@ -152,8 +153,7 @@ def _direction(state: float, drive: float, resistance: float) -> float:
 
 
 def _past_zero(before: float, after: float, turned: float) -> float:
-    """Return a state that has changed its sign within a step, what opposes it having turned round
-    on the way.
+    """Return a state that has changed sign within a step, with the opposing force reversed.
 
     Args:
         before: at the beginning of the step; 0: it is held there.

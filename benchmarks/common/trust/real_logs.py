@@ -1,6 +1,4 @@
-"""Logs of real motors: whole and in halves, with what is known of them. Read in place, never
-copied.
-"""
+"""Logs of real motors, whole and in halves, with what is known of them; never copied."""
 
 from __future__ import annotations
 
@@ -107,7 +105,7 @@ class RealMotor:
     fit: str = ''
 
     def wrong(self) -> list[str]:
-        """Return parameters, of the whole or a half, that are believed and off by more than 3 std."""
+        """Return parameters of the whole or a half that are believed but off by over 3 std."""
         found = [self.whole, *self.halves]
         return [name for part in found for name, row in part.items() if self._is_wrong(name, *row)]
 
@@ -155,7 +153,7 @@ def real_logs(data: Path) -> Iterator[RealLog]:
 
 
 def _emps_log(path: Path) -> RealLog:
-    """The axis read as a motor: mass for L, viscous friction for R, dry friction for a brush drop."""
+    """The axis as a motor: mass for L, viscous friction for R, dry friction for a brush drop."""
     case = Case(
         'EMPS axis',
         path,

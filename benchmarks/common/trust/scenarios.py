@@ -1,6 +1,4 @@
-"""The scenarios, class by class: what a verdict must survive. Half of them choose thresholds, the
-others report.
-"""
+"""The scenarios, class by class: half of them choose thresholds, the other half report."""
 
 from __future__ import annotations
 
@@ -40,9 +38,7 @@ def scenarios() -> tuple[Scenario, ...]:
 
 
 def half(scenario: Scenario) -> str:
-    """Return ``choose`` or ``report``: the scenarios of a class belong to one and the other in
-    turn.
-    """
+    """Return ``choose`` or ``report``: the scenarios of a class take them in turn."""
     alike = [one.name for one in scenarios() if one.group == scenario.group]
     return ('report', 'choose')[alike.index(scenario.name) % 2]
 

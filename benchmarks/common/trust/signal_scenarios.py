@@ -1,4 +1,4 @@
-"""Scenarios of stamps, noise and speeds that the white box does not explain, and mistakes of users."""
+"""Scenarios of stamps, noise and speeds that the white box lacks, and mistakes of users."""
 
 from __future__ import annotations
 

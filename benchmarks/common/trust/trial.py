@@ -1,6 +1,4 @@
-"""One record through the observer, as ``identify --skip-predictor`` would take it, and what was
-believed on the way.
-"""
+"""One record through the observer, as ``identify --skip-predictor`` runs it, with verdicts."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Errors that a user can cause; each message says what, got, expected, and the next step, on one
-line.
-"""
+"""Errors that a user can cause; one line says what, got, expected, and the next step."""
 
 
 class SimulationError(Exception):

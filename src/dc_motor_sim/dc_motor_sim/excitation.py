@@ -51,7 +51,7 @@ VALID_FORMS = (
 
 @dataclass(frozen=True, slots=True)
 class RandomLevels:
-    """`R[a,b]D[c,d]`: levels uniform in [low_v, high_v], holds uniform in [shortest_s, longest_s]."""
+    """`R[a,b]D[c,d]`: uniform levels in [low_v, high_v], holds in [shortest_s, longest_s]."""
 
     low_v: float
     high_v: float
@@ -81,9 +81,7 @@ class Sine:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """`+noise(s)`: white noise in V held over a sample; None stands for a standard deviation not
-    said.
-    """
+    """`+noise(s)`: white noise in V held over a sample; None: no standard deviation is given."""
 
     std_v: float | None = None
 
@@ -122,8 +120,8 @@ def parse_excitation(text: str) -> Excitation:
     scanner = _Scanner(text)
     name = scanner.match(r'table_5_1/[1-8](?!\d)')
     if name is not None:
-        named = parse_excitation(TABLE_5_1[name])
-        base, sines, noise = named.base, list(named.sines), named.noise
+        table_entry = parse_excitation(TABLE_5_1[name])
+        base, sines, noise = table_entry.base, list(table_entry.sines), table_entry.noise
     else:
         base, sines, noise = _parse_base(scanner), [], None
     while scanner.match(r'\+') is not None:
@@ -196,11 +194,11 @@ class _Scanner:
     def match(self, pattern: str) -> str | None:
         """Take what the pattern matches here, or take nothing and return None."""
         self._skip_blanks()
-        found = re.compile(pattern).match(self._text, self._position)
-        if found is None:
+        match = re.compile(pattern).match(self._text, self._position)
+        if match is None:
             return None
-        self._position = found.end()
-        return found.group()
+        self._position = match.end()
+        return match.group()
 
     def expect(self, character: str) -> None:
         if self.match(re.escape(character)) is None:
@@ -208,25 +206,26 @@ class _Scanner:
 
     def number(self, low: float, high: float, unit: str) -> float:
         self._skip_blanks()
-        found = self._NUMBER.match(self._text, self._position)
-        if found is None:
+        match = self._NUMBER.match(self._text, self._position)
+        if match is None:
             raise self.error('expected a number')
-        value = float(found.group())
+        value = float(match.group())
         if not (math.isfinite(value) and low <= value <= high):
             raise self.error(f'expected a number from {low:g} to {high:g} {unit}')
-        self._position = found.end()
+        self._position = match.end()
         return value
 
     def at_end(self) -> bool:
         self._skip_blanks()
         return self._position == len(self._text)
 
-    def error(self, what: str) -> ExcitationError:
-        rest = self._text[self._position : self._position + 12]
-        got = f'got {rest!r}' if rest else 'got the end of the text'
+    def error(self, complaint: str) -> ExcitationError:
+        remainder = self._text[self._position : self._position + 12]
+        remainder_note = f'got {remainder!r}' if remainder else 'got the end of the text'
         column = self._position + 1
         return ExcitationError(
-            f'excitation {self._text!r}, column {column}: {what}; {got}; valid forms: {VALID_FORMS}'
+            f'excitation {self._text!r}, column {column}: {complaint}; {remainder_note}; valid '
+            f'forms: {VALID_FORMS}'
         )
 
     def _skip_blanks(self) -> None:

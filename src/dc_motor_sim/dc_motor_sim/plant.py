@@ -154,8 +154,7 @@ class Plant:
     def step(
         self, state: FloatArray, voltage_v: FloatArray, step_s: float, substeps: int
     ) -> FloatArray:
-        """Advance by `step_s` under a held voltage and return the new state; the given one is left
-        as it is.
+        """Advance by `step_s` under a held voltage; return the new state, leave the given one.
 
         Args:
             state: Shape (motor, state).
@@ -222,9 +221,7 @@ class Plant:
         return rate
 
     def _rotor_rate(self, state: FloatArray, voltage_v: FloatArray, step_s: float) -> FloatArray:
-        """Bound on the fastest electrical or mechanical rate within the coming step, 1/s, shape
-        (motor,).
-        """
+        """Bound on the fastest electrical or mechanical rate in the coming step, 1/s, (motor,)."""
         current = np.maximum(np.abs(state[:, 0]), np.abs(voltage_v) / self._R)
         torque = self._Kt * current + np.abs(self._Tl)
         gained = torque / np.maximum(

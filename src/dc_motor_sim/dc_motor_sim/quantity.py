@@ -19,9 +19,7 @@ _KEY = 'quantity'
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """Meaning of one field: description, SI unit (empty for none), inclusive bounds, or the words
-    allowed.
-    """
+    """Meaning of one field: description, SI unit, inclusive bounds, or the words allowed."""
 
     text: str
     unit: str = ''
@@ -82,14 +80,13 @@ def about(
 
 def quantity_of(field: Field[Any]) -> Quantity:
     """Return the description of a dataclass field made with `about`."""
-    found = field.metadata[_KEY]
-    assert isinstance(found, Quantity)  # only `about` writes this key
-    return found
+    quantity = field.metadata[_KEY]
+    assert isinstance(quantity, Quantity)  # only `about` writes this key
+    return quantity
 
 
 def check_fields(instance: Any, error: type[SimulationError]) -> None:
-    """Raise `error` with one line about the first field of a dataclass instance that is out of
-    bounds.
+    """Raise `error` with one line about the first field of a dataclass that is out of bounds.
 
     Args:
         instance: A dataclass instance whose fields were all declared with `about`.

@@ -26,9 +26,7 @@ class Purpose(IntEnum):
 
 
 def generator(seed: int, motor: int, purpose: Purpose) -> np.random.Generator:
-    """Return the stream of one motor and purpose: what `SeedSequence(seed).spawn` twice over would
-    give.
-    """
+    """Return the stream of one motor and purpose, as `SeedSequence(seed).spawn` twice gives it."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(motor, int(purpose))))
 
 

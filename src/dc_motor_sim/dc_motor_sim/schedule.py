@@ -53,13 +53,13 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
         ScheduleError: It has neither form, names an unknown motor or parameter, or leads to a value
             out of bounds.
     """
-    found = _ENTRY.fullmatch(text)
-    if found is None or (found['last'] is None) != (found['end'] is None):
+    match = _ENTRY.fullmatch(text)
+    if match is None or (match['last'] is None) != (match['end'] is None):
         raise ScheduleError(
             f'schedule entry {text!r} is neither MOTOR.PARAMETER=VALUE@SECONDS '
             'nor MOTOR.PARAMETER=FIRST..LAST@BEGIN..END'
         )
-    motor, parameter = found['motor'], found['parameter']
+    motor, parameter = match['motor'], match['parameter']
     if motor not in motors:
         raise ScheduleError(
             f'schedule entry {text!r}: no motor {motor!r}; motors: {", ".join(motors)}'
@@ -69,8 +69,8 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
             f'schedule entry {text!r}: no parameter {parameter!r}; parameters: '
             f'{", ".join(_PARAMETERS)}'
         )
-    first, last = float(found['first']), float(found['last'] or found['first'])
-    begin_s, end_s = float(found['begin']), float(found['end'] or found['begin'])
+    first, last = float(match['first']), float(match['last'] or match['first'])
+    begin_s, end_s = float(match['begin']), float(match['end'] or match['begin'])
     if not 0.0 <= begin_s <= end_s <= 1e9:
         raise ScheduleError(
             f'schedule entry {text!r}: times must not be negative nor run backwards'
@@ -86,8 +86,7 @@ def parse_change(text: str, motors: Mapping[str, PlantParameters]) -> ScheduledC
 
 
 class Schedule:
-    """Hands out the changes that are due, each until it has reached its last value, then never
-    again.
+    """Hands out the changes that are due, each until it has reached its last value.
 
     Where two overlap on one parameter, the one that began later wins; so does a change from outside
     after the last.
@@ -103,6 +102,6 @@ class Schedule:
         """Return (motor, parameter, value) to set at this time, in ns from the first sample."""
         if not self._open or self._open[0].begin_ns > time_ns:
             return []
-        begun = [change for change in self._open if change.begin_ns <= time_ns]
+        changes = [change for change in self._open if change.begin_ns <= time_ns]
         self._open = [change for change in self._open if change.end_ns > time_ns]
-        return [(change.motor, change.parameter, change.value(time_ns)) for change in begun]
+        return [(change.motor, change.parameter, change.value(time_ns)) for change in changes]

@@ -1,4 +1,4 @@
-"""Torque and speed sensors: noise, quantisation and range between the truth and what is published."""
+"""Torque and speed sensors: noise, quantisation and range between truth and publication."""
 
 from __future__ import annotations
 

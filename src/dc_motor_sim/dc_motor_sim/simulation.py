@@ -1,6 +1,4 @@
-"""Excitation, plant and sensors on one exact sample grid: what a node publishes and a benchmark
-records.
-"""
+"""Excitation, plant and sensors on one exact sample grid, for a node and for benchmarks."""
 
 from __future__ import annotations
 
@@ -45,9 +43,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Consecutive samples: `stamp_ns` has shape (sample,), everything else (motor, sample); see
-    `Sample`.
-    """
+    """Consecutive samples: `stamp_ns` is (sample,), the rest (motor, sample); see `Sample`."""
 
     motors: tuple[str, ...]
     stamp_ns: NDArray[np.int64]
@@ -151,7 +147,7 @@ class Simulation:
             _refuse_external(excitations)
             dry_run = Simulation(
                 motors,
-                {name: parsed.text for name, parsed in excitations.items()},
+                {name: motor_excitation.text for name, motor_excitation in excitations.items()},
                 sample_rate_hz=min(sample_rate_hz, SPREAD_RATE_HZ),
                 seed=seed,
                 speed_mode=speed_mode,
@@ -174,26 +170,27 @@ class Simulation:
         """Stamp of the sample that `step` makes next."""
         return self._start_ns + self._sample * self.period_ns
 
-    def check_parameters(self, changed: Mapping[str, PlantParameters]) -> None:
+    def check_parameters(self, new_parameters: Mapping[str, PlantParameters]) -> None:
         """Raise what `set_parameters` would raise, and change nothing."""
-        self._plant_with(changed)
+        self._plant_with(new_parameters)
 
-    def set_parameters(self, changed: Mapping[str, PlantParameters]) -> None:
-        """Give some motors new parameters from the next sample on; current and speed stay as they
-        are.
+    def set_parameters(self, new_parameters: Mapping[str, PlantParameters]) -> None:
+        """Give some motors new parameters from the next sample on; their state stays.
 
         Raises:
             ConfigurationError: A name is no motor of this simulation; nothing has changed then.
             PlantError: The new plant is too fast for this sample rate; nothing has changed then.
         """
-        self._plant = self._plant_with(changed)
-        self._parameters.update(changed)
+        self._plant = self._plant_with(new_parameters)
+        self._parameters.update(new_parameters)
 
-    def _plant_with(self, changed: Mapping[str, PlantParameters]) -> Plant:
-        unknown = [name for name in changed if name not in self._parameters]
-        if unknown:
-            raise ConfigurationError(f'no motor {unknown[0]!r}; motors: {", ".join(self.motors)}')
-        plant = Plant(list({**self._parameters, **changed}.values()), self._plant.speed_mode)
+    def _plant_with(self, new_parameters: Mapping[str, PlantParameters]) -> Plant:
+        unknown_motors = [name for name in new_parameters if name not in self._parameters]
+        if unknown_motors:
+            raise ConfigurationError(
+                f'no motor {unknown_motors[0]!r}; motors: {", ".join(self.motors)}'
+            )
+        plant = Plant(list({**self._parameters, **new_parameters}.values()), self._plant.speed_mode)
         plant.substeps_for(
             self._state, self._voltage_v, to_seconds(self.period_ns), self._solver_step_s
         )
@@ -222,9 +219,9 @@ class Simulation:
                 place.
         """
         elapsed_ns = self._sample * self.period_ns
-        due = self._schedule.due(elapsed_ns)
-        if due:
-            self._carry_out(due)
+        due_changes = self._schedule.due(elapsed_ns)
+        if due_changes:
+            self._carry_out(due_changes)
         true_torque_nm = self._plant.torque_nm(self._state)
         torque_nm, speed_rad_s = self._sensors.measure(
             true_torque_nm, self._plant.speed_rad_s(self._state)
@@ -267,11 +264,11 @@ class Simulation:
             )
         return Recording(self.motors, stamp_ns, *series)
 
-    def _carry_out(self, due: Sequence[tuple[str, str, float]]) -> None:
-        changed = dict(self._parameters)
-        for motor, parameter, value in due:
-            changed[motor] = replace(changed[motor], **{parameter: value})
-        self.set_parameters(changed)
+    def _carry_out(self, due_changes: Sequence[tuple[str, str, float]]) -> None:
+        new_parameters = dict(self._parameters)
+        for motor, parameter, value in due_changes:
+            new_parameters[motor] = replace(new_parameters[motor], **{parameter: value})
+        self.set_parameters(new_parameters)
 
 
 def _require(name: str, value: float, low: float, high: float) -> None:
@@ -292,8 +289,8 @@ def _excitation_of_each(
 
 
 def _refuse_external(excitations: Mapping[str, Excitation]) -> None:
-    for motor, parsed in excitations.items():
-        if isinstance(parsed.base, External):
+    for motor, excitation in excitations.items():
+        if isinstance(excitation.base, External):
             raise ConfigurationError(
                 f'torque_noise_relative needs an excitation known in advance, but {motor} is '
                 'external; '

@@ -1,5 +1,4 @@
-"""What ``ros2 run`` starts: each loads its module, and says in one line which package that module
-lacks.
+"""What ``ros2 run`` starts: loads each module, or says which package it lacks.
 
 A distribution of ROS brings rclpy, numpy and yaml, but not what ``ros_ws/requirements/runtime.txt``
 pins. The modules are imported here and not above, so that the line can be said at all.
@@ -95,8 +94,11 @@ def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -
         (word for word in (sys.argv if args is None else args) if not _is_text(word)), None
     )
     if unreadable is not None:  # no message, JSON or report could name it
-        shown = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
-        print(f'{name}: error: the argument {shown} is no UTF-8: rename the file', file=sys.stderr)
+        argument_text = os.fsencode(unreadable).decode('utf-8', 'backslashreplace')
+        print(
+            f'{name}: error: the argument {argument_text} is no UTF-8: rename the file',
+            file=sys.stderr,
+        )
         return EXIT_USER_ERROR
     try:
         main = importlib.import_module(module).main
@@ -116,8 +118,7 @@ def _run(name: str, module: str, args: Sequence[str] | None, *, is_node: bool) -
 
 @contextmanager
 def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
-    """Let a signal end a process that still loads its modules, and change nothing of one that is
-    done.
+    """Let a signal end a process that still loads its modules; change nothing afterwards.
 
     Terminal and launch both send one, the second of which may come when the first has been obeyed.
     """
@@ -143,9 +144,7 @@ def _ending_quietly(name: str, *, is_node: bool) -> Iterator[None]:
 
 
 def _is_text(word: str) -> bool:
-    """Whether an argument can be written down; Python keeps bytes that are no UTF-8 as lone
-    surrogates.
-    """
+    """Whether an argument can be encoded; Python keeps bad UTF-8 as lone surrogates."""
     try:
         word.encode('utf-8')
     except UnicodeEncodeError:

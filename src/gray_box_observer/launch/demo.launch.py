@@ -1,5 +1,4 @@
-"""Simulator, observer and recorder together: ``ros2 launch gray_box_observer demo.launch.py
-duration:=60.0``.
+"""Simulator, observer and recorder: ``ros2 launch gray_box_observer demo.launch.py``.
 
 Ends when one of them does, which the simulator does after its duration. The observer's first guess
 is three times off.

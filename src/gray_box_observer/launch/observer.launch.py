@@ -1,5 +1,6 @@
-"""Starts the observer: ``ros2 launch gray_box_observer observer.launch.py
-params_file:=my_motors.yaml``.
+"""Starts the observer: ``ros2 launch gray_box_observer observer.launch.py``.
+
+Motors are configured by ``params_file:=my_motors.yaml``.
 """
 
 from __future__ import annotations

@@ -20,9 +20,7 @@ MakeBag = Callable[..., Path]
 
 @pytest.fixture
 def make_bag(tmp_path: Path) -> MakeBag:
-    """Writes a bag of ``count`` steps of 10 ms, a voltage and a torque message each; the result is
-    its folder.
-    """
+    """Writes a bag of ``count`` steps of 10 ms, one voltage and torque each; returns its folder."""
 
     def make(count: int = 100, name: str = 'run', options: BagOptions | None = None) -> Path:
         folder = tmp_path / name

@@ -54,13 +54,15 @@ def test_a_killed_writer_leaves_a_bag_that_everybody_reads(tmp_path, compression
         import os, sys
         from gray_box_observer.bag.writer import BagOptions, BagWriter
         compression, split_s = sys.argv[2:]
-        writer = BagWriter(sys.argv[1], BagOptions(compression=compression, max_file_duration_s=float(split_s)))
+        options = BagOptions(compression=compression, max_file_duration_s=float(split_s))
+        writer = BagWriter(sys.argv[1], options)
         for topic in ('/a', '/b'):
             writer.add_topic(topic, 'std_msgs/msg/Int32', 'int32 data', [])
         for index in range(1000):
-            # received in another order than written, as by a recorder that reads one topic after the other
+            # received out of order, as by a recorder that reads one topic after the other
             at_ns = (index + 25 * (-1) ** index) * 10**7 + 10**9
-            writer.write('/a' if index % 2 else '/b', b'\\0\\1\\0\\0' + index.to_bytes(4, 'little'), at_ns, 0)
+            content = b'\\0\\1\\0\\0' + index.to_bytes(4, 'little')
+            writer.write('/a' if index % 2 else '/b', content, at_ns, 0)
             if index % 100 == 0:
                 writer.flush()
         os.kill(os.getpid(), 9)
@@ -118,9 +120,7 @@ def test_a_bag_that_is_still_recorded_can_be_read(tmp_path):
 
 
 class Disk:
-    """Notes every change that a writer makes to its files, so that the writer can be killed after
-    any of them.
-    """
+    """Notes each change of a writer to its files, so that it can be killed after any of them."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.changes: list[Change] = []
@@ -168,9 +168,7 @@ class Disk:
         self.flushed.append(self.count)
 
     def states(self, random: random.Random) -> Iterator[tuple[dict[str, bytes], int]]:
-        """The files after each change, and after a part of it; with the messages that must be in
-        them.
-        """
+        """Files after each change or part of it, with the messages that must be in them."""
         files: dict[str, bytes] = {}
         for (name, start, content), flushed in zip(self.changes, self.flushed, strict=True):
             before = files.get(name, b'')
@@ -217,7 +215,8 @@ def test_a_writer_that_splits_all_the_time_can_be_killed_at_any_moment(tmp_path,
     script = """
         import os, sys
         from gray_box_observer.bag.writer import BagOptions, BagWriter
-        writer = BagWriter(sys.argv[1], BagOptions(compression=sys.argv[2], max_file_bytes=1500, flush_period_s=0.0))
+        options = BagOptions(compression=sys.argv[2], max_file_bytes=1500, flush_period_s=0.0)
+        writer = BagWriter(sys.argv[1], options)
         writer.add_topic('/t', 'std_msgs/msg/UInt32', 'uint32 data', [])
         for index in range(10**6):
             writer.write('/t', b'\\0\\1\\0\\0' + index.to_bytes(4, 'little') * 50, index, 0)

@@ -1,6 +1,4 @@
-"""Bags that were cut, killed or damaged: read as far as they go, or one clear line; nothing else
-ever.
-"""
+"""Cut, killed or damaged bags: read as far as they go, or one clear line."""
 
 from __future__ import annotations
 

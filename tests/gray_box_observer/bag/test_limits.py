@@ -60,7 +60,7 @@ def count_and_loss(path: Path, read_limits: ReadLimits) -> tuple[int, str]:
         return sum(1 for _ in bag.messages()), str(bag.lost)
 
 
-def test_a_chunk_beyond_the_limit_is_left_out_by_a_line_that_names_the_option_and_read_when_it_is_given(
+def test_a_chunk_beyond_the_limit_is_left_out_in_a_line_that_names_the_option_to_read_it(
     write,
 ) -> None:
     path = write(message(START_NS), chunk(message(START_NS + 1, bytes(range(256)) * 8_000)))

@@ -13,9 +13,7 @@ WAIT_S = 20.0
 
 
 class Replay:
-    """A thread that waits for one recorded time after the other, and keeps when each was let
-    through.
-    """
+    """A thread that waits for recorded times in turn, and keeps when each was let through."""
 
     def __init__(self, pacer: Pacer, times_ns: list[int]) -> None:
         self.passed: list[tuple[int, float]] = []

@@ -18,7 +18,8 @@ def test_a_definition_is_followed_by_everything_it_needs_once():
         (
             'a',
             'Top',
-        ): 'Part[3] parts # Ghost no\nb/Other[<=4] others\nuint8 GHOST=3\nstring<=7 text\nb/msg/Other o\n',
+        ): 'Part[3] parts # Ghost no\nb/Other[<=4] others\n'
+        'uint8 GHOST=3\nstring<=7 text\nb/msg/Other o\n',
         ('a', 'Part'): 'Header header\nb/Other other\n',
         ('b', 'Other'): 'float64 x\n',
         ('std_msgs', 'Header'): 'string frame_id\n',

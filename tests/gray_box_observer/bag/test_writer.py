@@ -115,7 +115,7 @@ def test_metadata_is_what_jazzy_writes(tmp_path):
 
 @pytest.mark.parametrize('is_finished', [True, False])
 def test_the_file_itself_tells_rosbag2_the_distribution(tmp_path, is_finished):
-    """``ros2 bag info`` and ``reindex`` have nothing else where ``metadata.yaml`` is not at hand."""
+    """``ros2 bag info`` and ``reindex`` rely on it where ``metadata.yaml`` is absent."""
     writer = BagWriter(tmp_path / 'run', BagOptions(custom_data={'plant': 'one'}))
     add(writer)
     writer.write('/t', encode_joint_state(0, []), 5, 5)

@@ -476,9 +476,7 @@ def test_the_residual_is_learnt_on_bit_for_bit_too(
 
 
 class LosingTraining(InlineTraining):
-    """Loses itself in its fifth job, as an optimiser does whose gradients are beyond single
-    precision.
-    """
+    """Fails in its fifth job, as an optimiser with gradients beyond single precision does."""
 
     jobs = 0
 

@@ -357,8 +357,8 @@ def test_motors_in_one_array_learn_what_each_learns_alone(
 def rotor_samples() -> Samples:
     """A small motor whose speed is measured; it turns both ways."""
     plant = PlantParameters(
-        inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05, back_emf_constant=0.05,
-        inertia=2e-4, viscous_friction=1e-3,
+        inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05,
+        back_emf_constant=0.05, inertia=2e-4, viscous_friction=1e-3,
     )  # fmt: skip
     simulation = Simulation(
         {'m': plant}, 'R[-12,12]D[0.05,0.3]', seed=4, speed_mode='rotor', sample_rate_hz=1000.0

@@ -30,7 +30,7 @@ def _learnt(
     names: tuple[str, ...] = NAMES,
     start: tuple[float, ...] = START,
 ) -> RecursiveUpdate:
-    """Context nodes that have learnt currents, one more than there are voltages held between them."""
+    """Context nodes that have learnt currents, one more than the voltages between them."""
     told = {} if 'back_emf_constant' in names else {'back_emf_constant': constant}
     box = MotorWhiteBox(names, constant, told, speed_measured=speed is not None)
     nodes = RecursiveUpdate(box, np.array([start]))

@@ -27,9 +27,7 @@ def teach(nodes: RecursiveUpdate, samples: Samples) -> list[Estimate]:
 def held_on(
     last: Sample, seconds: float, noise_nm: float, seed: int, resistance: float = 1.0
 ) -> list[Sample]:
-    """The thesis's motor under the voltage of the last sample, for ever: its steady torque, in
-    noise.
-    """
+    """The thesis's motor under the last sample's voltage for ever: steady torque in noise."""
     volt, random = float(last.voltage_v[0]), np.random.default_rng(seed)
     total = resistance + 1e-4  # V = (R + Kb Kt) i + K_HS Kt i^2
     current_a = (-total + np.sqrt(total**2 + 0.4 * volt)) / 0.2

@@ -1,6 +1,4 @@
-"""Motors in a group learn what each would learn alone, whatever happens to the others and whoever
-has to wait.
-"""
+"""Motors in a group learn what each would alone, whatever happens to the others."""
 
 from __future__ import annotations
 
@@ -26,9 +24,7 @@ BOX = MotorWhiteBox(NAMES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(
 
 @pytest.fixture(scope='module')
 def samples() -> list[Sample]:
-    """Eight motors: one changes, one has outliers, one rests, one comes late, one goes, one is
-    quick, one has gaps.
-    """
+    """Eight motors: change, outliers, rest, late start, early end, fast, gaps, and plain."""
     plants = {f'm{k}': PlantParameters(resistance=1.0 + 0.1 * k) for k in range(MOTORS)}
     plants[f'm{STIFF}'] = PlantParameters(inductance=1e-3, resistance=1.6)
     excitation = dict.fromkeys(plants, 'R[5,15]D[0.2,3]') | {f'm{RESTING}': 'C[8]'}
@@ -161,9 +157,7 @@ def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
 
 
 def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
-    """Quick and slow motors, their voltages and loads by leaps, with outliers of torque; their
-    physics, a start.
-    """
+    """Fast and slow motors with stepped voltages and loads, torque outliers; physics, start."""
     random, motors = np.random.default_rng(seed), 5
     inductance = np.array([0.5, 0.02, 0.3, 0.5, 0.1])
     box = MotorWhiteBox(

@@ -1,6 +1,4 @@
-"""Compiled code and a device learn what numpy learns, of every block that they do not leave to
-numpy.
-"""
+"""Compiled code and a device learn what numpy learns, of every block not left to numpy."""
 
 from __future__ import annotations
 
@@ -73,12 +71,10 @@ class Count:
 
 
 def both(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray, samples: list[Sample],
-    rules: RecursiveRules,
+    monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray,
+    samples: list[Sample], rules: RecursiveRules,
 ) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
-    """Learn samples by compiled code or a device, and by numpy; the estimates must agree whenever
-    one changes.
-    """
+    """Learn samples by compiled code or a device, and by numpy; estimates must agree."""
     count = Count()
     quick = RecursiveUpdate(box, start, rules=rules, device=device)
     count.watch(quick)
@@ -95,7 +91,8 @@ def both(
 
 
 def simulated(
-    excitation: str, duration_s: float, *, motors: int = 1, speed: bool = False, noise: float = 0.005, **plant: float
+    excitation: str, duration_s: float, *, motors: int = 1, speed: bool = False,
+    noise: float = 0.005, **plant: float
 ) -> list[Sample]:  # fmt: skip
     """Samples at 100 Hz of motors that run alike, each with its own noise."""
     r = Simulation({'m': PlantParameters(**plant)}, excitation, seed=2).record(duration_s)
@@ -105,8 +102,8 @@ def simulated(
     measured = r.speed_rad_s[0] if speed else np.full(torque.size, np.nan)
     return [
         Sample(
-            int(r.stamp_ns[k]), np.full(motors, 0.01 if k else 0.0), np.full(motors, r.voltage_v[0, max(k - 1, 0)]),
-            drawn[k], np.full(motors, measured[k]),
+            int(r.stamp_ns[k]), np.full(motors, 0.01 if k else 0.0),
+            np.full(motors, r.voltage_v[0, max(k - 1, 0)]), drawn[k], np.full(motors, measured[k]),
         )
         for k in range(last)
     ]  # fmt: skip
@@ -204,7 +201,8 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
     ],
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...], known: dict[str, float]
+    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...],
+    known: dict[str, float]
 ) -> None:  # fmt: skip
     box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
@@ -284,9 +282,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(
 def disturbed(
     record: Callable[..., Recording], samples_of: Callable[..., list[Sample]]
 ) -> list[Sample]:
-    """A motor that changes, with outliers, wrong voltages and pauses, each now and then at the end
-    of a block.
-    """
+    """A changing motor with outliers, wrong voltages and pauses, some at the end of a block."""
     recording = record(
         'R[5,15]D[0.2,3]',
         40.0,
@@ -301,8 +297,8 @@ def disturbed(
             (4.0 if random.random() < 0.01 else 0.0),
         )
         taken = Sample(
-            sample.stamp_ns, sample.interval_s, sample.voltage_v + voltage, sample.torque_nm * torque,
-            sample.speed_rad_s,
+            sample.stamp_ns, sample.interval_s, sample.voltage_v + voltage,
+            sample.torque_nm * torque, sample.speed_rad_s,
         )  # fmt: skip
         made.append(taken.beginning() if k and random.random() < 0.01 else taken)
     return made

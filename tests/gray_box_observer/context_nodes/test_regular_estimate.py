@@ -21,9 +21,7 @@ MOTORS = 200
 
 @pytest.fixture
 def nodes() -> RecursiveUpdate:
-    """Context nodes of many motors with random beliefs, from the sharp to the vague, some at a
-    bound.
-    """
+    """Context nodes of many motors with random beliefs, sharp to vague, some at a bound."""
     random, count = np.random.default_rng(7), len(NODES)
     box = MotorWhiteBox(NODES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(MOTORS, 0.01)})
     lower, upper = bounds(box.parameters)

@@ -1,6 +1,4 @@
-"""What is taken back from a checkpoint goes on as what was saved, wherever in a block or a drift
-that was.
-"""
+"""A checkpoint goes on as the saved observer would, wherever in a block or a drift it was."""
 
 from __future__ import annotations
 
@@ -80,7 +78,7 @@ def test_a_refilled_buffer_counts_its_streams_on() -> None:
         one.append(sample)
     content = one.content(more=4)
     assert content[1, 0].tolist() == list(range(21, 41))
-    other.refill(content, gone=20)
+    other.refill(content, dropped_count=20)
     place = np.array([36])
     assert other.received[0] == one.received[0] == 40
     assert other.remembered(until=place)[0] == one.remembered(until=place)[0] == 16

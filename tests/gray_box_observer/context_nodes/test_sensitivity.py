@@ -1,6 +1,4 @@
-"""What an error of a known constant does to the estimate, against what algebra says
-(docs/METHOD.md, The form).
-"""
+"""Effect of an error in a known constant, against algebra (docs/METHOD.md, The form)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Whatever the motor, the voltage and the fault: estimates are finite and covariances positive
-definite.
+"""For any motor, voltage and fault: finite estimates, positive definite covariances.
 
 Every case is drawn from its own seed. ``DRAWN_MOTORS=10000`` draws as many instead of those of the
 suite.
@@ -36,8 +35,10 @@ def _voltage(rng: np.random.Generator, samples: int) -> np.ndarray:
     levels = rng.uniform(rng.choice([-1.0, 0.0, 0.3]), 1.0, samples)
     held = np.repeat(levels, rng.integers(1, rng.choice([3, 30, 200]), samples))[:samples]
     kinds = (
-        held, held, held, np.sin(time / rng.uniform(1.0, 200.0)), np.ones(samples), np.zeros(samples),
-        (time > samples // 2).astype(float), time / samples, rng.standard_normal(samples), np.sign(levels),
+        held, held, held, np.sin(time / rng.uniform(1.0, 200.0)), np.ones(samples),
+        np.zeros(samples),
+        (time > samples // 2).astype(float), time / samples, rng.standard_normal(samples),
+        np.sign(levels),
     )  # fmt: skip
     return size * kinds[rng.integers(len(kinds))]
 
@@ -45,9 +46,7 @@ def _voltage(rng: np.random.Generator, samples: int) -> np.ndarray:
 def _motor(
     rng: np.random.Generator, voltage: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Current in A and speed in rad/s of a motor with or without a rotor of its own, and its torque
-    constant.
-    """
+    """Current in A, speed in rad/s and torque constant of a motor with or without a rotor."""
     constant = 10.0 ** rng.uniform(-3.0, 0.0)
     resistance = 10.0 ** rng.uniform(-1.5, 2.0)
     decay = np.exp(-step_s / (10.0 ** rng.uniform(-5.0, 0.5)))
@@ -73,8 +72,8 @@ def _spoilt(rng: np.random.Generator, current: np.ndarray) -> np.ndarray:
         step = size * 10.0 ** rng.uniform(-3.0, 0.0)
         measured = np.round(measured / step) * step
     faults = (
-        measured, measured, measured, -measured, measured + 0.1 * size, 1e3 * measured, 1e-3 * measured,
-        np.where(np.arange(measured.size) > measured.size // 2, 0.0, measured),
+        measured, measured, measured, -measured, measured + 0.1 * size, 1e3 * measured,
+        1e-3 * measured, np.where(np.arange(measured.size) > measured.size // 2, 0.0, measured),
         np.where(rng.random(measured.size) < 0.02, 1e6, measured),
         np.where(np.arange(measured.size) > measured.size // 2, 1.5 * measured, measured),
         np.roll(measured, 7), np.clip(measured, -0.2 * size, 0.2 * size), np.zeros(measured.size),

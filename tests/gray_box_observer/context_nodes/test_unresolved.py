@@ -1,4 +1,4 @@
-"""A motor that settles between two samples: what can be known of it, and what must not be claimed."""
+"""A motor that settles between two samples: what can be known, and what must not be claimed."""
 
 from __future__ import annotations
 

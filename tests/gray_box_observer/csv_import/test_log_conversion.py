@@ -61,7 +61,10 @@ def test_a_voltage_of_the_preceding_interval_is_stamped_where_that_interval_star
 
 
 def test_a_log_of_a_robot_with_percent_comments_and_numbered_columns(tmp_path):
-    text = '%% logfile of a robot\n%  1    time 0.000 sec\n0.001 2  5.0 6.0  0.5 0.6\n0.002 2  5.1 6.1  0.7 0.8\n'
+    text = (
+        '%% logfile of a robot\n%  1    time 0.000 sec\n0.001 2  5.0 6.0  0.5 0.6\n0.002 2  5.1 '
+        '6.1  0.7 0.8\n'
+    )
     _, voltage, torque = convert(
         tmp_path,
         text,

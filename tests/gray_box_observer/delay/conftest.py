@@ -27,9 +27,7 @@ def observer() -> Callable[..., Observer]:
 
 @pytest.fixture
 def feed() -> Feed:
-    """Feed a recording whose voltage is stamped ``delay_s`` too early, in the order of arrival that
-    is asked for.
-    """
+    """Feed a recording with voltage stamped ``delay_s`` too early, in the chosen order."""
 
     def run(
         one: Observer,

@@ -21,9 +21,7 @@ INITIAL = to_coordinates(np.array([[1.5, 3.0, 1.0]]))
 
 
 def signals_of(recording: Recording, delay_s: float) -> RawSignals:
-    """The signals of a recording whose voltage is stamped too early, cut to where every delay in
-    reach is known.
-    """
+    """A recording with voltage stamped too early, cut to where every delay is known."""
     history, shift_ns = RawHistory(), round(delay_s * 1e9)
     for k, stamp_ns in enumerate(recording.stamp_ns.tolist()):
         history.voltage(stamp_ns - shift_ns, float(recording.voltage_v[0, k]))

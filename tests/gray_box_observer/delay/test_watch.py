@@ -205,9 +205,7 @@ def test_everything_received_is_still_used_or_rejected_or_waits_after_a_delay_wa
 def test_a_delay_that_grows_sharper_after_a_restart_costs_no_certainty_learnt_before_it(
     record: Callable[..., Recording], observer: Any, feed: Any, tmp_path: Path
 ) -> None:
-    """A sharper delay makes everything learnt anew from the history, which a restart has left
-    behind.
-    """
+    """A sharper delay relearns everything from the history that a restart has left behind."""
     recording = record('R[5,15]D[0.1,1]', 15.0, seed=3, torque_noise_std=5e-4)
     one, other = (observer(**{'motor.delay': 'estimate'}) for _ in range(2))
     feed(one, recording, 0.04, until=500)

@@ -16,9 +16,7 @@ def assumed(*, measured: bool = False, **given: Any) -> dict[str, str]:
     return assumptions(motor, motor.white_box(speed_measured=measured))
 
 
-def test_of_a_motor_of_which_nothing_is_stated_speed_and_kb_are_assumed_and_the_remedy_is_told() -> (
-    None
-):
+def test_speed_and_kb_of_an_unstated_motor_are_assumed_and_the_remedy_is_named() -> None:
     found = assumed()
     assert list(found) == [UNSEEN_ROTOR, DEFAULT_KB]
     assert 'motor.speed_source: torque_constant' in found[UNSEEN_ROTOR]

@@ -31,9 +31,7 @@ STEPS = 10
 
 @cache
 def _gear_motors(seed: int = 0) -> tuple[tuple[PlantParameters, Array], ...]:
-    """Draw gear motors with dry and viscous friction, and drive each to and fro; samples of shape
-    (signal, n).
-    """
+    """Draw gear motors with dry and viscous friction, driven to and fro; (signal, n)."""
     rng = np.random.default_rng(seed)
     resistance = np.exp(rng.uniform(np.log(0.5), np.log(8.0), DRAWN))
     constant = np.exp(rng.uniform(np.log(0.05), np.log(0.8), DRAWN))
@@ -57,9 +55,7 @@ def _gear_motors(seed: int = 0) -> tuple[tuple[PlantParameters, Array], ...]:
 
 
 def _moved(drawn: dict[str, Array], voltage_v: Array, rng: np.random.Generator) -> Array:
-    """Let motors with a rotor run, and measure with 1 % of noise on torque; shape (motor, signal,
-    n).
-    """
+    """Let motors with a rotor run, with 1 % noise on torque; shape (motor, signal, n)."""
     step_s = 1.0 / RATE_HZ / STEPS
     kept = np.exp(-step_s * drawn['resistance'] / drawn['inductance'])
     constant = drawn['torque_constant']
@@ -99,9 +95,7 @@ def _thesis_motor(resistance: float, noise: float) -> tuple[PlantParameters, Arr
 
 
 def _effects(plant: PlantParameters, samples: Array, speed: bool = True, **given: Any) -> list[str]:
-    """Return the effects that are doubted of a motor of which Kt and Kb are said unless something
-    else is.
-    """
+    """Return the doubted effects of a motor; Kt and Kb are stated unless told otherwise."""
     stated = {
         'torque_constant': plant.torque_constant,
         'back_emf_constant': plant.back_emf_constant,

@@ -1,6 +1,4 @@
-"""What the fit lets be believed, through the observer: misfits are never identified, good motors
-are.
-"""
+"""Beliefs by fit, through the observer: misfits are never identified, good motors are."""
 
 from __future__ import annotations
 
@@ -120,9 +118,7 @@ def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
 
 
 def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
-    """At a constant voltage the current tells resistance and back-EMF together; nobody can part
-    them.
-    """
+    """A constant voltage tells resistance and back-EMF together; they cannot be separated."""
     current_a = np.full(4000, 0.3)  # of 3 A at stall
     settled = (
         Record(np.full(4000, 6.0), current_a + noise(4000, 0.01, 3)).observed().motors['motor']
@@ -181,9 +177,7 @@ def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
 
 
 def test_l_below_a_sample_interval_is_believed_only_where_stamps_are_exact() -> None:
-    """With 10 ms between samples of a motor whose L/R is 2 ms, L is what the instant of a step
-    says.
-    """
+    """At 10 ms between samples and L/R of 2 ms, L depends on the instant of a step."""
     coarse = _healthy(samples=20000)
     every = Record(coarse.voltage_v[::10].repeat(10), coarse.current_a)
     voltage_v = every.voltage_v

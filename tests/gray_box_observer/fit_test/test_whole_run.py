@@ -19,7 +19,7 @@ BOX = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf
 
 
 def signals_of(recording: Recording) -> tuple[Array, Array, Array]:
-    """Return interval, voltage and torque, shape (n,), of the first motor, as pairing makes them."""
+    """Return interval, voltage and torque, (n,), of the first motor, as pairing makes them."""
     interval_s = np.diff(recording.stamp_ns, prepend=recording.stamp_ns[:1]) / 1e9
     voltage_v = np.concatenate([[0.0], recording.voltage_v[0, :-1]])
     return interval_s, voltage_v, recording.torque_nm[0]

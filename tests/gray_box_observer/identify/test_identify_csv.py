@@ -1,6 +1,4 @@
-"""``identify --from-csv``: what the mapping tells of the motor, and what a failed run leaves
-behind.
-"""
+"""``identify --from-csv``: what the mapping tells, and what a failed run leaves behind."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ def identify(capsys: pytest.CaptureFixture[str]) -> Run:
 
 @pytest.fixture
 def log(tmp_path: Path, record: Callable[..., Recording]) -> Path:
-    """A log of voltage and current of the motor of the thesis: L 0.5 H, R 1 ohm, K_HS 10, Kt 0.01."""
+    """A log of voltage and current of the thesis's motor: L 0.5 H, R 1 ohm, K_HS 10, Kt 0.01."""
     recording = record('R[5,15]D[0.2,2]', 20.0)
     time_s = (recording.stamp_ns - recording.stamp_ns[0]) * 1e-9
     columns = np.column_stack([time_s, recording.voltage_v[0], recording.torque_nm[0] / KT])
@@ -315,7 +313,10 @@ def test_a_motor_of_a_log_cannot_be_called_like_a_parameter(
 ) -> None:
     code, out, said = identify(tmp_path / 'bag', '--from-csv', log, *columns(f'motor={name}'))
     assert (code, out) == (2, '')
-    expected = f'motors: {name} is the name of parameters of the observer itself; give the motor another one'
+    expected = (
+        f'motors: {name} is the name of parameters of the observer itself; give the motor another '
+        'one'
+    )
     assert said == f'identify: error: {expected}\n'
     assert not (tmp_path / 'bag').exists()
 

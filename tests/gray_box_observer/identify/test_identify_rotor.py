@@ -1,6 +1,4 @@
-"""A free rotor whose speed is not measured: whatever becomes of its estimates, the result can be
-read by everybody.
-"""
+"""A free rotor without measured speed: whatever the estimates, everybody can read the result."""
 
 from __future__ import annotations
 

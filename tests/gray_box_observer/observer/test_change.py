@@ -1,6 +1,4 @@
-"""A motor that changes while it is observed: not only where the estimate ends, but what it says on
-the way.
-"""
+"""A motor that changes while observed: the final estimate, and what is said on the way."""
 
 from __future__ import annotations
 

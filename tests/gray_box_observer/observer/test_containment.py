@@ -128,7 +128,7 @@ def test_it_is_contained_wherever_it_escapes(fault, method):
         observer.voltage(motor, (FAILS_AT + 2) * PERIOD_NS, 5.0)
         observer.forecast_group(group, (FAILS_AT + 2) * PERIOD_NS)
         observer.alarm(motor)
-    observer.freeze(frozen=True)
+    observer.freeze(is_frozen=True)
     observer.reconfigure(observer.configuration)
     checkpoint.capture(observer)
     observer.close()

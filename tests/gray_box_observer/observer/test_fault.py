@@ -1,6 +1,4 @@
-"""A motor that breaks while it is observed: the alarm on the residual, from simulated faults to
-results.
-"""
+"""A motor that breaks while observed: the residual alarm, from simulated faults to results."""
 
 from __future__ import annotations
 

@@ -37,9 +37,7 @@ def recording() -> Recording:
 
 @pytest.fixture(scope='module')
 def said(recording: Recording) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Voltage and torque of every motor as the sensors say; infinite: the message does not speak of
-    it.
-    """
+    """Voltage and torque of every motor as sensors say; infinite: absent from the message."""
     random, told = np.random.default_rng(2), {}
     for m, name in enumerate(NAMES):
         told[name] = recording.voltage_v[m].copy(), recording.torque_nm[m].copy()

@@ -152,9 +152,7 @@ def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_someth
 
 
 def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
-    """What is told of motors whose signals, and whose observer, meet all that can happen, at seeded
-    random instants.
-    """
+    """Results of motors whose signals and observer meet everything, at seeded random instants."""
     names, told, random, shift_ns = recording.motors, [], np.random.default_rng(5), 0
     given: dict[str, Any] = {'motors': list(names), 'group_from': 2}
     one, saved = observer(InlineTraining, **given), None

@@ -147,9 +147,7 @@ def test_only_what_is_identified_contradicts_only_what_was_given(
 def test_a_data_sheet_that_cannot_be_true_is_dropped(
     record: Callable[..., Recording], start: int, noise: float
 ) -> None:  # fmt: skip
-    """R is told to be twice what it is, to one per cent: the search must not end where K_HS makes
-    up for that.
-    """
+    """R is stated as twice its value, to 1 %: the search must not end where K_HS makes up."""
     recording = record('R[5,15]D[1,20]', 30.0, torque_noise_relative=noise)
     one = observer(TRUTH * [1.0, 2.0, 1.0], [0.2, 0.01, 0.0])
     for begin, end in ((start, 500), (500, 1000), (1000, 1500), (1500, None)):
@@ -192,9 +190,7 @@ def test_it_is_dropped_for_its_motor_alone(record: Callable[..., Recording]) -> 
 def test_with_little_data_the_error_is_what_the_covariance_says(
     record: Callable[..., Recording],
 ) -> None:
-    """Data sheets drawn from their own uncertainty: normalised square errors have the number of
-    unknowns for a mean.
-    """
+    """Data sheets drawn by their own uncertainty: mean squared errors equal the unknowns."""
     std, squares = np.array([0.05, 0.1, 0.2]), []
     random = np.random.default_rng(11)
     for seed in range(20):

@@ -1,4 +1,4 @@
-"""What the tests of the predictor share: white boxes of every kind, and training that does nothing."""
+"""Tests of the predictor share this: white boxes of every kind, and training that does nothing."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The alarm on the residual: as many false ones as stated, quick on true ones, deaf to what is no
-fault.
-"""
+"""The residual alarm: false ones at the stated rate, quick on true ones, deaf to the rest."""
 
 from __future__ import annotations
 

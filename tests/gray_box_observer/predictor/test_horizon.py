@@ -1,6 +1,4 @@
-"""Forecasts over a horizon with what was learnt beside the physics, against streaming with the
-voltage really held.
-"""
+"""Forecasts over a horizon with a learnt residual, against streaming with held voltage."""
 
 from __future__ import annotations
 

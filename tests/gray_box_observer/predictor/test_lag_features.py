@@ -1,4 +1,4 @@
-"""Leaky integrators: against closed forms, and the four ways to the same traces against each other."""
+"""Leaky integrators: against closed forms, and four ways to the same traces compared."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The linear part of a correction: what it finds, what it does not presume to know, and where it is
-silent.
-"""
+"""The linear part of a correction: what it finds, does not presume, and where it is silent."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ from gray_box_observer.predictor.linear_part import (
 
 
 def run(seed: int, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
-    """Features of a motor whose voltage steps now and then, and a rotor's lag of that voltage: 20
-    samples.
-    """
+    """Features of a motor with occasional voltage steps, and a rotor's lag of 20 samples."""
     random = np.random.default_rng(seed)
     voltage = np.repeat(random.uniform(0.0, 10.0, count // 30), 30)[None]
     current, speed = 0.2 * voltage, np.zeros_like(voltage)

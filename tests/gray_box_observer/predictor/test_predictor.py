@@ -81,9 +81,7 @@ def test_a_motor_never_seen_is_predicted_from_its_parameters(idle: Any, seed: in
 
 
 def samples(recording: Recording, every: int = 1, jitter: bool = False) -> list[Sample]:
-    """Samples at every n-th stamp or, with jitter, one to n stamps apart, with the mean voltage
-    between.
-    """
+    """Samples at every n-th stamp (with jitter one to n apart), with the mean voltage."""
     random, k, made, last = np.random.default_rng(0), 0, [], 0
     while k < recording.stamp_ns.size:
         held = recording.voltage_v[:, last:k].mean(axis=1) if k else recording.voltage_v[:, 0]

@@ -1,6 +1,4 @@
-"""What is learnt beside the physics: nothing where there is nothing, and never more than held-out
-samples bear out.
-"""
+"""Learning beside the physics: never more than held-out samples support."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 @pytest.fixture
 def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Callable[..., History]:
-    """A recording as the trainer sees it, with an effect on the torque that the white box does not
-    have.
-    """
+    """A recording as the trainer sees it, with a torque effect unknown to the white box."""
 
     def make(
         effect: Effect = np.zeros_like, noise: float = 0.01, duration_s: float = 40.0
@@ -128,9 +124,7 @@ def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:
 
 
 def piece(history: History, first: int, end: int, cut: bool = False) -> History:
-    """Intervals from one to before another as a history of its own, which starts at the measured
-    current.
-    """
+    """Some intervals as a history of its own, which starts at the measured current."""
     whole, current_a, span = history.sequences, history.current_a, slice(first, end)
     sequences = replace(
         whole,

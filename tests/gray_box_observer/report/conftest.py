@@ -1,6 +1,4 @@
-"""Synthetic runs for the tests of the report: seeded, and shaped like what an observer leaves
-behind.
-"""
+"""Synthetic runs for tests of the report: seeded, and shaped like an observer's."""
 
 from __future__ import annotations
 

@@ -47,13 +47,15 @@ const probe = setInterval(() => {
   clearInterval(probe);
   const pressed = [...document.querySelectorAll('.views button')];
   const log = document.querySelector('#motor-0-parameter-0');
-  for (const button of pressed.filter((button) => button.textContent !== 'Last tenth')) { button.click(); }
+  const others = pressed.filter((button) => button.textContent !== 'Last tenth');
+  for (const button of others) { button.click(); }
   log.dataset.type = log.layout.yaxis.type;
   pressed.find((button) => button.textContent === 'Last tenth').click();
   setTimeout(() => {
     for (const plot of document.querySelectorAll('.drawing')) {
       plot.dataset.svg = plot.querySelectorAll('svg.main-svg').length;
-      plot.dataset.traces = plot.querySelectorAll('.scatterlayer > .trace, .barlayer > .trace').length;
+      const traces = plot.querySelectorAll('.scatterlayer > .trace, .barlayer > .trace');
+      plot.dataset.traces = traces.length;
       plot.dataset.range = plot.layout.xaxis.range.map((end) => end.toFixed(3)).join(' ');
       plot.dataset.ink = plot.data.at(-1).marker?.color ?? '';
     }

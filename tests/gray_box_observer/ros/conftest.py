@@ -83,7 +83,7 @@ class Rig:
         return self._senders['voltage'], self._senders['torque']
 
     def send(self, recording, indices: Sequence[int]) -> None:
-        """Send samples of a recording, a chunk of voltages before the torques of the same stamps."""
+        """Send samples of a recording: a chunk of voltages, then the torques of the same stamps."""
         motors = ' '.join(recording.motors)
         for first in range(0, len(indices), CHUNK):
             chunk = indices[first : first + CHUNK]
@@ -166,7 +166,7 @@ class Rig:
         return self.call(GetState, 'get_state').current_state.id
 
     def wait_until_gone(self, child: psutil.Process) -> None:
-        """Wait until a process that the observer had started has ended; it does so at low priority."""
+        """Wait until a process that the observer had started ends; it ends at low priority."""
 
         def gone() -> bool:
             try:

@@ -1,6 +1,4 @@
-"""Checkpoints of the observer as a process: kept by itself, resumed after any end, confined to
-their folder.
-"""
+"""Checkpoints of the observer process: kept, resumed after any end, confined to a folder."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""A defect in the observer of one motor, in a node that runs: that motor stops, the node and the
-others do not.
-"""
+"""A defect in one motor's observer in a running node: only that motor stops."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ def publishers(rig, motor: str) -> int:
 
 
 def end(rig) -> str:
-    """End the observer, which ends as one in health does; return its log, in which a traceback is
-    in order.
-    """
+    """End the observer as one in health ends; return its log, which may hold a traceback."""
     rig.peer._running.remove(rig.process)
     rig.process.send_signal(signal.SIGTERM)
     _, said = rig.process.communicate(timeout=END_S)

@@ -1,6 +1,4 @@
-"""What robots publish: message types, field paths, quality of service, several motors that come and
-go.
-"""
+"""What robots publish: message types, field paths, QoS, motors that come and go."""
 
 from __future__ import annotations
 
@@ -33,7 +31,7 @@ def stamped(message: Any, stamp_ns: int) -> Any:
 
 
 def publish(peer: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> None:
-    """Publish rows of messages by sender, in order, with no more on the way than the queues hold."""
+    """Publish rows of messages by sender, in order, within the depth of the queues."""
     for k, row in enumerate(rows, start=1):
         for name, message in row.items():
             senders[name].publish(message)
@@ -44,9 +42,7 @@ def publish(peer: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> N
 
 @pytest.mark.parametrize('rate', [1.0, 0.05])
 def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record, rate):
-    """Voltage in an array, current by index in somebody's joint states, speed in a wrench: all by
-    their paths.
-    """
+    """Voltage in an array, current in joint states, speed in a wrench: all by their paths."""
     recording = record(EXCITATION, 8.0)
     rig.start(
         voltage__topic='drive/state',
@@ -60,7 +56,8 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
         speed__topic='encoder',
         speed__type='geometry_msgs/msg/WrenchStamped',
         speed__field='wrench.force.x',
-        hold_s=60.0,  # sent faster than time runs, one topic may overtake another by more than it would live
+        # sent faster than time runs, one topic may overtake another by more than it would live
+        hold_s=60.0,
     )
     senders = {
         'voltage': rig.peer.publisher(JointState, 'drive/state', RELIABLE, readers=1),
@@ -252,7 +249,10 @@ def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(
 
     def told() -> bool:
         send('left', range(k := next(left_alone), k + 1))  # the topics go on, without right
-        gone = 'no new sample: motor/voltage speaks of it no more and motor/torque speaks of it no more'
+        gone = (
+            'no new sample: motor/voltage speaks of it no more and motor/torque speaks of it no '
+            'more'
+        )
         return any(
             gone in s.message
             for array in rig.diagnostics

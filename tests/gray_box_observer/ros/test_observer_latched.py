@@ -1,6 +1,4 @@
-"""What is latched is true of now, in every state of the life cycle: whoever comes late believes no
-number of before.
-"""
+"""Latched values are true now, in every state of the life cycle, for late listeners too."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Every transition of the observer's life cycle, with what it must leave behind, and its end under
-load.
-"""
+"""Every transition of the observer's life cycle, what it leaves, and its end under load."""
 
 from __future__ import annotations
 
@@ -145,9 +143,7 @@ TRANSITIONS = {
 def test_a_defect_in_any_transition_leads_back_to_unconfigured_and_from_there_on(
     node, transition, monkeypatch, capfd
 ):
-    """Every action of a transition fails with what is no expected error; afterwards the node must
-    work.
-    """
+    """Every action of a transition fails unexpectedly; afterwards the node must work."""
     before, action = TRANSITIONS[transition]
     one = node()
     for step in before:
@@ -278,9 +274,7 @@ def test_reset_publishes_at_once_what_is_known_then(rig, record):
 
 
 def test_nothing_jumps_but_what_the_state_does(rig, record, tmp_path):
-    """Freezing, thawing, saving, pausing and loading publish no value that was not learnt at that
-    time.
-    """
+    """Freezing, thawing, saving, pausing and loading publish only freshly learnt values."""
     recording = record(EXCITATION, 12.0, torque_noise_relative=0.01)
     rig.start(checkpoint__path=tmp_path / 'c.safetensors')
     rig.send(recording, range(600))

@@ -479,9 +479,7 @@ def test_several_motors_share_their_messages_in_a_namespace(make_rig, record):
 
 
 def test_other_message_types_are_read_by_field_path_and_stamped_by_the_middleware(rig):
-    """The truth is the closed form of a motor without hysteresis, driven at the times of the wall
-    clock.
-    """
+    """The truth: the closed form without hysteresis, at the times of the wall clock."""
     rig.start(
         voltage__topic='drive/volts',
         voltage__type='std_msgs/msg/Float64',

@@ -58,9 +58,7 @@ def series(count: int, step_s: float = 0.01) -> list[JointState]:
 def make_bag(
     folder: Path, times_s: list[float], topic: str = '/motor/torque', log_s: int = 0
 ) -> Path:
-    """A bag whose message k has effort k and was logged at the k-th time, `log_s` later than its
-    stamp.
-    """
+    """A bag whose message k has effort k, logged at the k-th time, `log_s` after its stamp."""
     with BagWriter(folder) as writer:
         writer.add_topic(topic, TYPE_NAME, schema_text(TYPE_NAME, built_in_lookup))
         for index, time_s in enumerate(times_s):
@@ -320,7 +318,8 @@ def test_the_clock_follows_the_recorded_time_and_jumps_back_when_the_loop_begins
 WANTED = {
     'parameters': '--ros-args -p rate:=2000.0 -p start_offset_s:=1000 -p topics:=[motor/torque]',
     'options of ros2 bag': '-r 2000 --start-offset 1000 --storage mcap --topics motor/torque',
-    'options before parameters': '--rate 2000 -s mcap --ros-args -p rate:=0.001 -p start_offset_s:=1000',
+    'options before parameters': '--rate 2000 -s mcap --ros-args -p rate:=0.001 '
+    '-p start_offset_s:=1000',
 }
 
 

@@ -84,7 +84,7 @@ def test_stamps_that_come_again_after_a_clock_was_set_back_are_predicted_again()
     assert [stamp for stamp, _ in predicted(node)] == [1, 1]
 
 
-def test_where_voltages_come_between_torques_their_stamps_are_predicted_again_after_a_clock_was_set_back():
+def test_stamps_of_voltages_between_torques_are_predicted_again_after_a_clock_was_set_back():
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
     for _ in range(2):  # a recording that is played in a loop
@@ -204,9 +204,7 @@ def test_a_fit_goes_out_once_tested_and_when_it_changes_and_is_0_where_it_is_kno
     assert sent_to(node, 'fit', Float64) == [1.25, 7.5, 0.0, 7.5, 0.0]
 
 
-def test_which_parameters_are_identified_goes_out_when_it_changes_and_again_when_nobody_may_have_heard() -> (
-    None
-):
+def test_identified_parameters_go_out_on_change_and_again_when_nobody_may_have_heard() -> None:
     node, parameters = (
         Node(),
         MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), 0.01, {}).parameters,

@@ -1,6 +1,4 @@
-"""YAML as data alone: like PyYAML where readers agree, refused by name and line where a text could
-be a trap.
-"""
+"""YAML as data alone: like PyYAML where readers agree; traps are refused by name and line."""
 
 from __future__ import annotations
 

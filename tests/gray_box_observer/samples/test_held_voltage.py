@@ -16,13 +16,12 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
     held, stamps = HeldVoltage(math.nan), [k * 10 * MS for k in range(count)]
     for stamp_ns in stamps:
         held.take(stamp_ns, 1.0)
-        held.step_to(stamp_ns, lost=False)
+        held.step_to(stamp_ns, is_lost=False)
     return held, stamps
 
 
 def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int) -> int | None:
-    """When the voltage is known again after the last pause that began before ``end_ns``, told stamp
-    by stamp.
+    """When voltage is known again after the last pause before ``end_ns``, told by stamps.
 
     A limit a stamp is the longest habit when it came; one more is that of the voltage which is
     still to come.

@@ -138,9 +138,7 @@ def test_a_gap_never_becomes_a_derivative() -> None:
 def test_what_the_voltage_did_while_both_were_silent_is_not_made_up(
     hole_ms: int, back_ms: int
 ) -> None:
-    """Both come every 10 ms, but for a hole that ends at 3 s; voltage is back so much later than
-    torque.
-    """
+    """Both come every 10 ms but for a hole until 3 s; voltage returns after torque."""
     voltages, torques = steady(400)
     expected = {
         s.stamp_ns: content([s])
@@ -187,9 +185,7 @@ def test_there_is_no_newest_voltage_while_nobody_knows_what_it_does() -> None:
 
 @pytest.mark.parametrize('delivered_late', [False, True])
 def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_late: bool) -> None:
-    """Torque goes on through an outage of the voltage, or comes first when both are delivered after
-    it.
-    """
+    """Torque goes on in an outage of the voltage, or comes first when both arrive later."""
     voltages, torques = steady(1500)
     out = [e for e in voltages if 12_000 <= e[1] < 13_000]
     comes = {e: 13_000.0 if e in out else float(e[1]) for e in voltages + torques}
@@ -215,9 +211,7 @@ def test_a_regular_voltage_that_is_overdue_is_not_taken_for_unchanged(delivered_
 def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows(
     count: int, ahead_ms: int
 ) -> None:
-    """Torque goes on; the voltage, delivered in time or ahead of torque, misses 1 to 129 samples
-    after regular ones.
-    """
+    """Torque goes on; voltage, in time or early, misses 1 to 129 samples after regular ones."""
     voltages, torques = steady(count + 200)
     for missing in (1, 18, 30, 46, 64, 129):
         back_ms = 10 * (count + missing)
@@ -255,9 +249,7 @@ def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_ac
 
 @pytest.mark.parametrize('every', [1, 3])
 def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every: int) -> None:
-    """The voltage of one motor is overdue while the messages go on, torque comes as often or three
-    times as often.
-    """
+    """One motor's voltage is overdue while messages go on; torque as often, or three times."""
     pairing, samples = Pairing(PairingRules(hold_s=0.0), motors=3), []
     for k in range(1250 * every):
         if k % every == 0:
@@ -596,9 +588,7 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
 
 
 def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
-    """Whatever a message lacks, and whatever becomes of it: no motor is charged with what did not
-    speak of it.
-    """
+    """Whatever a message lacks or becomes: no motor is charged for what was not its own."""
     random, motors = np.random.default_rng(7), 4
     pairing, told = (
         Pairing(PairingRules(hold_s=0.05), motors),
@@ -612,7 +602,7 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
         values = random.choice([0.1, 0.2, math.nan, 1e12], motors, p=[0.45, 0.45, 0.05, 0.05])
         told[signal] += ~missing
         take = pairing.voltage if signal == 'v' else pairing.torque
-        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), missing=missing)
+        take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), absent=missing)
         for motor in range(motors):
             counts = pairing.of(motor)
             assert counts.received_torque == told['t'][motor]
@@ -639,9 +629,7 @@ def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> Non
 
 
 def test_pairing_anew_makes_no_habit_of_what_came_once() -> None:
-    """A voltage that was regular for 900 samples was so no longer for having been gone through
-    twice.
-    """
+    """A voltage regular for 900 samples is not less so for having been gone through twice."""
     voltages, torques = steady(900)
     later: list[Event] = [('t', at, 0.1) for at in range(9000, 12_000, 10)]
     fresh, changed = Pairing(delay_s=0.02), Pairing()

@@ -1,6 +1,4 @@
-"""The parameter `device`: what it asks for is said to be missing in one line, and reaches
-everything that computes.
-"""
+"""The parameter `device`: reports what it lacks in one line, and reaches every computation."""
 
 from __future__ import annotations
 
@@ -125,7 +123,10 @@ def out_of_memory(*_: Any, **__: Any) -> None:
     )
 
 
-FAILED = '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have fewer motors'
+FAILED = (
+    '.* failed: CUDA out of memory. Tried to allocate 2 GiB: set device to cpu, or let it have '
+    'fewer motors'
+)
 
 
 @pytest.mark.parametrize(
@@ -183,7 +184,8 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
     )
     rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
     one = Predictor(
-        box, 2, theta[0], rules, InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
+        box, 2, theta[0], rules,
+        InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
         speed_measured=False, device=torch_name,
     )  # fmt: skip
     voltage, torque, interval = np.full(2, 9.0), np.full(2, 0.05), np.full(2, 0.01)
@@ -321,9 +323,7 @@ def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
 def test_a_group_is_observed_alike_by_torch_and_without(
     monkeypatch: pytest.MonkeyPatch, torch_name: str
 ) -> None:
-    """The whole observer, with torch on the processor where there is no GPU: estimates,
-    predictions, training.
-    """
+    """The whole observer, by torch on the processor without a GPU: estimates and training."""
     for module in (observer, builder):
         monkeypatch.setattr(
             module, 'torch_device', lambda name: None if name == 'cpu' else torch_name

@@ -1,6 +1,4 @@
-"""What is declared is what numpy, compiled code, torch, parameters and documentation have: tried by
-declaring more.
-"""
+"""The declared motor is the one in numpy, C, torch, parameters and documentation."""
 
 from __future__ import annotations
 
@@ -25,15 +23,18 @@ MAKE_FORMS = ROOT / 'ros_ws' / 'make_forms.py'
 
 EFFECT = """\
     Term(
-        Parameter('spread_drop', 'V/A^2', 0.2, 1e-6, 1e3, 'Square-law drop V_q, coefficient of |i| i.'),
+        Parameter('spread_drop', 'V/A^2', 0.2, 1e-6, 1e3, 'Square-law drop V_q, factor of |i| i.'),
         'abs(current) * current',
     ),
 """
 
 ROTOR = """\
-    Term(Parameter('inertia', 'kg m2', 1e-3, 1e-9, 1e3, 'Inertia J, coefficient of dw/dt.'), state=State.SPEED),
     Term(
-        Parameter('viscous_friction', 'N m s/rad', 1e-3, 1e-9, 1e3, 'Friction B, coefficient of w.'),
+        Parameter('inertia', 'kg m2', 1e-3, 1e-9, 1e3, 'Inertia J, coefficient of dw/dt.'),
+        state=State.SPEED,
+    ),
+    Term(
+        Parameter('viscous_friction', 'N m s/rad', 1e-3, 1e-9, 1e3, 'Friction B, by speed w.'),
         'speed',
         State.SPEED,
     ),
@@ -111,7 +112,10 @@ def test_the_committed_forms_are_those_of_the_declaration() -> None:
 
 
 def test_nothing_that_runs_needs_sympy(tmp_path: Path) -> None:
-    used = 'import sys, gray_box_observer.identify.command, gray_box_observer.observer.observer; assert "sympy" not in sys.modules'
+    used = (
+        'import sys, gray_box_observer.identify.command, gray_box_observer.observer.observer; '
+        'assert "sympy" not in sys.modules'
+    )
     run(tmp_path, '-c', used)
 
 
@@ -192,8 +196,11 @@ def value_and_slope(current):
 
 found['numbers'] = [*zip(*map(value_and_slope, currents))]
 found['numpy'] = [part.tolist() for part in value_and_slope(np.array(currents))]
-found['torch'] = [part.tolist() for part in value_and_slope(torch.tensor(currents, dtype=torch.float64))]
-library, values, code = regular_block.library(), (ctypes.c_double * 2)(), list(TERMS).index('spread_drop')
+tensors = torch.tensor(currents, dtype=torch.float64)
+found['torch'] = [part.tolist() for part in value_and_slope(tensors)]
+library = regular_block.library()
+values = (ctypes.c_double * 2)()
+code = list(TERMS).index('spread_drop')
 
 def compiled(current):
     assert library.term_values(code, 1, current, 0.0, 0.5, values)
@@ -206,9 +213,12 @@ box = MotorWhiteBox(nodes, np.array([0.5]), known)
 random, state, one = np.random.default_rng(1), [np.zeros((1, 1))], np.ones((1, 1))
 samples, level = [], 0.0
 for k in range(4000):
-    state = flow(box, to_coordinates(theta), state, level * one, 0 * one, 0 * one, 2e-3 * one).value if k else state
+    if k:
+        signals = level * one, 0 * one, 0 * one, 2e-3 * one
+        state = flow(box, to_coordinates(theta), state, *signals).value
     torque = box.output(state[0])[:, 0] + random.normal(0.0, 1e-4, 1)
-    samples.append(Sample(k * 2_000_000, np.full(1, 2e-3 * (k > 0)), np.full(1, level), torque, np.full(1, np.nan)))
+    interval = np.full(1, 2e-3 * (k > 0))
+    samples.append(Sample(k * 2_000_000, interval, np.full(1, level), torque, np.full(1, np.nan)))
     level = random.uniform(-12.0, 12.0) if random.random() < 0.05 else level
 
 def learn():
@@ -227,15 +237,20 @@ found['identified'], told = learn()
 found['all blocks by compiled code'] = len(told) > 50 and bool(np.mean(np.array(told) > 0) > 0.9)
 regular_block.library = lambda: None
 found['identified by numpy'], _ = learn()
-many = [np.array([[-3.0, 0.1, 2.0]])], np.full((1, 3), 9.0), np.ones((1, 3)), np.ones((1, 3)), np.full((1, 3), 2e-3)
+ones = np.ones((1, 3))
+many = [np.array([[-3.0, 0.1, 2.0]])], np.full((1, 3), 9.0), ones, ones, np.full((1, 3), 2e-3)
 found['by numpy'] = [part.tolist() for part in flow(box, to_coordinates(theta), *many).of_state(0)]
 tensor = lambda array: torch.as_tensor(array, dtype=torch.float64)
 twin = MotorWhiteBox.from_dict(box.to_dict(), tensor)
-moved = flow(twin, tensor(to_coordinates(theta)), [tensor(many[0][0])], *map(tensor, many[1:]), TorchOps('cpu'))
+start = [tensor(many[0][0])]
+moved = flow(
+    twin, tensor(to_coordinates(theta)), start, *map(tensor, many[1:]), TorchOps('cpu')
+)
 found['by torch'] = [part.tolist() for part in moved.of_state(0)]
 
 motor = Configuration.from_flat({'motor.context_nodes': list(nodes)}).motors['motor']
-found['context nodes'] = [parameter.name for parameter in motor.white_box(speed_measured=False).parameters]
+box = motor.white_box(speed_measured=False)
+found['context nodes'] = [parameter.name for parameter in box.parameters]
 motor = Configuration.from_flat({'motor.known.spread_drop': 0.7}).motors['motor']
 found['known'] = motor.white_box(speed_measured=False).known
 own = [spec for spec in MOTOR_PARAMETERS if 'spread_drop' in spec.name]

@@ -18,7 +18,7 @@ NAMES = ('inductance', 'resistance', 'hysteresis')
 
 
 def roll_out(box: MotorWhiteBox, theta: np.ndarray, recording: Recording) -> np.ndarray:
-    """Torque that the white box expects from the voltages (and, where measured, the speeds) alone."""
+    """Torque that the white box expects from voltages (and measured speeds) alone."""
     states = [box.state(recording.torque_nm[:, :1])]
     torque = [recording.torque_nm[:, :1]]
     for k in range(1, recording.stamp_ns.size):
@@ -49,7 +49,8 @@ def test_white_box_and_plant_agree_in_thesis_mode(
 
 def test_white_box_and_plant_agree_in_rotor_mode_with_measured_speed() -> None:
     plant = PlantParameters(
-        inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05, back_emf_constant=0.05,
+        inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05,
+        back_emf_constant=0.05,
         inertia=2e-4, viscous_friction=1e-3, coulomb_friction=0.0, load_torque=0.01,
     )  # fmt: skip
     simulation = Simulation(

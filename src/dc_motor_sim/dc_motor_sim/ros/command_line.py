@@ -1,6 +1,4 @@
-"""What of the command line is refused before rcl reads it: rcl waits for pipes, and reads without a
-bound.
-"""
+"""Refuses parts of the command line before rcl reads it: rcl waits for pipes, without bounds."""
 
 from __future__ import annotations
 
@@ -16,8 +14,7 @@ LARGEST_BYTES = 4 << 20
 
 
 def check(args: Sequence[str]) -> None:
-    """Refuse arguments that are no text, and parameter files that are no regular files of
-    reasonable size.
+    """Refuse arguments that are not text, and parameter files that are not regular or too large.
 
     Raises:
         ConfigurationError: One line that names the argument or the file.
@@ -26,8 +23,10 @@ def check(args: Sequence[str]) -> None:
         try:
             word.encode('utf-8')
         except UnicodeEncodeError:
-            shown = os.fsencode(word).decode('utf-8', 'backslashreplace')
-            raise ConfigurationError(f'the argument {shown} is no UTF-8: rename the file') from None
+            argument_text = os.fsencode(word).decode('utf-8', 'backslashreplace')
+            raise ConfigurationError(
+                f'the argument {argument_text} is no UTF-8: rename the file'
+            ) from None
     for option, value in pairwise(args):
         if option == '--params-file':
             check_file(value)

@@ -26,7 +26,5 @@ OPENED_BY = f'discovery stays on this host; {RANGE}=SUBNET opens it to others'
 
 
 def default_range(environment: Mapping[str, str]) -> dict[str, str]:
-    """What to add to the environment so that discovery stays on this host; nothing where the user
-    has decided.
-    """
+    """Environment variables that keep discovery on this host; none where the user has decided."""
     return {} if any(environment.get(name) for name in SAYS) else {RANGE: 'LOCALHOST'}

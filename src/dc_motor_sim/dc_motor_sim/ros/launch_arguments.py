@@ -44,8 +44,8 @@ def whole_number(name: str, text: str) -> int:
     return _read(int, 'a whole number', name, text)
 
 
-def _read(read: Callable[[str], _Number], expected: str, name: str, text: str) -> _Number:
+def _read(parse: Callable[[str], _Number], expectation: str, name: str, text: str) -> _Number:
     try:
-        return read(text)
+        return parse(text)
     except ValueError:
-        raise ConfigurationError(f'{name} is {text!r}; expected {expected}') from None
+        raise ConfigurationError(f'{name} is {text!r}; expected {expectation}') from None

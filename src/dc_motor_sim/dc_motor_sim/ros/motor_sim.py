@@ -65,13 +65,13 @@ class MotorSim(Node):
     """Wires a `Simulation` to topics, parameters and the wall clock.
 
     Args:
-        said: Names of parameters on the command line.
+        command_line_names: Names of parameters on the command line.
 
     Raises:
         SimulationError: A parameter it was started with cannot be used.
     """
 
-    def __init__(self, said: Collection[str] = ()) -> None:
+    def __init__(self, command_line_names: Collection[str] = ()) -> None:
         super().__init__('motor_sim')
         settings = parameters.declare(self)
         self.finished = False
@@ -100,7 +100,7 @@ class MotorSim(Node):
         )
         command = topics.VOLTAGE_COMMAND
         self.create_subscription(command.type, command.name, self._on_command, command.qos)
-        parameters.settle_unread(self, said)
+        parameters.settle_unread(self, command_line_names)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
         # Steady time: neither a step of the wall clock nor a simulated /clock may move the ticks.
@@ -121,7 +121,7 @@ class MotorSim(Node):
             hurried: Whether somebody does not want to wait any longer.
         """
         began_s = time.monotonic()
-        told = False
+        is_delay_reported = False
         unconfirmed = [self._voltage_publisher, self._torque_publisher]
         while True:
             patience = Duration(seconds=ACKNOWLEDGE_SLICE_S)
@@ -137,8 +137,8 @@ class MotorSim(Node):
                     f'{names}: not acknowledged by every subscriber within {waited_s:.1f} s'
                 )
                 break
-            if not told and waited_s > ACKNOWLEDGE_TOLD_S:
-                told = True
+            if not is_delay_reported and waited_s > ACKNOWLEDGE_TOLD_S:
+                is_delay_reported = True
                 self.get_logger().info(
                     f'waiting up to {ACKNOWLEDGE_TIMEOUT_S:g} s for acknowledgements of {names}; '
                     'interrupt to leave'
@@ -150,14 +150,14 @@ class MotorSim(Node):
 
     def mirror_schedule(self) -> None:
         """Show the parameters that the schedule has changed as parameters of the node."""
-        changed = [
+        new_parameters = [
             Parameter(f'{motor}.{name}', value=getattr(truth, name))
             for motor, truth in self._simulation.parameters.items()
             for name in PlantParameters.__dataclass_fields__
             if self.get_parameter(f'{motor}.{name}').value != getattr(truth, name)
         ]
-        if changed:
-            self.set_parameters_atomically(changed)
+        if new_parameters:
+            self.set_parameters_atomically(new_parameters)
 
     def _publisher(self, topic: topics.Topic) -> Any:
         profile, overrides = (
@@ -198,15 +198,15 @@ class MotorSim(Node):
                 to_nanoseconds(self._options.start_stamp_s) if with_clock else time.time_ns()
             )
         simulated_ns = int((now_ns - self._started_ns) * self._options.clock_speed_up)
-        due = simulated_ns // self._period_ns + 1 - self._made
-        self._warn_of_lag(due)
+        due_samples = simulated_ns // self._period_ns + 1 - self._made
+        self._warn_of_lag(due_samples)
         if self._sample_limit:
-            due = min(due, self._sample_limit - self._made)
+            due_samples = min(due_samples, self._sample_limit - self._made)
         give_way_ns = now_ns + to_nanoseconds(CATCH_UP_S)
         batch = max(
             1, int(to_nanoseconds(CATCH_UP_S * self._options.clock_speed_up)) // self._period_ns
         )
-        for _ in range(min(due, batch)):
+        for _ in range(min(due_samples, batch)):
             self._publish(self._simulation.step())
             self._made += 1
             if time.monotonic_ns() > give_way_ns:  # commands and services must get their turn
@@ -215,30 +215,31 @@ class MotorSim(Node):
 
     def _may_start(self, now_ns: int) -> bool:
         """Whether the wanted subscribers are there, or have been waited for long enough."""
-        wanted = self._options.wait_for_subscribers
-        if self._torque_publisher.get_subscription_count() >= wanted:
+        subscriber_count = self._options.wait_for_subscribers
+        if self._torque_publisher.get_subscription_count() >= subscriber_count:
             if self._torque_matched_ns is None:
                 self._torque_matched_ns = now_ns
             # Who wants both topics is matched on one of them first; who wants the torque only must
             # not block.
             grace_over = now_ns - self._torque_matched_ns > to_nanoseconds(LAST_SUBSCRIBER_GRACE_S)
-            if wanted == 0 or grace_over:
+            if subscriber_count == 0 or grace_over:
                 return True
-            if self._voltage_publisher.get_subscription_count() < wanted:
+            if self._voltage_publisher.get_subscription_count() < subscriber_count:
                 return False
             if self._all_matched_ns is None:
                 self._all_matched_ns = now_ns
             return now_ns - self._all_matched_ns >= to_nanoseconds(SETTLE_S)
         if now_ns - self._created_ns > to_nanoseconds(self._options.wait_timeout_s):
             self.get_logger().warning(
-                f'fewer than {wanted} subscribers after {self._options.wait_timeout_s:g} s; '
+                f'fewer than {subscriber_count} subscribers after {self._options.wait_timeout_s:g} '
+                's; '
                 'starting anyway'
             )
             return True
         return False
 
-    def _warn_of_lag(self, due: int) -> None:
-        lag_s = to_seconds(due * self._period_ns) / self._options.clock_speed_up
+    def _warn_of_lag(self, due_samples: int) -> None:
+        lag_s = to_seconds(due_samples * self._period_ns) / self._options.clock_speed_up
         if lag_s > LAG_WARNING_S:
             self.get_logger().warning(
                 f'{lag_s:.1f} s behind the wall clock; stamps stay exact; lower the rate or the '
@@ -300,9 +301,9 @@ class MotorSim(Node):
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, changes: list[Parameter]) -> None:
-        changed = self._changed(changes)
-        if changed:
-            self._simulation.set_parameters(changed)
+        new_parameters = self._changed(changes)
+        if new_parameters:
+            self._simulation.set_parameters(new_parameters)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -351,10 +352,11 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
     os.environ.update(kept_here)
     try:
         command_line.check(argv)
-        unknown = remove_ros_args(args=argv)
-        if unknown:
+        unknown_arguments = remove_ros_args(args=argv)
+        if unknown_arguments:
             return _fail(
-                f'unknown argument {unknown[0]!r}; parameters go behind --ros-args, see --help'
+                f'unknown argument {unknown_arguments[0]!r}; parameters go behind --ros-args, see '
+                '--help'
             )
         rclpy.init(args=argv, signal_handler_options=SignalHandlerOptions.NO)
         node = MotorSim(command_line.parameter_names(argv))
@@ -385,9 +387,9 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
 
 
 def _fail(error: object, status: int = 2) -> int:
-    """Say in one line what is wrong, without the place in the middleware's source that raised it."""
-    said = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
-    print(f'motor_sim: error: {said}', file=sys.stderr)
+    """Say in one line what is wrong, without the source position in the middleware."""
+    message = re.sub(r',? at (?:\S*/)?\S+\.c(?:pp)?:\d+', '', ' '.join(str(error).split()))
+    print(f'motor_sim: error: {message}', file=sys.stderr)
     rclpy.try_shutdown()
     return status
 

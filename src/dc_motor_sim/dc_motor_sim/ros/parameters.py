@@ -1,5 +1,4 @@
-"""Every parameter of the node, declared once: default, description, unit, bounds, read-only or
-live.
+"""Every parameter of the node: default, description, unit, bounds, read-only or live.
 
 The parameters of each motor are the fields of `PlantParameters`, under the motor's name, and stay
 live; all others are read-only.
@@ -219,7 +218,7 @@ def replaced(motor: str, present: PlantParameters, values: Mapping[str, float]) 
 
 
 def usage_text() -> str:
-    """Text of `--help`: how to start the node, and every parameter with default, unit and bounds."""
+    """Text of `--help`: how to start the node, and each parameter with default, unit, bounds."""
     lines = [
         'usage: motor_sim [--help] [--ros-args -p NAME:=VALUE ... --params-file FILE.yaml ...]',
         '',
@@ -238,19 +237,20 @@ def usage_text() -> str:
 
 
 def _usage_line(name: str, default: object, quantity: Quantity) -> str:
-    shown = f'[{", ".join(default)}]' if isinstance(default, tuple) else str(default).lower()
-    shown = default if isinstance(default, str) else shown
+    default_text = f'[{", ".join(default)}]' if isinstance(default, tuple) else str(default).lower()
+    default_text = default if isinstance(default, str) else default_text
     unit = f' {quantity.unit}' if quantity.unit else ''
     bounds = quantity.bounds()
     return (
-        f'  {name:<22} {quantity.text} (default {shown or "empty"}{unit}{bounds and f"; {bounds}"})'
+        f'  {name:<22} {quantity.text} (default '
+        f'{default_text or "empty"}{unit}{bounds and f"; {bounds}"})'
     )
 
 
-def _declare(node: Node, name: str, declared: Field[Any], *, live: bool) -> Any:
-    quantity = quantity_of(declared)
+def _declare(node: Node, name: str, declaration: Field[Any], *, live: bool) -> Any:
+    quantity = quantity_of(declaration)
     return _declared(
-        node, name, declared.default, quantity, _descriptor(quantity, live=live, of=declared)
+        node, name, declaration.default, quantity, _descriptor(quantity, live=live, of=declaration)
     )
 
 
@@ -308,34 +308,39 @@ def _descriptor(
 def _expanded(motors: tuple[str, ...]) -> tuple[str, ...]:
     """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3."""
     ranges = [_RANGE.fullmatch(text) for text in motors]
-    counts = [max(0, int(found[3]) - int(found[2]) + 1) if found else 1 for found in ranges]
+    counts = [
+        max(0, int(range_match[3]) - int(range_match[2]) + 1) if range_match else 1
+        for range_match in ranges
+    ]
     if sum(counts) > MOST_MOTORS:  # before any is written out
         raise ConfigurationError(
             f'motors stands for {sum(counts)} motors; expected {MOST_MOTORS} at most'
         )
     names: list[str] = []
-    for text, found in zip(motors, ranges, strict=True):
+    for text, range_match in zip(motors, ranges, strict=True):
         names += (
-            [f'{found[1]}{k}' for k in range(int(found[2]), int(found[3]) + 1)] if found else [text]
+            [f'{range_match[1]}{k}' for k in range(int(range_match[2]), int(range_match[3]) + 1)]
+            if range_match
+            else [text]
         )
     return tuple(names)
 
 
 def _check_names(motors: tuple[str, ...]) -> None:
-    taken = {f.name for f in fields(NodeParameters)}
+    parameter_names = {f.name for f in fields(NodeParameters)}
     if not motors or len(set(motors)) != len(motors):
         raise ConfigurationError(
             f'motors must be one name or more, all different; got {list(motors)}'
         )
     for motor in motors:
-        if not re.fullmatch(r'[A-Za-z][A-Za-z0-9_]*', motor) or motor in taken:
+        if not re.fullmatch(r'[A-Za-z][A-Za-z0-9_]*', motor) or motor in parameter_names:
             raise ConfigurationError(
                 f'motors: {motor!r} cannot name a motor; use letters, digits and _, and no '
                 'parameter name'
             )
 
 
-def settle_unread(node: Node, said: Container[str]) -> None:
+def settle_unread(node: Node, command_line_names: Container[str]) -> None:
     """Refuse parameters that nothing has asked for, once everything has been declared.
 
     A name on the command line is meant for this node. A parameter file may serve several nodes: of
@@ -343,29 +348,29 @@ def settle_unread(node: Node, said: Container[str]) -> None:
 
     Args:
         node: To which they were given.
-        said: Names on the command line.
+        command_line_names: Names on the command line.
 
     Raises:
         ConfigurationError: One of them was meant for this node; says which of ours comes nearest.
     """
-    given = getattr(node, '_parameter_overrides', {})
-    unread = sorted(name for name in given if not node.has_parameter(name))
-    declared = list(getattr(node, '_parameters', {}))
+    overrides = getattr(node, '_parameter_overrides', {})
+    unread = sorted(name for name in overrides if not node.has_parameter(name))
+    declared_names = list(getattr(node, '_parameters', {}))
     # A motor that is not listed may be one of another node: only one that is bare can be meant.
-    stated = {name.partition('.')[0] for name in given}
-    bare = {name.partition('.')[0] for name in declared} - stated
+    stated_groups = {name.partition('.')[0] for name in overrides}
+    bare = {name.partition('.')[0] for name in declared_names} - stated_groups
     slips: list[str] = []
     for name in unread:
         group = name.partition('.')[0]
-        known = [
-            other
-            for other in declared
-            if other.partition('.')[0] in {group, *bare} or '.' not in name
+        valid_names = [
+            candidate
+            for candidate in declared_names
+            if candidate.partition('.')[0] in {group, *bare} or '.' not in name
         ]
-        near = _slip_of(name, known)
-        if not near and name in said:
-            near = next(iter(get_close_matches(name, known, 1, _SUGGESTED)), '')
-        if near or name in said:
+        near = _slip_of(name, valid_names)
+        if not near and name in command_line_names:
+            near = next(iter(get_close_matches(name, valid_names, 1, _SUGGESTED)), '')
+        if near or name in command_line_names:
             slips.append(f'{name} (did you mean {near}?)' if near else name)
     if slips:
         raise ConfigurationError(
@@ -378,15 +383,17 @@ def settle_unread(node: Node, said: Container[str]) -> None:
         )
 
 
-def _slip_of(name: str, known: Sequence[str]) -> str:
-    """Return the known name that a name is a slip of: all parts but one are the same, one is alike."""
+def _slip_of(name: str, valid_names: Sequence[str]) -> str:
+    """Return the known name that a name misspells: one part is alike, the others are the same."""
     parts = name.split('.')
-    found, alike = '', _ALIKE
-    for other in known:
-        others = other.split('.')
-        differing = [pair for pair in zip(parts, others, strict=False) if pair[0] != pair[1]]
-        if len(parts) == len(others) and len(differing) == 1:
+    best_name, alike = '', _ALIKE
+    for candidate in valid_names:
+        candidate_parts = candidate.split('.')
+        differing = [
+            pair for pair in zip(parts, candidate_parts, strict=False) if pair[0] != pair[1]
+        ]
+        if len(parts) == len(candidate_parts) and len(differing) == 1:
             ratio = SequenceMatcher(None, *differing[0]).ratio()
-            if ratio >= alike and (not found or ratio > alike):
-                found, alike = other, ratio
-    return found
+            if ratio >= alike and (not best_name or ratio > alike):
+                best_name, alike = candidate, ratio
+    return best_name

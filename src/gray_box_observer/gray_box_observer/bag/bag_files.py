@@ -1,6 +1,4 @@
-"""The files of a bag: found, opened one at a time, read piece by piece, and held against what is
-told of them.
-"""
+"""The files of a bag: opened one at a time, read piecewise, compared with their metadata."""
 
 from __future__ import annotations
 
@@ -86,28 +84,28 @@ class BagFiles:
             BagError: The file can no longer be read at all, or the bag is closed.
         """
         channels = file.layout.channels
-        wanted = channels
+        wanted_channels = channels
         if topics is not None:
-            wanted = {
+            wanted_channels = {
                 number: channel for number, channel in channels.items() if channel.topic in topics
             }
-            if not wanted:
+            if not wanted_channels:
                 return []
         records = self._records(file, piece)
-        if records is None or not self._fits(file, piece, records, wanted, room):
+        if records is None or not self._fits(file, piece, records, wanted_channels, room):
             return []
-        found, rest, orphan_count = parse_messages(records, channels, wanted)
-        self._note_rest(file, piece, rest, orphan_count)
-        if found and found[0].data.startswith(packed.MARK):
-            return self._unpacked(file, piece, found, room)
-        return found
+        messages, unread_bytes, orphan_count = parse_messages(records, channels, wanted_channels)
+        self._note_rest(file, piece, unread_bytes, orphan_count)
+        if messages and messages[0].data.startswith(packed.MARK):
+            return self._unpacked(file, piece, messages, room)
+        return messages
 
     def _unpacked(
         self, file: BagFile, piece: Piece, messages: list[RawMessage], room: int
     ) -> list[RawMessage]:
         """The messages of a piece that rosbag2 has packed one by one."""
         try:
-            found, complaint = packed.unpack_messages(messages, room, self.limits)
+            unpacked_messages, complaint = packed.unpack_messages(messages, room, self.limits)
         except TooLarge as error:
             self._damage(
                 file,
@@ -118,7 +116,7 @@ class BagFiles:
             return []
         if complaint:
             self._damage(file, piece, 0, f'at byte {piece.offset} {complaint}')
-        return found
+        return unpacked_messages
 
     def _records(self, file: BagFile, piece: Piece) -> bytes | None:
         """The records of a piece; None, and a note, where they cannot be read."""
@@ -140,46 +138,51 @@ class BagFiles:
         return None
 
     def _fits(
-        self, file: BagFile, piece: Piece, records: bytes, wanted: Container[int], room: int
+        self,
+        file: BagFile,
+        piece: Piece,
+        records: bytes,
+        wanted_channels: Container[int],
+        room: int,
     ) -> bool:
-        """Whether the wanted messages may be held; they are weighed only where there is reason to
-        doubt it.
-        """
+        """Whether the wanted messages fit the memory limit; weighed only where that is in doubt."""
         if len(records) // MESSAGE_HEAD.size * MESSAGE_OVERHEAD_BYTES + len(records) <= room:
             return True
-        weight = survey_messages(records, wanted).weight
+        weight = survey_messages(records, wanted_channels).weight
         if weight <= room:
             return True
         limit = self.limits.message_bytes
-        needed = limit - room + weight
-        others = ', with those of overlapping chunks,' if room < limit else ''
-        what = (
+        needed_bytes = limit - room + weight
+        overlap_note = ', with those of overlapping chunks,' if room < limit else ''
+        complaint = (
             f'the messages at byte {piece.offset} are left out: they would take '
-            f'{needed / 1e6:.0f} MB '
-            f'of memory{others} where {limit / 1e6:.0f} MB are the limit; '
-            f'{self.limits.remedy(needed / 2)}'
+            f'{needed_bytes / 1e6:.0f} MB '
+            f'of memory{overlap_note} where {limit / 1e6:.0f} MB are the limit; '
+            f'{self.limits.remedy(needed_bytes / 2)}'
         )
-        self._damage(file, piece, piece.length, what)
+        self._damage(file, piece, piece.length, complaint)
         return False
 
-    def _note_rest(self, file: BagFile, piece: Piece, rest: int, orphan_count: int) -> None:
+    def _note_rest(self, file: BagFile, piece: Piece, unread_bytes: int, orphan_count: int) -> None:
         """Note what of a piece is no message that can be read."""
         if piece.is_cut:
-            self._damage(file, piece, rest + END_BYTES, 'the file ends in the middle of a chunk')
-        elif rest:
             self._damage(
-                file, piece, rest, f'a malformed record in the chunk at byte {piece.offset}'
+                file, piece, unread_bytes + END_BYTES, 'the file ends in the middle of a chunk'
+            )
+        elif unread_bytes:
+            self._damage(
+                file, piece, unread_bytes, f'a malformed record in the chunk at byte {piece.offset}'
             )
         elif orphan_count:
             self._damage(
                 file, piece, 0, f'{orphan_count} messages of a topic that the file does not declare'
             )
 
-    def _damage(self, file: BagFile, piece: Piece, byte_count: int, what: str) -> None:
-        self._losses.damage(file.path, piece.offset, byte_count, what)
+    def _damage(self, file: BagFile, piece: Piece, byte_count: int, complaint: str) -> None:
+        self._losses.damage(file.path, piece.offset, byte_count, complaint)
 
     def count(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
-        """The messages of one file by topic; their first and last log times are added to the spans."""
+        """The messages of one file by topic; its first and last log times extend the spans."""
         counts = self._counted(file, spans)
         self._compare(file, counts.total())
         return counts
@@ -197,35 +200,45 @@ class BagFiles:
                     counts[topic] += count
         return counts
 
-    def _compare(self, file: BagFile, found: int) -> None:
+    def _compare(self, file: BagFile, message_count: int) -> None:
         """Say where a file holds something else than it should, and where it was never finished."""
-        layout, listed = file.layout, file.listed
-        expected = layout.expected
-        if expected is not None and found < expected.message_count:
-            what = f'{expected.message_count - found} of {expected.message_count} messages cannot be read'
-            self._losses.damage(file.path, layout.size, 0, what)
-        elif expected is not None and found > expected.message_count:
-            what = f'{found} messages are there, but only {expected.message_count} according to its summary'
-            self._losses.damage(file.path, layout.size, 0, what)
+        layout, listed_file = file.layout, file.listed
+        statistics = layout.expected
+        if statistics is not None and message_count < statistics.message_count:
+            complaint = (
+                f'{statistics.message_count - message_count} of {statistics.message_count} '
+                'messages cannot be '
+                'read'
+            )
+            self._losses.damage(file.path, layout.size, 0, complaint)
+        elif statistics is not None and message_count > statistics.message_count:
+            complaint = (
+                f'{message_count} messages are there, but only {statistics.message_count} '
+                'according to its '
+                'summary'
+            )
+            self._losses.damage(file.path, layout.size, 0, complaint)
         if layout.is_unfinished:
             self._losses.damage(file.path, layout.size, 0, UNFINISHED)
         elif not self._losses.has_damage(file.path):
-            if listed.message_count is not None and found < listed.message_count:
-                what = f'it holds {found} messages, but {listed.message_count} according to metadata.yaml'
-                self._losses.damage(file.path, layout.size, 0, what)
+            if listed_file.message_count is not None and message_count < listed_file.message_count:
+                complaint = (
+                    f'it holds {message_count} messages, but {listed_file.message_count} according '
+                    'to '
+                    'metadata.yaml'
+                )
+                self._losses.damage(file.path, layout.size, 0, complaint)
             elif (
-                expected is not None
-                and listed.message_count
-                and listed.start_ns not in (None, expected.start_ns)
+                statistics is not None
+                and listed_file.message_count
+                and listed_file.start_ns not in (None, statistics.start_ns)
             ):
                 self._losses.damage(
                     file.path, layout.size, 0, 'it does not begin when it should by metadata.yaml'
                 )
 
     def _count_by_reading(self, file: BagFile, counts: Counter[str]) -> list[tuple[int, int]]:
-        """Count the messages of a file without a summary, and put the true times of its pieces in
-        place.
-        """
+        """Count the messages of a file without a summary, and note the true times of its pieces."""
         layout, definitions = file.layout, Definitions()
         for piece in layout.pieces:
             try:
@@ -235,7 +248,7 @@ class BagFiles:
             except (Unreadable, OSError):
                 continue  # the second look below says so
         layout.channels = definitions.channels | layout.channels
-        held: dict[Piece, int] = {}
+        message_counts: dict[Piece, int] = {}
         in_chunks, outside = Counter[int](), Counter[int]()
         for piece in layout.pieces:
             records = self._records(file, piece)
@@ -245,29 +258,34 @@ class BagFiles:
             self._note_rest(file, piece, survey.rest, survey.orphan_count)
             if survey.counts:
                 true = replace(piece, start_ns=survey.start_ns, end_ns=survey.end_ns)
-                held[true] = survey.counts.total()
+                message_counts[true] = survey.counts.total()
                 (in_chunks if piece.is_chunk else outside).update(survey.counts)
-        if self._leave_out_strangers(file, held, in_chunks.total()):
+        if self._leave_out_strangers(file, message_counts, in_chunks.total()):
             outside.clear()
-        layout.pieces = list(held)
+        layout.pieces = list(message_counts)
         for number, count in (in_chunks + outside).items():
             counts[layout.channels[number].topic] += count
         self._losses.of_layout(file.path, layout)
-        return [(piece.start_ns, piece.end_ns) for piece in held]
+        return [(piece.start_ns, piece.end_ns) for piece in message_counts]
 
-    def _leave_out_strangers(self, file: BagFile, held: dict[Piece, int], in_chunks: int) -> bool:
-        """Leave out what stands outside chunks if the chunks alone hold all that the summary tells
-        of.
+    def _leave_out_strangers(
+        self, file: BagFile, message_counts: dict[Piece, int], in_chunks: int
+    ) -> bool:
+        """Leave out what stands outside chunks if the chunks alone hold all summarised messages.
 
         One wrong byte makes any record into such a message, and no checksum covers it.
         """
-        expected = file.layout.expected
-        if expected is None or not in_chunks == expected.message_count > 0:
+        statistics = file.layout.expected
+        if statistics is None or not in_chunks == statistics.message_count > 0:
             return False
-        for piece in [piece for piece in held if not piece.is_chunk]:
-            what = f'{held[piece]} messages outside the chunks at byte {piece.offset} that the summary does not know'
-            self._damage(file, piece, piece.length, what)
-            del held[piece]
+        for piece in [piece for piece in message_counts if not piece.is_chunk]:
+            complaint = (
+                f'{message_counts[piece]} messages outside the chunks at byte {piece.offset} that '
+                'the '
+                'summary does not know'
+            )
+            self._damage(file, piece, piece.length, complaint)
+            del message_counts[piece]
         return True
 
     def _stream(self, path: Path) -> BinaryIO:
@@ -292,18 +310,18 @@ class BagFiles:
             unpacked.seek(0)
         return unpacked
 
-    def _open_files(self, listed: Collection[ListedFile]) -> list[BagFile]:
-        """Look at every file; one that cannot be used costs only itself, as long as another can be."""
+    def _open_files(self, listed_files: Collection[ListedFile]) -> list[BagFile]:
+        """Look at every file; an unusable one is left out, as long as another is usable."""
         files: list[BagFile] = []
-        refused: list[BagError] = []
-        for entry in listed:
+        errors: list[BagError] = []
+        for entry in listed_files:
             try:
                 files.append(BagFile(entry.path, self._look_at(entry.path), entry))
             except BagError as error:
-                refused.append(error)
-        if refused and not files:
-            raise refused[0]
-        self._losses.of_bag += [str(error) for error in refused]
+                errors.append(error)
+        if errors and not files:
+            raise errors[0]
+        self._losses.of_bag += [str(error) for error in errors]
         return files
 
     def _look_at(self, path: Path) -> Layout:

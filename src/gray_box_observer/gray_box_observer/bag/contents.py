@@ -38,20 +38,22 @@ class Loss:
     byte_count: int
 
     def __str__(self) -> str:
-        shown = ' '.join('; '.join(self.reasons[:3]).split())
+        reasons_text = ' '.join('; '.join(self.reasons[:3]).split())
         if len(self.reasons) > 3:
-            shown += f'; and {len(self.reasons) - 3} more'
-        return f'{shown}; {self.byte_count} bytes could not be read' if self.byte_count else shown
+            reasons_text += f'; and {len(self.reasons) - 3} more'
+        return (
+            f'{reasons_text}; {self.byte_count} bytes could not be read'
+            if self.byte_count
+            else reasons_text
+        )
 
 
 def name_list(names: Iterable[str]) -> str:
-    """Say names in order, for one line to the user: a bag may have tens of thousands, each as long
-    as a book.
-    """
-    ordered = sorted(names)
-    shown = [
+    """Say names in order, in one bounded line: a bag may have tens of thousands of long ones."""
+    sorted_names = sorted(names)
+    name_texts = [
         name if len(name) <= _LONGEST_NAME else f'{name[:_LONGEST_NAME]}...'
-        for name in ordered[:_MOST_NAMES]
+        for name in sorted_names[:_MOST_NAMES]
     ]
-    more = f' and {len(ordered) - _MOST_NAMES} more' if len(ordered) > _MOST_NAMES else ''
-    return (', '.join(shown) or 'none') + more
+    more = f' and {len(sorted_names) - _MOST_NAMES} more' if len(sorted_names) > _MOST_NAMES else ''
+    return (', '.join(name_texts) or 'none') + more

@@ -23,9 +23,9 @@ class Losses:
         self._damages: dict[tuple[Path, int], Damage] = {}
         self._undecodable: dict[str, tuple[int, str]] = {}
 
-    def damage(self, path: Path, offset: int, byte_count: int, what: str) -> None:
+    def damage(self, path: Path, offset: int, byte_count: int, complaint: str) -> None:
         """Note what is wrong at one place of a file, unless that place is noted already."""
-        self._damages.setdefault((path, offset), Damage(offset, byte_count, what))
+        self._damages.setdefault((path, offset), Damage(offset, byte_count, complaint))
 
     def undecodable(self, topic: str, reason: str) -> None:
         """Note a message whose bytes do not fit its type."""
@@ -44,15 +44,17 @@ class Losses:
         if layout.end is None and not any(
             d.offset for (p, _), d in self._damages.items() if p == path
         ):
-            what = f'{_END} without an end mark, so its last messages may be missing'
-            self._damages[path, layout.size] = Damage(layout.size, 0, what)
+            complaint = f'{_END} without an end mark, so its last messages may be missing'
+            self._damages[path, layout.size] = Damage(layout.size, 0, complaint)
         start_ns = min((piece.start_ns for piece in layout.pieces), default=0)
         for key, damage in list(self._damages.items()):
             if key[0] == path and damage.what.startswith(_END):
-                reached = [piece.end_ns for piece in layout.pieces if piece.offset <= damage.offset]
-                after_s = (max(reached) - start_ns) * 1e-9 if reached else 0.0
-                what = damage.what.replace(_END, f'{_END} after {after_s:.1f} s', 1)
-                self._damages[key] = replace(damage, what=what)
+                end_times = [
+                    piece.end_ns for piece in layout.pieces if piece.offset <= damage.offset
+                ]
+                after_s = (max(end_times) - start_ns) * 1e-9 if end_times else 0.0
+                complaint = damage.what.replace(_END, f'{_END} after {after_s:.1f} s', 1)
+                self._damages[key] = replace(damage, what=complaint)
 
     def has_damage(self, path: Path) -> bool:
         """Whether anything is known to be wrong with a file."""

@@ -1,6 +1,4 @@
-"""Parameters of the observer that a bag carries in its metadata, because what is in the bag was
-made with them.
-"""
+"""Parameters of the observer in a bag's metadata: those that its contents were made with."""
 
 from __future__ import annotations
 
@@ -32,36 +30,35 @@ def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
     Raises:
         BagError: A bag cannot be read, or two of them carry different values.
     """
-    carried: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for bag in bags:
         for name, value in _of(bag).items():
             if name == 'motors':
-                carried[name] = list(dict.fromkeys([*carried.get(name, ()), *value]))
-            elif name not in carried:
-                carried[name] = value
-            elif carried[name] != value:
+                parameters[name] = list(dict.fromkeys([*parameters.get(name, ()), *value]))
+            elif name not in parameters:
+                parameters[name] = value
+            elif parameters[name] != value:
                 raise BagError(
-                    f'{bag}: {name} is {brief(value)}, but {brief(carried[name])} in another bag; '
+                    f'{bag}: {name} is {brief(value)}, but {brief(parameters[name])} in another '
+                    'bag; '
                     'identify each alone'
                 )
-    return carried
+    return parameters
 
 
 def _of(bag: Path) -> dict[str, Any]:
     text = list_files(bag).custom_data.get(_KEY, '{}')
     try:
-        loaded = json.loads(text)
+        parameters = json.loads(text)
     except (ValueError, RecursionError):
-        loaded = None
-    if not isinstance(loaded, dict) or not _is_list_of_names(loaded.get('motors', [])):
+        parameters = None
+    if not isinstance(parameters, dict) or not _is_list_of_names(parameters.get('motors', [])):
         raise BagError(f'{bag}: {_KEY} in its metadata cannot be understood; remove it there')
-    return loaded
+    return parameters
 
 
 def _is_list_of_names(value: object) -> bool:
-    """Whether a value lists motors one by one: a range would make a few bytes ask for a hundred
-    thousand.
-    """
+    """Whether a value lists motors one by one: a range in a few bytes could mean 100,000."""
     if not isinstance(value, list) or len(value) > MOST_MOTORS:
         return False
     return all(isinstance(entry, str) and not _RANGE.search(entry) for entry in value)

@@ -1,6 +1,4 @@
-"""Paths into messages, such as ``effort``, ``wrench.torque.z`` or ``effort[2]``: parsed, never
-evaluated.
-"""
+"""Paths into messages, such as ``effort`` or ``effort[2]``: parsed, never evaluated."""
 
 from __future__ import annotations
 
@@ -29,8 +27,7 @@ class MissingFieldError(SampleError):
 
 
 class FieldPath:
-    """A compiled path to one field of a message; works on rclpy's messages and on mcap's decoded
-    ones.
+    """A compiled path to one field of a message, for rclpy's messages and mcap's decoded ones.
 
     Args:
         text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``,
@@ -46,15 +43,15 @@ class FieldPath:
         self.text = text
         steps: list[str | int] = []
         for part in text.split('.'):
-            found = _STEP.match(part)
-            if found is None:
+            match = _STEP.match(part)
+            if match is None:
                 raise ConfigurationError(
                     f'{brief(text)} is no field path; expected names joined by dots, such as '
                     "'effort', "
                     "'wrench.torque.z' or 'effort[2]'"
                 )
-            steps.append(found[1])
-            steps += [int(index) for index in _INDEX.findall(found[2])]
+            steps.append(match[1])
+            steps += [int(index) for index in _INDEX.findall(match[2])]
         self._steps = tuple(steps)
         self._get: Callable[[Any], Any] = (
             attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
@@ -112,9 +109,9 @@ class FieldPath:
                 continue
             if not hasattr(value, step):
                 fields = field_names(value)
-                there = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
+                alternatives = f'there are: {", ".join(fields)}' if fields else 'it has no fields'
                 return MissingFieldError(
-                    f'{walked} has no field {step!r}; {there} (field {self.text!r})'
+                    f'{walked} has no field {step!r}; {alternatives} (field {self.text!r})'
                 )
             value = getattr(value, step)
             walked += f'.{step}'
@@ -122,9 +119,7 @@ class FieldPath:
 
 
 def field_names(message: Any) -> list[str]:
-    """The names of a message's fields, for rclpy's messages and mcap's decoded ones; empty for
-    other values.
-    """
+    """Field names of a message of rclpy or a decoded one of mcap; empty for other values."""
     describe = getattr(message, 'get_fields_and_field_types', None)
     if callable(describe):
         return list(describe())

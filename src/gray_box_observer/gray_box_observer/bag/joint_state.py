@@ -50,9 +50,7 @@ class JointStateView(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where everything stands in messages that agree in length, byte order, frame, names and array
-    lengths.
-    """
+    """Offsets in messages that agree in length, byte order, frame, names and array lengths."""
 
     encapsulation: bytes
     prefix: bytes
@@ -104,9 +102,7 @@ def _first_view(layout: _Layout, data: bytes) -> JointStateView:
 
 
 class JointStateDecoder:
-    """Decodes many messages of few publishers: remembers where the numbers stand for each frame and
-    name list.
-    """
+    """Decodes many messages of few publishers; remembers the offsets by frame and name list."""
 
     def __init__(self) -> None:
         self._layouts: BoundedCache[tuple[int, bytes], _Layout] = BoundedCache(
@@ -141,11 +137,11 @@ class _Cursor:
         self.at = at
         self._count = struct.Struct(f'{order}I')
 
-    def count(self, what: str) -> int:
+    def count(self, label: str) -> int:
         self.align(4)
         if self.at + 4 > len(self.data):
             raise SampleError(
-                f'JointState cut before {what}, at byte {self.at} of {len(self.data)}'
+                f'JointState cut before {label}, at byte {self.at} of {len(self.data)}'
             )
         value: int = self._count.unpack_from(self.data, self.at)[0]
         self.at += 4
@@ -154,20 +150,20 @@ class _Cursor:
     def align(self, size: int) -> None:
         self.at += (_HEADER_BYTES - self.at) % size
 
-    def skip(self, byte_count: int, what: str) -> int:
-        """Step over the bytes of ``what``; the result is where they start."""
+    def skip(self, byte_count: int, label: str) -> int:
+        """Step over the bytes of ``label``; the result is where they start."""
         start = self.at
         if start + byte_count > len(self.data):
             raise SampleError(
-                f'JointState with {byte_count} bytes of {what} at byte {start}, but only '
+                f'JointState with {byte_count} bytes of {label} at byte {start}, but only '
                 f'{len(self.data)} in all'
             )
         self.at += byte_count
         return start
 
-    def text(self, what: str) -> bytes:
+    def text(self, label: str) -> bytes:
         """The bytes of a text, without its final zero."""
-        start = self.skip(self.count(f'the length of {what}'), what)
+        start = self.skip(self.count(f'the length of {label}'), label)
         return self.data[start : self.at].removesuffix(b'\0')
 
 
@@ -189,16 +185,16 @@ def _layout(data: bytes) -> _Layout:
     names = tuple(cursor.text('a name').decode('utf-8', 'replace') for _ in range(name_count))
     prefix_end = cursor.at
     form = [f'{order}4xiI{prefix_end - _PREFIX_START}x']
-    written, counts = prefix_end, []
-    for what in ('position', 'velocity', 'effort'):
-        count = cursor.count(f'the length of {what}')
-        form.append(f'{cursor.at - 4 - written}xI')
-        written = cursor.at
+    end, counts = prefix_end, []
+    for array_name in ('position', 'velocity', 'effort'):
+        count = cursor.count(f'the length of {array_name}')
+        form.append(f'{cursor.at - 4 - end}xI')
+        end = cursor.at
         if count:  # an empty array is not aligned
             cursor.align(8)
-            start = cursor.skip(8 * count, what)
-            form.append(f'{start - written}x{count}d')
-            written = cursor.at
+            start = cursor.skip(8 * count, array_name)
+            form.append(f'{start - end}x{count}d')
+            end = cursor.at
         counts.append(count)
     return _Layout(
         encapsulation,

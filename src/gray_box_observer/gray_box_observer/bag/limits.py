@@ -1,6 +1,4 @@
-"""How much of a bag is held in memory at one time: a bag of a few kilobytes may claim, and even
-unpack to, any size.
-"""
+"""Limits on the memory that a bag may take: a few kilobytes may claim any size."""
 
 from __future__ import annotations
 
@@ -30,8 +28,7 @@ _EXPANSION = 1000
 
 @dataclass(frozen=True, slots=True)
 class ReadLimits:
-    """What reading a bag may hold in memory at one time; what would need more is left out, and a
-    line says so.
+    """Memory that reading a bag may hold at one time; what needs more is left out and reported.
 
     Attributes:
         chunk_bytes: The largest chunk, unpacked, and the largest message outside chunks.
@@ -45,8 +42,7 @@ class ReadLimits:
 
     @classmethod
     def from_mb(cls, chunk_mb: int | None, option: str = 'ReadLimits.from_mb({})') -> ReadLimits:
-        """Return the limits that a user has asked for; whoever sets one trusts the bag to unpack to
-        it.
+        """Return the limits of a user's request; whoever sets one trusts the bag to respect it.
 
         Args:
             chunk_mb: The largest chunk in MB; None for the default.

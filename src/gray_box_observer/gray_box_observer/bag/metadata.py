@@ -1,6 +1,4 @@
-"""The ``metadata.yaml`` of a rosbag2 folder: which files belong to it, and the text that Jazzy's
-tools expect.
-"""
+"""The ``metadata.yaml`` of a rosbag2 folder: its files, and the text that Jazzy expects."""
 
 from __future__ import annotations
 
@@ -53,9 +51,7 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class ListedFile:
-    """One file of a bag, with what ``metadata.yaml`` tells of it, if it does: messages, and log
-    time of the first.
-    """
+    """One file of a bag, with message count and first log time where ``metadata.yaml`` has them."""
 
     path: Path
     message_count: int | None = None
@@ -107,8 +103,8 @@ def list_files(path: Path) -> Listing:
 
 def conversion(path: Path) -> str:
     """The two lines that make a bag that is read of one that is not, on one."""
-    wanted = '{output_bags: [{uri: NEW, storage_id: mcap, all: true}]}'
-    return f"`echo '{wanted}' >to_mcap.yaml; ros2 bag convert -i {path} -o to_mcap.yaml`"
+    output_options = '{output_bags: [{uri: NEW, storage_id: mcap, all: true}]}'
+    return f"`echo '{output_options}' >to_mcap.yaml; ros2 bag convert -i {path} -o to_mcap.yaml`"
 
 
 class _MetadataError(BagError):
@@ -126,10 +122,12 @@ def _load(path: Path) -> Mapping[str, Any]:
     if leads_out(path):
         raise _MetadataError(f'{path} is a link that leads out of the bag; it is not read')
     try:
-        loaded = read_yaml(path)
+        document = read_yaml(path)
     except InputError as error:
         raise _MetadataError(str(error)) from None
-    information = loaded.get('rosbag2_bagfile_information') if isinstance(loaded, dict) else None
+    information = (
+        document.get('rosbag2_bagfile_information') if isinstance(document, dict) else None
+    )
     if not isinstance(information, dict):
         raise _MetadataError(f"{path} has no 'rosbag2_bagfile_information'")
     if not _names(information):
@@ -138,14 +136,12 @@ def _load(path: Path) -> Mapping[str, Any]:
 
 
 def leads_out(path: Path) -> bool:
-    """Whether a file of a bag is a link to one outside of its folder: a bag that came from
-    elsewhere could name any.
-    """
+    """Whether a bag's file links outside its folder: a foreign bag could name any file."""
     return path.is_symlink() and not path.resolve().is_relative_to(path.parent.resolve())
 
 
 def _names(information: Mapping[str, Any]) -> list[str]:
-    """The names of the files that the metadata lists; empty if it does not list them as it should."""
+    """The file names that the metadata lists; empty if they are not listed as required."""
     names = information.get('relative_file_paths')
     return names if isinstance(names, list) and all(isinstance(name, str) for name in names) else []
 
@@ -153,10 +149,12 @@ def _names(information: Mapping[str, Any]) -> list[str]:
 def _found_files(folder: Path, complaint: str) -> Listing:
     """The MCAP files that lie in a folder, by the numbers in their names."""
     plain = {path.name for path in folder.glob('*.mcap')}
-    found = [path for ending in ENDINGS for path in folder.glob(f'*{ending}')]
+    candidates = [path for ending in ENDINGS for path in folder.glob(f'*{ending}')]
     # Whoever has unpacked a file may have kept the packed one.
-    found = [p for p in found if p.name in plain or p.name.removesuffix(packed.SUFFIX) not in plain]
-    paths = sorted((p for p in found if p.is_file() and not leads_out(p)), key=_by_number)
+    candidates = [
+        p for p in candidates if p.name in plain or p.name.removesuffix(packed.SUFFIX) not in plain
+    ]
+    paths = sorted((p for p in candidates if p.is_file() and not leads_out(p)), key=_by_number)
     if not paths:
         raise BagError(
             f'{complaint}, so {folder} is no rosbag2 bag; expected one in MCAP storage, or an '
@@ -193,36 +191,42 @@ def _listed_files(folder: Path, information: Mapping[str, Any]) -> Listing:
             'packed by zstd; '
             f'{conversion(folder)} makes one'
         )
-    told = _told_of_files(information)
+    summaries = _told_of_files(information)
     # Old rosbag2 wrote the folder's own name in front; nothing outside the folder belongs to the
     # bag.
     paths = [
         _as_it_lies(folder / PurePosixPath(name).name)
         for name in dict.fromkeys(_names(information))
     ]
-    missing = [path.name for path in paths if not path.is_file() or leads_out(path)]
+    missing_names = [path.name for path in paths if not path.is_file() or leads_out(path)]
     complaint = ''
-    if missing:
+    if missing_names:
         reason = (
             'leads out of it by a link and is not read'
-            if leads_out(folder / missing[0])
+            if leads_out(folder / missing_names[0])
             else 'is missing'
         )
-        complaint = f'{folder}: the file {brief(missing[0])}, listed in {METADATA_NAME}, {reason}'
-    if len(missing) > 1:
-        complaint += f', and {len(missing) - 1} more'
-    if len(missing) == len(paths):
+        complaint = (
+            f'{folder}: the file {brief(missing_names[0])}, listed in {METADATA_NAME}, {reason}'
+        )
+    if len(missing_names) > 1:
+        complaint += f', and {len(missing_names) - 1} more'
+    if len(missing_names) == len(paths):
         raise BagError(complaint)
     names = {
-        path: path.name.removesuffix(packed.SUFFIX) for path in paths if path.name not in missing
+        path: path.name.removesuffix(packed.SUFFIX)
+        for path in paths
+        if path.name not in missing_names
     }
-    files = tuple(ListedFile(path, *told.get(name, (None, None))) for path, name in names.items())
+    files = tuple(
+        ListedFile(path, *summaries.get(name, (None, None))) for path, name in names.items()
+    )
     custom = information.get('custom_data')
     texts = custom.items() if isinstance(custom, dict) else ()
     custom_data = {
         key: text for key, text in texts if isinstance(key, str) and isinstance(text, str)
     }
-    return Listing(files, (complaint,) if missing else (), custom_data)
+    return Listing(files, (complaint,) if missing_names else (), custom_data)
 
 
 def _as_it_lies(path: Path) -> Path:
@@ -232,18 +236,16 @@ def _as_it_lies(path: Path) -> Path:
 
 
 def _told_of_files(information: Mapping[str, Any]) -> dict[str, tuple[int | None, int | None]]:
-    """Number of messages and starting time of each file by its name, as far as the metadata makes
-    sense.
-    """
+    """Message count and starting time of each file by name, as far as the metadata is valid."""
     entries = information.get('files')
-    told: dict[str, tuple[int | None, int | None]] = {}
+    summaries: dict[str, tuple[int | None, int | None]] = {}
     for entry in entries if isinstance(entries, list) else []:
         if isinstance(entry, dict) and isinstance(entry.get('path'), str):
             start = entry.get('starting_time')
             start_ns = start.get('nanoseconds_since_epoch') if isinstance(start, dict) else None
             name = PurePosixPath(entry['path']).name.removesuffix(packed.SUFFIX)
-            told[name] = (_whole(entry.get('message_count')), _whole(start_ns))
-    return told
+            summaries[name] = (_whole(entry.get('message_count')), _whole(start_ns))
+    return summaries
 
 
 def _whole(value: object) -> int | None:
@@ -286,8 +288,7 @@ def metadata_text(
 
 
 def storage_text(ros_distro: str, custom_data: Mapping[str, str] | None = None) -> str:
-    """What rosbag2 keeps in each file: the metadata of a bag without topics and files, which the
-    file itself tells.
+    """What rosbag2 keeps in each file: the bag's metadata without topics and files.
 
     ``ros2 bag info`` and ``ros2 bag reindex`` read it where there is no ``metadata.yaml``.
 
@@ -359,10 +360,12 @@ def qos_text(qos_profiles: Sequence[Mapping[str, Any]]) -> str:
 def parse_qos_text(text: str) -> list[dict[str, Any]]:
     """The reverse of `qos_text`; a text that cannot be understood gives no profiles."""
     try:
-        loaded = parse_yaml(text, _LARGEST_QOS_BYTES) if text else []
+        profiles = parse_yaml(text, _LARGEST_QOS_BYTES) if text else []
     except InputError:
         return []
-    return [item for item in loaded if isinstance(item, dict)] if isinstance(loaded, list) else []
+    return (
+        [item for item in profiles if isinstance(item, dict)] if isinstance(profiles, list) else []
+    )
 
 
 def _span(start_ns: int, end_ns: int) -> dict[str, dict[str, int]]:

@@ -1,6 +1,4 @@
-"""When recorded messages are due: recorded time turned into present time, with a rate, pauses and
-single steps.
-"""
+"""When recorded messages are due in present time, with a rate, pauses and single steps."""
 
 from __future__ import annotations
 
@@ -14,8 +12,7 @@ for single ones."""
 
 
 class Pacer:
-    """Holds a replaying thread back until its next message is due. All methods may be called from
-    any thread.
+    """Holds a replaying thread back until its next message is due; methods are thread-safe.
 
     Args:
         rate: Recorded seconds per second; 0 or less for as fast as possible.

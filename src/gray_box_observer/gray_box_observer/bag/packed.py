@@ -99,24 +99,31 @@ def unpack_messages(
         TooLarge: Together they would take more.
     """
     sizes = [_claimed_bytes(message.data) for message in messages]
-    needed = sum(sizes) + MESSAGE_OVERHEAD_BYTES * len(messages)
-    if needed > room:
-        raise TooLarge(f'its messages unpack to {needed / 1e6:.0f} MB; {limits.remedy(needed / 2)}')
+    needed_bytes = sum(sizes) + MESSAGE_OVERHEAD_BYTES * len(messages)
+    if needed_bytes > room:
+        raise TooLarge(
+            f'its messages unpack to {needed_bytes / 1e6:.0f} MB; {limits.remedy(needed_bytes / 2)}'
+        )
     unpacker = zstandard.ZstdDecompressor()
-    found: list[RawMessage] = []
-    reason, refused = '', 0
+    unpacked_messages: list[RawMessage] = []
+    reason, failure_count = '', 0
     for message, size in zip(messages, sizes, strict=True):
         if not message.data.startswith(MARK):
-            found.append(message)
+            unpacked_messages.append(message)
             continue
         try:
             if not size:
                 raise Unreadable('its head does not tell its size')
             check_size(size, len(message.data), limits)
-            found.append(message._replace(data=unpacker.decompress(message.data)))
+            unpacked_messages.append(message._replace(data=unpacker.decompress(message.data)))
         except (Unreadable, zstandard.ZstdError) as error:
-            reason, refused = str(error), refused + 1
-    return found, f'{refused} packed messages that cannot be unpacked ({reason})' if refused else ''
+            reason, failure_count = str(error), failure_count + 1
+    return (
+        unpacked_messages,
+        f'{failure_count} packed messages that cannot be unpacked ({reason})'
+        if failure_count
+        else '',
+    )
 
 
 def _claimed_bytes(data: bytes) -> int:

@@ -100,8 +100,7 @@ class BagReader:
     def messages(
         self, topics: Collection[str] | None = None, start_ns: int | None = None
     ) -> Iterator[RawMessage]:
-        """Every message in the order of log times; messages of equal time in the order of the
-        files.
+        """Every message in log-time order; messages of equal time in the order of the files.
 
         Args:
             topics: Names of the topics that are wanted; None for all. Unknown names give nothing.
@@ -119,25 +118,28 @@ class BagReader:
             if piece.end_ns >= earliest or not piece.is_chunk
         ]
         pieces.sort(key=lambda item: item[0].start_ns)
-        waiting = _Waiting()
+        later_messages = _Waiting()
         capacity = self._files.limits.message_bytes
         for index, (piece, order, file) in enumerate(pieces):
-            found = self._files.read(file, piece, topics, capacity - waiting.weight)
+            messages = self._files.read(file, piece, topics, capacity - later_messages.weight)
             # Linear for a list that is already in order, and stable.
-            found.sort(key=_LOG_TIME)
-            if found and found[0].log_time_ns < earliest:
-                found = found[bisect_left(found, earliest, key=_LOG_TIME) :]
+            messages.sort(key=_LOG_TIME)
+            if messages and messages[0].log_time_ns < earliest:
+                messages = messages[bisect_left(messages, earliest, key=_LOG_TIME) :]
             following = index + 1
             limit = pieces[following][0].start_ns if following < len(pieces) else None
-            if found and not waiting.parts and (limit is None or found[-1].log_time_ns < limit):
-                yield from found
+            if (
+                messages
+                and not later_messages.parts
+                and (limit is None or messages[-1].log_time_ns < limit)
+            ):
+                yield from messages
                 continue
-            waiting.add(order, found)
-            yield from waiting.before(limit)
+            later_messages.add(order, messages)
+            yield from later_messages.before(limit)
 
     def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
-        """Every message with its decoded content, whatever its type; the order is that of
-        `messages`.
+        """Every message with its decoded content, in the order of `messages`, of any type.
 
         Messages whose bytes do not fit their type are left out and counted in `lost`.
 
@@ -195,16 +197,14 @@ class BagReader:
         return decoder
 
     def _account(self) -> None:
-        """Find topics, counts and times: from the summaries where they can be believed, else by
-        reading.
-        """
+        """Find topics, counts and times, from credible summaries or else by reading."""
         counts: Counter[str] = Counter()
-        declared: dict[str, Channel] = {}
+        channels: dict[str, Channel] = {}
         spans: list[tuple[int, int]] = []
         for file in self._files.all:
             counts.update(self._files.count(file, spans))
             for channel in file.layout.channels.values():
-                declared.setdefault(channel.topic, channel)
+                channels.setdefault(channel.topic, channel)
         self._message_count = counts.total()
         if not spans or not self._message_count:
             reason = f': {self.lost}' if self.lost is not None else ''
@@ -219,7 +219,7 @@ class BagReader:
                 c.qos_profiles,
                 c.type_hash,
             )
-            for name, c in declared.items()
+            for name, c in channels.items()
         }
 
 
@@ -256,18 +256,18 @@ class _Waiting:
         """
         if limit is not None and self._first_ns >= limit:
             return
-        taken: list[RawMessage] = []
+        messages: list[RawMessage] = []
         for order in sorted(self.parts):
             part = self.parts[order]
             count = len(part) if limit is None else bisect_left(part, limit, key=_LOG_TIME)
-            taken += part[:count]
+            messages += part[:count]
             if count == len(part):
                 del self.parts[order]
             elif count:
                 self.parts[order] = part[count:]
-        self.weight -= _weight(taken)
+        self.weight -= _weight(messages)
         self._first_ns = min(
             (part[0].log_time_ns for part in self.parts.values()), default=_NEVER_NS
         )
-        taken.sort(key=_LOG_TIME)
-        yield from taken
+        messages.sort(key=_LOG_TIME)
+        yield from messages

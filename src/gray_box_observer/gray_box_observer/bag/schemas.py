@@ -48,19 +48,19 @@ def schema_text(type_name: str, lookup: Lookup) -> str:
     Raises:
         BagError: The name is no message type, or a definition cannot be found.
     """
-    found = _TYPE.match(type_name)
-    if found is None:
+    match = _TYPE.match(type_name)
+    if match is None:
         raise BagError(
             f"{type_name!r} is no message type; expected such as 'sensor_msgs/msg/JointState'"
         )
     parts: list[str] = []
-    seen: set[tuple[str, str]] = set()
-    open_types = [(found[1], found[2])]
+    visited_types: set[tuple[str, str]] = set()
+    open_types = [(match[1], match[2])]
     while open_types:
         package, name = open_types.pop(0)
-        if (package, name) in seen:
+        if (package, name) in visited_types:
             continue
-        seen.add((package, name))
+        visited_types.add((package, name))
         text = lookup(package, name)
         if text is None:
             raise BagError(
@@ -74,20 +74,20 @@ def schema_text(type_name: str, lookup: Lookup) -> str:
 
 def _dependencies(package: str, text: str) -> list[tuple[str, str]]:
     """The message types of a definition's fields, in their order."""
-    found = []
+    types = []
     for line in text.splitlines():
         field = _FIELD.match(line.split('#', 1)[0])
         if field is None or field[1] in _PRIMITIVES:
             continue
         name = field[1]
         if name == 'Header':
-            found.append(('std_msgs', 'Header'))
+            types.append(('std_msgs', 'Header'))
         elif '/' in name:
             parts = name.split('/')
-            found.append((parts[0], parts[-1]))
+            types.append((parts[0], parts[-1]))
         else:
-            found.append((package, name))
-    return found
+            types.append((package, name))
+    return types
 
 
 def built_in_lookup(package: str, name: str) -> str | None:
@@ -120,5 +120,7 @@ def share_lookup(prefixes: Iterable[str | Path] | None = None) -> Lookup:
 
 def default_prefixes() -> list[Path]:
     """Where ROS packages may be installed, in the order in which they are looked up."""
-    listed = [entry for entry in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if entry]
-    return [Path(p) for p in dict.fromkeys([*listed, sys.prefix, sysconfig.get_path('data')])]
+    prefixes = [
+        entry for entry in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if entry
+    ]
+    return [Path(p) for p in dict.fromkeys([*prefixes, sys.prefix, sysconfig.get_path('data')])]

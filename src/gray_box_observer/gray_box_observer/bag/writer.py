@@ -146,8 +146,8 @@ class BagWriter:
             BagError: The topic is not declared, a time is out of range, or the disk refuses.
         """
         self._check()
-        known = self._topics.get(topic)
-        if known is None:
+        record = self._topics.get(topic)
+        if record is None:
             raise BagError(
                 f'{self.folder}: the topic {topic} is not declared; call add_topic first'
             )
@@ -159,19 +159,18 @@ class BagWriter:
             )
         if self._is_full(log_time_ns):
             self._guard(self._split)
-        self._file.add_message(known.channel, data, log_time_ns, publish_time_ns)
-        known.message_count += 1
+        self._file.add_message(record.channel, data, log_time_ns, publish_time_ns)
+        record.message_count += 1
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the chunk is full or old enough; for a timer, in case no message comes for a
-        while.
+        """Flush if the chunk is full or old enough; a timer calls this when no message comes.
 
         Raises:
             BagError: The disk refuses.
         """
-        due = self._clock() - self._flushed_s >= self.options.flush_period_s
-        if due or self._file.pending_bytes >= self.options.chunk_bytes:
+        is_due = self._clock() - self._flushed_s >= self.options.flush_period_s
+        if is_due or self._file.pending_bytes >= self.options.chunk_bytes:
             self.flush()
 
     def flush(self) -> None:
@@ -195,8 +194,7 @@ class BagWriter:
             self._write_metadata()
 
     def close(self) -> None:
-        """Finish the bag; a second call does nothing, nor does a call after an error that was
-        raised.
+        """Finish the bag; does nothing on a second call or after an error that was raised.
 
         Raises:
             BagError: The disk refuses.

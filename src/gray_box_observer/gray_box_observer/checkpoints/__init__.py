@@ -1,1 +1,1 @@
-"""Saving and restoring what was learnt. Read `checkpoint.py` first, then `checkpoint_manager.py`."""
+"""Saves and restores learnt state. Read `checkpoint.py` first, then `checkpoint_manager.py`."""

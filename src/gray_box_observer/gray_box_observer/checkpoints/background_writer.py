@@ -1,6 +1,4 @@
-"""Writing checkpoints behind the back of sampling: the newest one counts, and a slow disk delays
-nothing.
-"""
+"""Writes checkpoints in the background: only the newest counts, a slow disk delays nothing."""
 
 from __future__ import annotations
 
@@ -48,19 +46,17 @@ class CheckpointWriter:
             self._changed.notify_all()
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until everything handed over is written or has failed; tell whether that came to
-        pass in time.
-        """
+        """Wait until all pending work is written or has failed; tell whether it was in time."""
         with self._changed:
             return self._changed.wait_for(lambda: not self._busy and self._next is None, timeout_s)
 
     def close(self, timeout_s: float) -> bool:
         """Write what still waits, then end the thread; tell whether that came to pass in time."""
-        done = self.flush(timeout_s)
+        is_written = self.flush(timeout_s)
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        return done
+        return is_written
 
     def _run(self) -> None:
         while True:
@@ -75,7 +71,7 @@ class CheckpointWriter:
                 failure = None
             except GrayBoxError as error:
                 failure = str(error)
-            except Exception as error:  # a defect; but whoever waits must not wait for ever, and the next may be written
+            except Exception as error:  # a defect: do not let the others wait for ever
                 failure = f'{path}: {error!r}'
             with self._changed:
                 self.failure = failure

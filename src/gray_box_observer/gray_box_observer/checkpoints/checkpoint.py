@@ -36,8 +36,8 @@ from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box.interface import Array
 
 __all__ = [
-    'FORMAT', 'PARTIAL', 'SCRAP_AGE_S', 'VERSION', 'Resumed', 'Snapshot', 'capture', 'decode', 'encode', 'load',
-    'resume', 'save', 'set_aside', 'write',
+    'FORMAT', 'PARTIAL', 'SCRAP_AGE_S', 'VERSION', 'Resumed', 'Snapshot', 'capture', 'decode',
+    'encode', 'load', 'resume', 'save', 'set_aside', 'write',
 ]  # fmt: skip
 
 MOST_ASIDE = 10
@@ -151,8 +151,7 @@ def resume(observer: Observer, path: Path) -> Resumed:
 
 
 def set_aside(path: Path, why: str) -> Path | None:
-    """Rename a checkpoint to ``NAME.WHY``, or ``NAME.WHY-2`` and so on; keep the newest MOST_ASIDE
-    of these.
+    """Rename a checkpoint to ``NAME.WHY``, ``NAME.WHY-2``, ...; keep the newest MOST_ASIDE.
 
     Returns:
         The new path; None where the file is none of ours, or cannot be renamed.
@@ -196,8 +195,7 @@ def most_bytes(configuration: Configuration) -> int:
 
 
 def load(observer: Observer, path: Path) -> None:
-    """Take back what :func:`save` wrote; the signal history starts anew, the estimates stand where
-    they stood.
+    """Restore what :func:`save` wrote: the estimates stay, the signal history starts anew.
 
     Raises:
         CheckpointError: no such file, not a checkpoint, another version, damaged, or motors or
@@ -245,35 +243,37 @@ def _restore(
             file's name.
         ConfigurationError: it is of another rule, other motors or another white box.
     """
-    rule, expected = entry(plain, 'context_update'), observer.configuration['context_update']
-    motors, known = group(plain, 'motors'), observer.configuration.motors
-    if rule != expected:
+    rule, configured_rule = entry(plain, 'context_update'), observer.configuration['context_update']
+    motors, configured_motors = group(plain, 'motors'), observer.configuration.motors
+    if rule != configured_rule:
         raise ConfigurationError(
-            f'{path} is a checkpoint of the rule {printable(rule, 40)}, expected {expected}: see '
+            f'{path} is a checkpoint of the rule {printable(rule, 40)}, expected '
+            f'{configured_rule}: see '
             'context_update'
         )
     if not motors:
         raise CheckpointError('there is no motor in it')
-    unknown = sorted(set(motors) - set(known))
-    if unknown:
+    unknown_motors = sorted(set(motors) - set(configured_motors))
+    if unknown_motors:
         raise ConfigurationError(
-            f'{path} holds motor {printable(unknown[0], 40)}, which is not among the configured '
+            f'{path} holds motor {printable(unknown_motors[0], 40)}, which is not among the '
+            'configured '
             'ones'
         )
-    together = _names_together(entry(plain, 'together'), known)
+    together = _names_together(entry(plain, 'together'), configured_motors)
     by_motor: dict[str, dict[str, Array]] = {name: {} for name in motors}
     for name, array in arrays.items():
         motor, _, key = name.partition('/')
         by_motor.setdefault(motor, {})[key] = array
-    saved = {}
+    states = {}
     for name in motors:
         own = dict(group(motors, name))
         flag(group(own, 'white_box'), 'speed_measured')
-        saved[name] = own, by_motor[name]
-    observer.restore(saved, together)
+        states[name] = own, by_motor[name]
+    observer.restore(states, together)
 
 
-def _names_together(groups: Any, known: Container[str]) -> list[list[str]]:
+def _names_together(groups: Any, motor_names: Container[str]) -> list[list[str]]:
     """Return whose motors were computed together.
 
     Raises:
@@ -282,8 +282,8 @@ def _names_together(groups: Any, known: Container[str]) -> list[list[str]]:
     if not isinstance(groups, list) or not all(isinstance(names, list) for names in groups):
         raise CheckpointError('together is no list of groups of motors')
     every = [name for names in groups for name in names]
-    if not all(isinstance(name, str) and name in known for name in every) or len(set(every)) < len(
-        every
-    ):
+    if not all(isinstance(name, str) and name in motor_names for name in every) or len(
+        set(every)
+    ) < len(every):
         raise CheckpointError('together names no configured motor, or one twice')
     return groups

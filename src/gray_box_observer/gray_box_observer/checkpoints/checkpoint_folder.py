@@ -1,6 +1,4 @@
-"""The one folder that checkpoints are read from and written to, whatever a parameter or a service
-asks for.
-"""
+"""The one folder of checkpoints, whatever path a parameter or a service asks for."""
 
 from __future__ import annotations
 
@@ -22,8 +20,7 @@ SUFFIX = '.safetensors'
 
 
 class CheckpointFolder:
-    """Turns the parameter ``checkpoint.path`` into a file inside the declared folder, or refuses
-    it.
+    """Turns the parameter ``checkpoint.path`` into a file in the declared folder, or refuses.
 
     What is given when the node starts (launch file, YAML, command line) is the word of whoever may
     start processes, and is trusted: an absolute path then declares its own folder. What comes
@@ -42,9 +39,9 @@ class CheckpointFolder:
 
     def __init__(self, folder: str, path: str, default: Path) -> None:
         own = Path(path).parent if not folder and Path(path).is_absolute() else default
-        wanted = Path(folder).expanduser() if folder else own
+        folder_path = Path(folder).expanduser() if folder else own
         self.folder = Path(
-            os.path.normpath(wanted.absolute())
+            os.path.normpath(folder_path.absolute())
         )  # as it was given: no link is followed
         self._trusted = None if folder else path
         self.file(path)
@@ -56,25 +53,25 @@ class CheckpointFolder:
             ConfigurationError: it is no file name, or leads out of the folder, be it by ``..`` or
                 by a symbolic link.
         """
-        given = Path(path)
-        if not given.name or not path.isprintable():
+        requested_file = Path(path)
+        if not requested_file.name or not path.isprintable():
             raise ConfigurationError(f'checkpoint.path must be the name of a file, got {path!r}')
-        if given.is_absolute() and path == self._trusted:
-            _check_name(path, (given.name,))
-            return given
-        if len(given.parts) > MOST_PARTS or any(
-            len(part.encode()) > LONGEST_NAME for part in given.parts
+        if requested_file.is_absolute() and path == self._trusted:
+            _check_name(path, (requested_file.name,))
+            return requested_file
+        if len(requested_file.parts) > MOST_PARTS or any(
+            len(part.encode()) > LONGEST_NAME for part in requested_file.parts
         ):
             raise ConfigurationError(
                 f'checkpoint.path must not be deeper than {MOST_PARTS} folders or hold names of '
                 'more than '
                 f'{LONGEST_NAME} bytes, got {path[:40]!r}...'
             )
-        if '..' in given.parts:
+        if '..' in requested_file.parts:
             raise ConfigurationError(
                 f"checkpoint.path must not hold '..', got {path!r}: give a path in {self.folder}"
             )
-        file = self.folder / given  # an absolute one stays what it is
+        file = self.folder / requested_file  # an absolute one stays what it is
         try:
             real_file, real_folder = file.resolve(), self.folder.resolve()
         except (OSError, RuntimeError) as error:  # a loop of links; a name that is too long
@@ -86,16 +83,14 @@ class CheckpointFolder:
                 f'checkpoint.path {path!r} leads out of {self.folder}: '
                 'give a path in there, or another checkpoint.folder when the node starts'
             )
-        _check_name(path, (*real_file.relative_to(real_folder).parts, given.name))
+        _check_name(path, (*real_file.relative_to(real_folder).parts, requested_file.name))
         return file
 
 
 def _check_name(path: str, parts: tuple[str, ...]) -> None:
-    """Refuse a name that another program may obey: of a start-up file, of a key, of a folder of
-    settings.
-    """
-    hidden = next((part for part in parts if part.startswith('.')), None)
-    if hidden is not None:
+    """Refuse a name that another program may obey: a start-up file, a key, a settings folder."""
+    hidden_part = next((part for part in parts if part.startswith('.')), None)
+    if hidden_part is not None:
         raise ConfigurationError(
             f"checkpoint.path must hold no name that begins with '.', got {path!r}"
         )
@@ -106,8 +101,7 @@ def _check_name(path: str, parts: tuple[str, ...]) -> None:
 
 
 def default_folder(node: str) -> Path:
-    """Return where the checkpoints of a node go that says nothing of it: below ROS_HOME
-    (``~/.ros``), by its full name.
+    """Return a node's default checkpoint file: in ROS_HOME (``~/.ros``), by its full name.
 
     Args:
         node: its fully qualified name, so that two nodes in two namespaces do not overwrite each

@@ -108,8 +108,7 @@ def decode(data: bytes) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 def read_file(path: Path, most_bytes: int) -> bytes:
-    """Read a regular file that is not too large; what is none is not opened, and a link is not
-    followed.
+    """Read a regular file of bounded size; others are not opened, links are not followed.
 
     Raises:
         CheckpointError: it is no regular file, or too large.
@@ -132,8 +131,7 @@ def read_file(path: Path, most_bytes: int) -> bytes:
 
 
 def is_ours(path: Path) -> bool:
-    """Whether a file may be replaced, renamed or removed: a checkpoint of this package, whole or
-    not, or an empty file.
+    """Whether a file may be replaced or removed: our checkpoint, damaged or not, or an empty file.
 
     It is told by how the file begins; that it can be loaded is not said.
     """

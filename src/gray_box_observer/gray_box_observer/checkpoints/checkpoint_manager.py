@@ -1,4 +1,4 @@
-"""Keeps one checkpoint file: where it may stand, what a start makes of it, when it is written anew."""
+"""Keeps one checkpoint file: its place, its use at a start, and when it is rewritten."""
 
 from __future__ import annotations
 
@@ -66,13 +66,11 @@ class CheckpointKeeper:
         return checkpoint.resume(observer, file)
 
     def keep(self, observer: Observer | None) -> None:
-        """Bring the file up to date if there is something new; returns at once. What goes wrong is
-        :attr:`failure`.
-        """
+        """Bring the file up to date if needed, without waiting; errors are in :attr:`failure`."""
         if not self.automatic or observer is None or not observer.motors:
             return
-        used = sum(observer.counts(motor).used for motor in observer.configuration.motors)
-        if used == self._kept and self.failure is None:
+        used_count = sum(observer.counts(motor).used for motor in observer.configuration.motors)
+        if used_count == self._kept and self.failure is None:
             return
         try:
             file = self.file
@@ -81,7 +79,7 @@ class CheckpointKeeper:
             return
         self._astray = None
         self._writer.submit(checkpoint.capture(observer), file)
-        self._kept, self._since_s = used, time.monotonic()
+        self._kept, self._since_s = used_count, time.monotonic()
 
     def save(self, observer: Observer) -> str:
         """Write the file now; return where it stands.
@@ -113,8 +111,7 @@ class CheckpointKeeper:
         return str(path)
 
     def forget(self) -> str | None:
-        """Let the next start begin anew: what was forgotten on purpose must not come back; return
-        where it is kept.
+        """Let the next start begin anew, as the user asked; return where the old file is kept.
 
         None where there is nothing to keep, or what stands there is no checkpoint in the folder.
         """
@@ -156,7 +153,10 @@ class CheckpointKeeper:
             report.join(END_PATIENCE_S)
         self.keep(observer)
         if not self._writer.close(END_PATIENCE_S):
-            return f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk answer?'
+            return (
+                f'the last checkpoint was not written within {END_PATIENCE_S:g} s: does the disk '
+                'answer?'
+            )
         return self.failure
 
     @property

@@ -1,6 +1,4 @@
-"""The unknown physical parameters, held explicitly (thesis: parameter context nodes), and the rules
-that learn them.
-"""
+"""The unknown physical parameters (thesis: parameter context nodes) and their update rules."""
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictRules
 from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate

@@ -95,8 +95,7 @@ exponential finite."""
 
 
 def spread_of_values(value: Array, covariance: Array) -> Array:
-    """Turn the spread of logarithms into that of the values, where it is so wide that the two
-    differ.
+    """Turn a wide spread of logarithms into that of the values, where the two differ.
 
     Along every principal axis of the relative covariance a log-normal of spread s reaches up to
     ``exp(s) - 1`` of the value with one standard deviation; from LOG_NORMAL on s grows as fast as
@@ -125,9 +124,7 @@ def spread_of_values(value: Array, covariance: Array) -> Array:
 
 
 def bounded(value: Array, covariance: Array) -> Array:
-    """Covariances that are finite and not absurd; of others only the order of magnitude of the
-    values is known.
-    """
+    """Covariances that are finite and plausible; others keep only the values' magnitude."""
     finite = np.all(np.isfinite(covariance), axis=(1, 2))
     finite &= np.all(covariance.diagonal(0, 1, 2) <= (ABSURD_SPREAD * value) ** 2, axis=1)
     if finite.all():

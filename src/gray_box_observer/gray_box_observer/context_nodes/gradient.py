@@ -1,5 +1,4 @@
-"""The thesis's rule: stage 1, a gradient step on the L1 loss of first differences (thesis 4.2.3,
-4.2.4, 4.3.2).
+"""The thesis's rule: stage 1, gradient steps on the L1 loss of differences (thesis 4.2, 4.3.2).
 
 What is kept: one trainable number a parameter, the L1 norm, Adam, weights by the rate of change
 plus a small constant, learning-rate cuts on plateaus, a bounded replay of past data. What is
@@ -38,8 +37,7 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 
 @dataclass(frozen=True, slots=True)
 class GradientRules:
-    """Settings of the gradient rule; defaults are for tens to hundreds of samples in an electrical
-    time constant.
+    """Settings of the gradient rule; defaults suit tens to hundreds of samples per L/R.
 
     Attributes:
         batch_size: new samples between two updates.
@@ -143,9 +141,7 @@ class GradientUpdate:
         return nothing, nothing
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; what comes while frozen is not remembered, a new signal history
-        follows it.
-        """
+        """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
         if frozen == self._frozen:
             return
         self._frozen, self._resumes = frozen, not frozen
@@ -160,9 +156,7 @@ class GradientUpdate:
         return Estimate(self._stamp_ns, self._white_box.parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Remember one sample; on every full batch of them, update. Tell whether the estimate has
-        changed.
-        """
+        """Remember one sample; update on every full batch. Tell whether the estimate changed."""
         self._stamp_ns = sample.stamp_ns
         if self._frozen:
             return False
@@ -185,7 +179,7 @@ class GradientUpdate:
         return True
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
-        """Everything learnt, as plain values and arrays; motors of this rule are kept one by one."""
+        """Everything learnt, as plain values and arrays; this rule's motors are kept singly."""
         plain = {
             'random': self._random.bit_generator.state,
             'new': self._new,
@@ -244,9 +238,7 @@ class GradientUpdate:
         whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
 
     def _windows(self, ends: NDArray[np.intp]) -> tuple[Array, Array, Array]:
-        """Regressors (motor, window, parameter), targets and validity of the windows that end at
-        these samples.
-        """
+        """Regressors (motor, window, parameter), targets and validity of the newest windows."""
         n = self._rules.window
         index = np.maximum(ends, n)[:, None] + np.arange(-n, 1)
         intervals = self.replay.interval_s()[:, index[:, 1:]]
@@ -270,8 +262,9 @@ class GradientUpdate:
         return gap, slope
 
     def _weigh(self, windows: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Replace validity by transition weights: |change| scaled to 0..1 plus the floor (thesis
-        4.3.2), sum one.
+        """Replace validity by transition weights: scaled |change| plus floor, sum one.
+
+        The change is scaled to 0..1 (thesis 4.3.2).
         """
         phi, target, valid = windows
         change = np.abs(phi[..., 0]) * valid
@@ -316,9 +309,7 @@ class GradientUpdate:
         self._stale = np.where(cut, 0, self._stale)
 
     def _follow_drift(self, fresh: Array) -> None:
-        """Start over from where we stand when the newest data no longer fit (the old ones tell of
-        another motor).
-        """
+        """Start over from the present values when the newest data no longer fit."""
         settled = self._rate <= 0.25 * self._rules.learning_rate
         newest = self._white_box.state(self.replay.torque_nm(self._rules.batch_size))
         floor = self._rules.drift_floor * np.abs(newest).mean(axis=1, keepdims=True)
@@ -341,8 +332,7 @@ class GradientUpdate:
         return prior
 
     def _sandwich(self) -> Array:
-        """Covariance from the curvature and scatter of the remembered windows, plus the distance
-        still to go.
+        """Covariance from curvature and scatter of the remembered windows, plus the distance left.
 
         Windows that do not overlap are nearly independent. The last term is one Newton step of
         least squares from the present values: what has not converged yet is not certain yet.

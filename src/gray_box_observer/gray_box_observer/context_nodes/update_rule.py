@@ -14,9 +14,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 class ContextUpdate(Protocol):
-    """Learns the context nodes of a group of motors, one sample at a time (thesis: parameter
-    context nodes, 4.3).
-    """
+    """Learns the context nodes of a group, one sample at a time (thesis 4.3)."""
 
     replay: ReplayBuffer
     """The samples it remembers."""
@@ -51,8 +49,7 @@ class ContextUpdate(Protocol):
         """Tell whether one motor is known to drift."""
 
     def voltage_shares(self, motor: int) -> tuple[Array, Array]:
-        """Return of one motor the share of the voltage that a unit of each parameter takes, and its
-        3-sigma bound.
+        """Return one motor's voltage shares per unit of parameter, and their 3-sigma bound.
 
         Shape (parameter,) each; a share of 0 is one that is not known.
         """

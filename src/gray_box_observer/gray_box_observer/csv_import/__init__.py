@@ -1,3 +1,1 @@
-"""Measurement logs (CSV, or columns between blanks) turned into bags. Read `log_conversion.py`
-first.
-"""
+"""Turns measurement logs (CSV or columns) into bags. Read `log_conversion.py` first."""

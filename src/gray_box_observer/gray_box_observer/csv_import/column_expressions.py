@@ -86,9 +86,7 @@ class Expression:
             self._node = self._compile(self._parse(whole), _DEEPEST)
 
     def __call__(self, table: Table) -> NDArray[np.float64]:
-        """The value in every row; a division by zero gives an infinity or NaN there.  shape:
-        (row,).
-        """
+        """The value in every row, shape (row,); division by zero gives infinity or NaN there."""
         rows = next(iter(table.values())).shape if table else ()
         with np.errstate(all='ignore'):
             return np.broadcast_to(np.asarray(self._node(table), dtype=np.float64), rows)
@@ -144,17 +142,17 @@ class Expression:
         return lambda table: apply(left(table), right(table))
 
     def _operator(self, op: ast.AST) -> Callable[..., _Value]:
-        found = self._operators.get(type(op))
-        if found is None:
+        operator = self._operators.get(type(op))
+        if operator is None:
             raise self._not_allowed()
-        return found
+        return operator
 
     def _not_allowed(self) -> BagError:
-        allowed = '+ - * / ( )' + (
+        allowed_syntax = '+ - * / ( )' + (
             ' and comparisons' if len(self._operators) > len(_ARITHMETIC) else ''
         )
         return BagError(
-            f'{brief(self.text)} is not allowed; expected columns, numbers and {allowed}'
+            f'{brief(self.text)} is not allowed; expected columns, numbers and {allowed_syntax}'
         )
 
     def _number(self, value: float) -> float:
@@ -178,18 +176,18 @@ class Expression:
     def _number_of(self, name: str) -> int:
         places = [number for number, title in enumerate(self._names, start=1) if title == name]
         if len(places) > 1:
-            which = ' or '.join(f'${number}' for number in places)
+            choices = ' or '.join(f'${number}' for number in places)
             raise BagError(
                 f'the header has {len(places)} columns {brief(name)} (in {brief(self.text)}): '
-                f'write {which}'
+                f'write {choices}'
             )
         if places:
             return places[0]
-        there = (
+        alternatives = (
             ', '.join(brief(title)[1:-1] for title in self._names[:_MOST_NAMED])
             if self._names
             else f'$1 to ${self._column_count}, without names'
         )
         raise BagError(
-            f'there is no column {brief(name)} (in {brief(self.text)}); there are: {there}'
+            f'there is no column {brief(name)} (in {brief(self.text)}); there are: {alternatives}'
         )

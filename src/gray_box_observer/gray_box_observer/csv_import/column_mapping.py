@@ -21,8 +21,7 @@ LATEST_STAMP_NS = 2**31 * 10**9
 
 @dataclass(frozen=True, slots=True)
 class MotorColumns:
-    """Expressions (`gray_box_observer.csv_import.column_expressions`) that give one motor's signals
-    in SI units.
+    """Expressions (see :mod:`column_expressions`) that give one motor's signals in SI units.
 
     Attributes:
         voltage: In V.
@@ -108,8 +107,7 @@ class CsvMapping:
 
     @classmethod
     def from_options(cls, options: Iterable[str]) -> CsvMapping:
-        """From the words of a command line: ``time=t_s voltage=u_V current=i_A
-        torque_constant=0.05``.
+        """From command-line words: ``time=t_s voltage=u_V current=i_A torque_constant=0.05``.
 
         A motor's key may carry its name, ``left.voltage=5``; one without it belongs to the motor
         that ``motor=left`` names, else to one called ``motor``. A bare whole number is the number
@@ -132,20 +130,19 @@ class CsvMapping:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> CsvMapping:
-        """From a YAML file with the same keys; motors stand under ``motors``, or one at the top,
-        named by ``motor``.
+        """From a YAML file with the same keys: ``motors``, or one at the top named by ``motor``.
 
         Raises:
             BagError: The file cannot be read, or a key is not known.
         """
         try:
-            loaded = read_yaml(Path(path))
+            document = read_yaml(Path(path))
         except InputError as error:
             raise BagError(str(error)) from None
-        if not isinstance(loaded, dict):
+        if not isinstance(document, dict):
             raise BagError(f"{path} holds no keys; expected such as 'voltage: u_V'")
-        flat = {str(key): value for key, value in loaded.items() if key != 'motors'}
-        motors = loaded.get('motors', {})
+        flat = {str(key): value for key, value in document.items() if key != 'motors'}
+        motors = document.get('motors', {})
         if not isinstance(motors, dict) or not all(
             isinstance(group, dict) for group in motors.values()
         ):
@@ -173,8 +170,8 @@ class CsvMapping:
             elif key in own_keys:
                 own[key] = _value(key, key, value)
             elif key != 'motor':
-                known = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
-                raise BagError(f'{brief(key)} is no key of a mapping; there are: {known}')
+                valid_keys = ', '.join(sorted(motor_keys | own_keys | {'motor'}))
+                raise BagError(f'{brief(key)} is no key of a mapping; there are: {valid_keys}')
         motors = {}
         if 'motor' in flat and unnamed not in groups:
             raise BagError(
@@ -189,21 +186,19 @@ class CsvMapping:
         return cls(motors=motors, **own)
 
     def parameters(self) -> dict[str, Any]:
-        """What the mapping tells of the observer's parameters: the motors, and Kt where torque is
-        made of current.
-        """
-        told: dict[str, Any] = {'motors': list(self.motors)}
+        """Observer parameters from the mapping: motors, and Kt where torque is from current."""
+        parameters: dict[str, Any] = {'motors': list(self.motors)}
         for name, columns in self.motors.items():
             if columns.torque_constant is not None:
-                told[f'{name}.torque_constant'] = columns.torque_constant
-        return told
+                parameters[f'{name}.torque_constant'] = columns.torque_constant
+        return parameters
 
 
 def _value(key: str, kind: str, value: Any) -> Any:
     if kind in ('torque_constant', 'sample_period_s', 'first_stamp_ns'):
-        read = parse_int if kind == 'first_stamp_ns' else parse_float
+        parse = parse_int if kind == 'first_stamp_ns' else parse_float
         try:
-            return read(str(value))
+            return parse(str(value))
         except ValueError:
             raise BagError(f'{brief(key)[1:-1]} is {brief(value)}, expected a number') from None
     text = str(value)
@@ -213,6 +208,6 @@ def _value(key: str, kind: str, value: Any) -> Any:
     )  # a bare number is a column's number
 
 
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise BagError(f'{name} is {brief(value)}, expected one of {", ".join(allowed)}')
+def _one_of(name: str, value: str, allowed_values: tuple[str, ...]) -> None:
+    if value not in allowed_values:
+        raise BagError(f'{name} is {brief(value)}, expected one of {", ".join(allowed_values)}')

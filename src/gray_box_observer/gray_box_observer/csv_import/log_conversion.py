@@ -1,4 +1,4 @@
-"""Turning a measurement log (CSV, or columns between blanks) into a bag that the observer can read."""
+"""Turns a measurement log (CSV, or columns between blanks) into a bag for the observer."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def csv_to_bag(
     if expressions.where is not None:
         passes = expressions.where(table) != 0
     in_time = passes.copy() if mapping.where_drops == 'row' else np.ones(row_count, dtype=bool)
-    filtered = int(row_count - passes.sum())
+    filtered_count = int(row_count - passes.sum())
     considered = int(in_time.sum())
     rows = np.flatnonzero(in_time)
     in_order = _increasing(time_s[rows])
@@ -145,24 +145,26 @@ def csv_to_bag(
         time_s[rows], in_order, columns.lines[rows], mapping.time or 'sample_period_s'
     )
     in_time[rows] = in_order
-    kept = np.flatnonzero(in_time)
-    if not kept.size or not passes[kept].any():
-        raise BagError(f'{path}: none of {row_count} rows can be used ({filtered} filtered)')
+    kept_rows = np.flatnonzero(in_time)
+    if not kept_rows.size or not passes[kept_rows].any():
+        raise BagError(f'{path}: none of {row_count} rows can be used ({filtered_count} filtered)')
     motors = [expressions.signals(name, table) for name in mapping.motors]
-    passed_ns = np.rint((time_s[kept] - time_s[kept[0]]) * 1e9)
+    passed_ns = np.rint((time_s[kept_rows] - time_s[kept_rows[0]]) * 1e9)
     stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
-    interval_s = float(np.median(np.diff(time_s[kept]))) if kept.size > 1 else math.nan
+    interval_s = float(np.median(np.diff(time_s[kept_rows]))) if kept_rows.size > 1 else math.nan
     doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
     for motor in motors:
         for signal, values in motor.signals():
-            doubts += finite_doubt(f'{signal} of {motor.name}', values[kept], columns.lines[kept])
-    messages = _write(folder, options, mapping, motors, kept, stamps_ns, passes)
+            doubts += finite_doubt(
+                f'{signal} of {motor.name}', values[kept_rows], columns.lines[kept_rows]
+            )
+    messages = _write(folder, options, mapping, motors, kept_rows, stamps_ns, passes)
     return CsvSummary(
         rows=row_count,
-        filtered_rows=filtered,
-        unordered_rows=considered - int(kept.size),
-        non_finite_rows=int(np.count_nonzero(~finite[kept])),
+        filtered_rows=filtered_count,
+        unordered_rows=considered - int(kept_rows.size),
+        non_finite_rows=int(np.count_nonzero(~finite[kept_rows])),
         messages=messages,
         duration_s=float(stamps_ns[-1] - stamps_ns[0]) * 1e-9,
         interval_s=interval_s,
@@ -205,13 +207,13 @@ class _Expressions:
         if not text:
             return None
         shape = self._shape
-        made = Expression(text, shape.names, shape.column_count, is_condition=is_condition)
-        self._all.append(made)
-        return made
+        expression = Expression(text, shape.names, shape.column_count, is_condition=is_condition)
+        self._all.append(expression)
+        return expression
 
 
 def _increasing(time_s: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which times are later than every time kept before them; a time that is not finite never is."""
+    """Which times are later than all times kept before; one that is not finite never is."""
     finite = np.where(np.isfinite(time_s), time_s, -np.inf)
     latest = np.maximum.accumulate(np.concatenate(([-np.inf], finite)))[:-1]
     return finite > latest
@@ -222,7 +224,7 @@ def _write(
     options: BagOptions | None,
     mapping: CsvMapping,
     motors: list[_Motor],
-    kept: NDArray[np.intp],
+    kept_rows: NDArray[np.intp],
     stamps_ns: NDArray[np.int64],
     passes: NDArray[np.bool_],
 ) -> int:
@@ -231,18 +233,18 @@ def _write(
     # before.
     ahead = 1 if mapping.voltage_applies == 'preceding' else 0
     options = options or BagOptions()
-    carried = {**options.custom_data, **to_custom_data(mapping.parameters())}
-    writer = BagWriter(folder, replace(options, custom_data=carried))
+    custom_data = {**options.custom_data, **to_custom_data(mapping.parameters())}
+    writer = BagWriter(folder, replace(options, custom_data=custom_data))
     try:
         with writer:
             for topic in (mapping.voltage_topic, mapping.torque_topic):
                 writer.add_topic(topic, TYPE_NAME, text, [SIGNAL_QOS], JOINT_STATE_HASH)
             for index, (row, stamp) in enumerate(
-                zip(kept.tolist(), stamps_ns.tolist(), strict=True)
+                zip(kept_rows.tolist(), stamps_ns.tolist(), strict=True)
             ):
                 for motor in motors:
-                    if index + ahead < kept.size:
-                        volts = float(motor.voltage_v[kept[index + ahead]])
+                    if index + ahead < kept_rows.size:
+                        volts = float(motor.voltage_v[kept_rows[index + ahead]])
                         data = encode_joint_state(stamp, [motor.name], effort=[volts])
                         writer.write(mapping.voltage_topic, data, stamp, stamp)
                     if passes[row]:

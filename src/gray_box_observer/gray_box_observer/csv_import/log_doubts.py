@@ -1,6 +1,4 @@
-"""What in a log looks like another unit or another clock than was meant: warned of by line and
-column.
-"""
+"""Log values that look like another unit or clock: warnings by line and column."""
 
 from __future__ import annotations
 
@@ -81,20 +79,21 @@ def order_doubt(
         return
     first = int(wrong[0])
     if not np.isfinite(time_s[first]):
-        what = f'is {time_s[first]}'
+        complaint = f'is {time_s[first]}'
     else:
         latest = float(np.max(time_s[:first][in_order[:first]], initial=-np.inf))
-        what = f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after {latest:.9g} s'
+        complaint = (
+            f'{"falls" if time_s[first] < latest else "stands still"}: {time_s[first]:.9g} s after '
+            f'{latest:.9g} s'
+        )
     yield (
-        f'line {lines[first]}, time ({brief(expression)[1:-1]}) {what}; '
+        f'line {lines[first]}, time ({brief(expression)[1:-1]}) {complaint}; '
         f'{wrong.size} rows that are not later than those before are left out'
     )
 
 
 def interval_doubt(interval_s: float, expression: str) -> str | None:
-    """Say that samples lie further apart or closer than those of a motor, and which unit the time
-    may be in.
-    """
+    """Warn of samples too far apart or too close for a motor, and name the likely time unit."""
     if SHORTEST_INTERVAL_S <= interval_s <= LONGEST_INTERVAL_S or not np.isfinite(interval_s):
         return None
     factors = (
@@ -103,12 +102,15 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     plausible = [
         f for f in factors if 2 * SHORTEST_INTERVAL_S <= interval_s * f <= LONGEST_INTERVAL_S
     ]
-    said = f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} to '
-    said += f'{LONGEST_INTERVAL_S:g} s apart'
+    complaint = (
+        f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
+        'to '
+    )
+    complaint += f'{LONGEST_INTERVAL_S:g} s apart'
     if not expression or not plausible:
-        return said
+        return complaint
     column = expression if re.fullmatch(r'[\w.$]+', expression) else f'({expression})'
-    return f'{said}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
+    return f'{complaint}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
 
 
 def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:

@@ -1,5 +1,4 @@
-"""Reading a log's text: comma, semicolon, tab or blanks between the cells, comments behind ``%`` or
-``#``.
+"""Reads a log's text: comma, semicolon, tab or blanks; comments behind ``%`` or ``#``.
 
 Every row must have the cells that the first one promises, and a cell that is asked for must be a
 number in ASCII digits: a log that could mean something else is refused by line, column and content.
@@ -78,17 +77,20 @@ def look_at(path: Path) -> TableShape:
     names = tuple(cell.strip().strip('"\'').strip() for cell in cells)
     if next(rows, None) is None:
         raise BagError(f'{path} holds a header but no rows')
-    odd = f'{path}, line {line_number} is taken for the names of the columns, although {brief(numbers[:1])[1:-1]} is '
+    odd = (
+        f'{path}, line {line_number} is taken for the names of the columns, although '
+        f'{brief(numbers[:1])[1:-1]} is '
+    )
     return TableShape(names, len(names), delimiter, (f'{odd}a number in it',) if numbers else ())
 
 
-def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Columns:
+def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int]) -> Columns:
     """Read some columns of a log.
 
     Args:
         path: The log.
         shape: What `look_at` found.
-        wanted: 1-based numbers of the columns.
+        column_numbers: 1-based numbers of the columns.
 
     Raises:
         BagError: A row has other cells than the first, or a wanted cell is no number; says where.
@@ -97,10 +99,10 @@ def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Colu
     if shape.names:
         next(rows, None)
     count, delimiter = shape.column_count, shape.delimiter
-    numbers = sorted(wanted) or [1]
+    numbers = sorted(column_numbers) or [1]
     columns: dict[int, list[float]] = {number: [] for number in numbers}
     lines: list[int] = []
-    ended: list[int] = []
+    ended_lines: list[int] = []
     for line_number, line in rows:
         cells = (
             line.split(delimiter) if '"' not in line else _cells(path, line_number, line, delimiter)
@@ -108,19 +110,22 @@ def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Colu
         if len(cells) != count:
             cells = _fitting(path, shape, line_number, line, cells)
             if len(cells) > count:
-                ended.append(line_number)
-        read = float if line.isascii() and '_' not in line else parse_float
+                ended_lines.append(line_number)
+        parse = float if line.isascii() and '_' not in line else parse_float
         for number, values in columns.items():
             try:
-                values.append(read(cells[number - 1]))
+                values.append(parse(cells[number - 1]))
             except ValueError:
                 raise BagError(
                     _complaint(path, shape, line_number, cells, number, numbers)
                 ) from None
         lines.append(line_number)
     warnings = shape.warnings
-    if ended:
-        where = f'{path}, line {ended[0]}: a separator behind the last cell is passed over, in {len(ended)} rows'
+    if ended_lines:
+        where = (
+            f'{path}, line {ended_lines[0]}: a separator behind the last cell is passed over, in '
+            f'{len(ended_lines)} rows'
+        )
         warnings = (*warnings, where)
     arrays = {number: np.array(column, dtype=np.float64) for number, column in columns.items()}
     return Columns(arrays, np.array(lines, dtype=np.int64), warnings)
@@ -129,9 +134,7 @@ def read_columns(path: Path, shape: TableShape, wanted: Collection[int]) -> Colu
 def _fitting(
     path: Path, shape: TableShape, line_number: int, line: str, cells: list[str]
 ) -> list[str]:
-    """Cells of a row that seems to have too many or too few: without a comment, or with an empty
-    end.
-    """
+    """Cells of a row with too many or too few: without a comment, or with an empty end."""
     count = shape.column_count
     for sign in _COMMENTS:
         before = line.partition(sign)[0].rstrip()
@@ -146,9 +149,13 @@ def _fitting(
     first = 'header' if shape.names else 'first row'
     hint = ''
     if len(cells) == 1 and (
-        other := next((d for d in (*_DELIMITERS, ' ') if d in line.strip()), None)
+        other_delimiter := next((d for d in (*_DELIMITERS, ' ') if d in line.strip()), None)
     ):
-        hint = f'; {other!r} seems to be between them, but {shape.delimiter or " "!r} is in the {first}'
+        hint = (
+            f'; {other_delimiter!r} seems to be between them, but {shape.delimiter or " "!r} is in '
+            'the '
+            f'{first}'
+        )
     elif shape.delimiter == ',' and len(cells) > count:
         hint = '; numbers need a decimal point, and no comma within'
     raise BagError(
@@ -163,15 +170,15 @@ def _complaint(
     line_number: int,
     cells: list[str],
     number: int,
-    wanted: Collection[int],
+    column_numbers: Collection[int],
 ) -> str:
     cell = cells[number - 1].strip()
     if (
         shape.names
-        and not any(_is_number(cells[k - 1]) for k in wanted)
-        and all(cells[k - 1].strip() for k in wanted)
+        and not any(_is_number(cells[k - 1]) for k in column_numbers)
+        and all(cells[k - 1].strip() for k in column_numbers)
     ):
-        row = brief([cells[k - 1].strip() for k in wanted])
+        row = brief([cells[k - 1].strip() for k in column_numbers])
         return f"{path}, line {line_number}: {row} are no numbers; put '#' before a row of units"
     name = f' ({shape.names[number - 1]})' if shape.names else ''
     hint = '; write a decimal point' if _DECIMAL_COMMA.search(cell) else ''
@@ -215,10 +222,10 @@ def _rows(path: Path) -> Iterator[tuple[int, str]]:
                         f'{path}, line {number}: longer than {_LONGEST_LINE:,} characters; is it '
                         'a log?'
                     )
-                stripped = line.strip()
+                content = line.strip()
                 if number == 1 and '\x00' in line:
                     raise BagError(f'{path} is no text in UTF-8 or ASCII; save it as that')
-                if stripped and not stripped.startswith(_COMMENTS):
+                if content and not content.startswith(_COMMENTS):
                     yield number, line.strip('\r\n ')
         except OSError as error:
             raise BagError(f'{path}: cannot be read: {error.strerror or error}') from None

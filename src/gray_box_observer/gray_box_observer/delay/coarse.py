@@ -1,5 +1,4 @@
-"""Where a delay may lie: the residual of the integrated equation for every whole number of sample
-intervals at once.
+"""Coarse search of a delay: the integrated equation's residual at every whole interval.
 
 Over a window of samples the change of the current is linear in the integrals of voltage and basis
 functions (METHOD 4, :mod:`gray_box_observer.context_nodes.recursive.linear_start`); a delay shifts
@@ -40,17 +39,13 @@ class Profile:
     rows: int
 
     def best(self) -> float:
-        """Return the delay of the smallest misfit in s, by the parabola through the three around
-        it.
-        """
+        """Return the delay of least misfit in s, by a parabola through the three nearest."""
         at, slope, bend = self._parabola()
         shift = -slope / bend if bend > 0.0 else 0.0
         return float(self.delay_s[at] + shift * (self.delay_s[1] - self.delay_s[0]))
 
     def evidence(self, delay_s: float) -> float:
-        """Gain in log-likelihood of the best delay over a given one, were the residuals
-        independent.
-        """
+        """Log-likelihood gain of the best delay over a given one, for independent residuals."""
         at, slope, bend = self._parabola()
         logs = np.log(self.misfit)
         away = float((delay_s - self.delay_s[at]) / (self.delay_s[1] - self.delay_s[0]))
@@ -61,9 +56,7 @@ class Profile:
         return 0.5 * self.rows * (here - lowest)
 
     def _parabola(self) -> tuple[int, float, float]:
-        """Where the misfit is smallest, and slope and bend of its logarithm there, a step being one
-        interval.
-        """
+        """Place of the least misfit, with slope and bend of its logarithm per interval."""
         at = int(np.argmin(self.misfit))
         if not 0 < at < self.misfit.size - 1:
             return at, 0.0, 0.0
@@ -119,9 +112,7 @@ def profile(
 
 
 def credible(current: Array) -> Array:
-    """Bound currents by twice the largest that is not alone; an absurd sample must not blind the
-    rest.
-    """
+    """Bound currents by twice the largest that is not alone, against absurd samples."""
     if current.size <= OUTLIERS:
         return current
     limit = 2.0 * np.partition(np.abs(current), -OUTLIERS - 1)[-OUTLIERS - 1]
@@ -146,8 +137,9 @@ def _windowed(values: Array, interval_s: float) -> Array:
 def _misfits(
     change: Array, basis: list[Array], known: Array, whole: Array, volt: Array
 ) -> Generator[None, None, Array]:
-    """Sums of squares of ``change = p_0 (volt - known) - sum_j p_j basis_j`` for every place of the
-    voltage's windows.
+    """Sums of squares of the balance for every place of the voltage's windows.
+
+    The balance is ``change = p_0 (volt - known) - sum_j p_j basis_j``.
 
     What the basis explains is projected out once; ``p_0`` follows for each place, and is not
     negative.

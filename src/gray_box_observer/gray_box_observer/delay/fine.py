@@ -101,7 +101,7 @@ class FineSearch:
         self._floor = NOISE_FLOOR * self._size
 
     def fit(self, delay_s: float, *, free: bool) -> Generator[None, None, Fitted]:
-        """Climb from a delay, held or free; yield after every piece of work and return the maximum."""
+        """Climb from a delay, held or free; yield after each piece of work, return the maximum."""
         self._start(delay_s)
         yield
         yield from self._climb(free)
@@ -190,7 +190,7 @@ class FineSearch:
         return bool(np.all(np.abs(step[1:]) < TOLERANCE * np.maximum(spread[1:], 1e-4)))
 
     def _by_delay(self) -> Array:
-        """Derivative of the prediction by the delay in sample intervals, by a central difference."""
+        """Derivative of the prediction by the delay in sample intervals, by central difference."""
         paths = []
         for side in (-0.25, 0.25):
             stretch = self._stretch(self._delay_s + side * self._interval_s)
@@ -219,7 +219,7 @@ class FineSearch:
         return float(max(np.sqrt(np.mean(near**2)), self._floor[0]))
 
     def _fitted(self, free: bool) -> Fitted:
-        """Judge the maximum: how far the delay is known, from the noise where the data speak of it."""
+        """Judge the maximum: the uncertainty of the delay, from noise where data allow it."""
         self._evaluate()
         residual = self._residual[0] * self._valid[0]
         limit = OUTLIER * float(self._scale[0, 0])
@@ -249,9 +249,7 @@ class FineSearch:
 
 
 def evidence(best: Fitted, held: Fitted) -> float:
-    """Log-likelihood that the best delay brings over the held one; correlated residuals count for
-    fewer.
-    """
+    """Log-likelihood gain of the best delay over the held one, less for correlated residuals."""
     scale = best.noise_a**2 * best.correlated
     return (
         (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0

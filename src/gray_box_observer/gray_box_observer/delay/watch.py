@@ -1,5 +1,4 @@
-"""Whether voltage acts on torque later than its stamps say: asked again and again while a motor is
-observed.
+"""Watches whether voltage acts on torque later than stamped, while a motor is observed.
 
 The work is spread over samples, one small piece each, and is decided by their number alone, never
 by a clock: live and replayed samples lead to the same delay at the same sample.
@@ -191,9 +190,7 @@ class DelayWatch:
         return self._work is not None
 
     def _search(self, history: RawHistory, stamp_ns: int) -> Generator[None, None, _Found | None]:
-        """Search once, a piece of work at a time; return what was found, None where the data do not
-        speak of it.
-        """
+        """Search once, piece by piece; return the outcome, None where the data are silent."""
         applied_s = self.estimate.applied_s
         signals = history.signals(stamp_ns, round(applied_s * 1e9))
         cut = None if signals is None else self._cut(signals, applied_s)
@@ -228,7 +225,7 @@ class DelayWatch:
         return _Found(best.delay_s, best.std_s, brought, interval_s, inside)
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
-        """Whether a coarse search tells of something new; the fine one takes twenty times as long."""
+        """Whether a coarse search finds news; the fine one takes twenty times as long."""
         known, growing = self.estimate, self._count <= 2 * TORQUES
         if known.asked and growing:
             return True
@@ -240,7 +237,7 @@ class DelayWatch:
     def _cut(
         self, signals: RawSignals, applied_s: float
     ) -> tuple[RawSignals, tuple[float, float]] | None:
-        """Keep the torques whose voltage is known whatever the delay, and say how far it may reach."""
+        """Keep the torques with known voltage at any delay, and say how far it may reach."""
         span_s = float(signals.time_s[-1] - signals.time_s[0])
         low = max(min(-LONGEST_LEAD_S, applied_s - LONGEST_LEAD_S), applied_s - span_s / 8.0)
         high = min(max(LONGEST_DELAY_S, applied_s + LONGEST_LEAD_S), applied_s + span_s / 4.0)
@@ -260,9 +257,7 @@ class DelayWatch:
         return kept, (low, high)
 
     def _judge(self, found: _Found) -> float | None:
-        """Compare the outcome with the delay in force; two searches in a row must agree on another
-        one.
-        """
+        """Compare the outcome with the delay in force; two searches must agree on another one."""
         known, before, self._before = self.estimate, self._before, None
         off_s = abs(found.delay_s - known.applied_s)
         if math.isnan(found.std_s):
@@ -336,8 +331,7 @@ class DelayWatch:
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
-        """Take back what :meth:`state` gave; a delay that is declared otherwise by now stands as it
-        is declared.
+        """Restore what :meth:`state` gave; a delay that is declared differently now stays so.
 
         Raises:
             CheckpointError: it is no state that could have been found.

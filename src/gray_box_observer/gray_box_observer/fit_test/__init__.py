@@ -1,6 +1,4 @@
-"""Residual analysis: does the white box explain the data? Read `assessment.py` first, then
-`monitor.py`.
-"""
+"""Residual analysis: does the white box explain the data? Start with `assessment.py`."""
 
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
 

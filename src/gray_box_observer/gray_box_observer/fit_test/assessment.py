@@ -1,6 +1,4 @@
-"""What the residual analysis of one motor says: a verdict, the figures behind it, and what is
-likely left out.
-"""
+"""Result of one motor's residual analysis: verdict, figures, and likely missing effects."""
 
 from __future__ import annotations
 
@@ -56,7 +54,7 @@ class FitAssessment:
     samples: int = 0
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the assessment as plain values for JSON; a number that is not finite is ``None``."""
+        """Return the assessment as plain values for JSON; ``None`` for non-finite numbers."""
         return {
             'verdict': self.verdict.value,
             'ratio': self.ratio if math.isfinite(self.ratio) else None,
@@ -92,4 +90,7 @@ class FitAssessment:
         )
         if self.verdict is FitVerdict.WARNING:
             return f'The white box explains the data nearly: {size}{guess}.'
-        return f'The white box does not explain the data: {size}{guess}. Believe none of the parameters.'
+        return (
+            f'The white box does not explain the data: {size}{guess}. Believe none of the '
+            'parameters.'
+        )

@@ -13,8 +13,7 @@ DEFAULT_KB = 'Kb by default'
 
 
 def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str, str]:
-    """Return what is assumed of a motor, by a short name, each as one sentence that ends with the
-    remedy.
+    """Return the assumptions about a motor by short name, each one sentence with its remedy.
 
     Args:
         motor: as configured.

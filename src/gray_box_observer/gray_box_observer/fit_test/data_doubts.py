@@ -1,5 +1,4 @@
-"""Doubts about the data themselves: a unit that is not SI, a wrong sign or Kb, a sensor at the end
-of its range.
+"""Doubts about the data: a unit that is not SI, a wrong sign or Kb, a saturated sensor.
 
 A white box fits a current in mA as well as one in A: only what a motor can be tells them apart.
 Magnitudes tell the units. A least-squares fit of the integrated voltage balance (docs/METHOD.md,
@@ -130,9 +129,7 @@ class _Balance:
         return 0.5 * self.windows * -math.log(max(self.gain, 1e-300))
 
     def contradicts(self, kb: float) -> bool:
-        """Tell whether another Kb is ruled out, and moves the voltage by so much that the
-        parameters bear it.
-        """
+        """Tell whether another Kb is ruled out, with an effect that the parameters would show."""
         away = abs(self.kb - kb)
         explains = EXPLAINS_DEFAULT if kb == DEFAULT_KB else EXPLAINS
         surely = away > SURE * self.std and self.gain < explains
@@ -142,8 +139,7 @@ class _Balance:
 def doubts(
     white_box: MotorWhiteBox, samples: Array, theta: Array, motor: MotorConfiguration
 ) -> tuple[Suspect, ...]:
-    """Return what is likely wrong with the data of one motor, or with what is said of them; the
-    surest first.
+    """Return likely errors in one motor's data or declarations, the surest first.
 
     A doubt stands before every other suspect, and with one nothing of the motor may be called
     identified: wrong units leave no residual.
@@ -170,8 +166,7 @@ def doubts(
 
 
 def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
-    """Doubt that the sensor's range is wide enough: noisy readings that end at one and the same
-    largest value.
+    """Doubt the sensor's range: noisy readings that end at one and the same largest value.
 
     Args:
         current_a: shape (n,): readings.
@@ -194,9 +189,7 @@ def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
 
 
 def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
-    """Doubt the unit of the stamps; nothing is doubted that a data sheet says L of, which would
-    show it.
-    """
+    """Doubt the unit of the stamps; never against an L from a data sheet, which would show it."""
     interval_s = samples[INTERVAL]
     follows = interval_s > 0.0
     if motor.values['initial_relative_std.inductance'] > 0.0 and follows.any():
@@ -225,9 +218,7 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
 def _doubt_of_voltage(
     samples: Array, balance: _Balance | None, motor: MotorConfiguration
 ) -> Suspect | None:
-    """Doubt the unit of the voltage: by its size, or by a Kb that comes out a thousand times what
-    it is said to be.
-    """
+    """Doubt the unit of the voltage, by its size or by a Kb a thousand times the stated one."""
     peak_v = float(np.percentile(np.abs(samples[VOLTAGE]), 99.0))
     kb = float(motor.values[KB])
     by_kb = (
@@ -240,7 +231,10 @@ def _doubt_of_voltage(
     )
     if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
         return None
-    text = f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among --columns'
+    text = (
+        f'{peak_v:.3g} V: if that is in mV, set voltage.scale: 0.001, or voltage=NAME*1e-3 among '
+        '--columns'
+    )
     return Suspect(
         'units_of_voltage', _evidence(peak_v / LARGEST_VOLTAGE_V, samples.shape[1]), text
     )
@@ -253,9 +247,7 @@ def _doubt_of_current(
     theta: Array,
     motor: MotorConfiguration,
 ) -> Suspect | None:
-    """Doubt the unit of current or torque, unless a data sheet says that the resistance is as small
-    as that.
-    """
+    """Doubt the unit of current or torque, unless a data sheet states so small a resistance."""
     if (
         motor.values['initial_relative_std.resistance'] > 0.0
         or motor.values['known.resistance'] > 0.0
@@ -283,9 +275,7 @@ def _smallest_resistance(
     balance: _Balance | None,
     theta: Array,
 ) -> float:
-    """Return the resistance that the data speak of: without back-EMF where speed is measured, else
-    the impedance.
-    """
+    """Return the data's resistance: without back-EMF if speed is measured, else the impedance."""
     if balance is not None and balance.resistance > 0.0:
         return balance.resistance
     voltage_v = float(np.sqrt(np.mean(samples[VOLTAGE] ** 2)))
@@ -320,9 +310,7 @@ def _doubts_of_back_emf(
 
 
 def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
-    """Fit the integrated voltage balance with Kb free; None where the data do not tell Kb from the
-    other terms.
-    """
+    """Fit the integrated voltage balance with Kb free; None where Kb cannot be separated."""
     sums = _window_sums(_with_free_kb(white_box), samples)
     if sums is None:
         return None
@@ -365,8 +353,7 @@ def _with_free_kb(white_box: MotorWhiteBox) -> MotorWhiteBox:
 def _window_sums(
     white_box: MotorWhiteBox, samples: Array
 ) -> tuple[Array, Array, float, float] | None:
-    """Sum the integrated balance over windows of the samples, divided by their lengths; none spans
-    a new history.
+    """Sum the integrated balance over windows, divided by their lengths; none spans a restart.
 
     Returns:
         Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root
@@ -395,9 +382,7 @@ def _window_sums(
 
 
 def _noise_share(signal: Array) -> float:
-    """Return the share of white noise in a signal, from its second differences (half of them may be
-    anything).
-    """
+    """Return the share of white noise in a signal, from robust second differences."""
     size = float(np.sqrt(np.mean(signal**2)))
     noise = float(np.median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
     return noise / max(size, 1e-300)
@@ -409,7 +394,5 @@ def _is_thousand(ratio: float) -> bool:
 
 
 def _evidence(ratio: float, samples: int) -> float:
-    """Weigh a magnitude beyond its limit: every sample bears it out by the logarithm of how far
-    beyond it is.
-    """
+    """Weigh a magnitude beyond its limit: each sample counts by the logarithm of the excess."""
     return samples * abs(math.log(max(ratio, 1e-300)))

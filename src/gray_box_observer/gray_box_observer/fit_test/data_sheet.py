@@ -12,8 +12,7 @@ FAR = 3.0
 
 
 def contradiction(motor: MotorConfiguration, estimate: Estimate) -> str | None:
-    """Say which identified parameters lie far from what was given of them, in one line; None where
-    none does.
+    """Say in one line which parameters lie far from their stated values; None if none does.
 
     Where a value is given with ``initial_relative_std`` it is log-normal with that standard
     deviation. An estimate is as sure as its data make it if the motor is what the white box
@@ -39,5 +38,8 @@ def contradiction(motor: MotorConfiguration, estimate: Estimate) -> str | None:
             )
     if not found:
         return None
-    remedy = 'check torque_constant, known constants, the data sheet and whether speed is measured; or has it changed?'
+    remedy = (
+        'check torque_constant, known constants, the data sheet and whether speed is measured; or '
+        'has it changed?'
+    )
     return f'{", ".join(found)}: {remedy}'

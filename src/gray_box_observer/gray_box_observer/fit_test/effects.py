@@ -39,8 +39,7 @@ find that something is wrong, more to say what (:attr:`Scene.fine`)."""
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What the shapes are made of; every array has shape (k,), one entry an interval between
-    samples.
+    """Basis of the shapes; every array has shape (k,), one entry per interval.
 
     Attributes:
         voltage_v: held over the interval.
@@ -96,9 +95,7 @@ class Effect:
 
 
 def interval_means(signal: Array) -> Array:
-    """Return the mean of a signal over every interval between samples, shape (k,), from its k + 1
-    samples.
-    """
+    """Return the mean of a signal over each interval, shape (k,), from its k + 1 samples."""
     means: Array = 0.5 * (signal[1:] + signal[:-1])
     return means
 
@@ -244,7 +241,8 @@ EFFECTS: dict[str, Effect] = {
 COLOURED_NOISE = 'coloured_noise'
 
 REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.items()} | {
-    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's noise has a memory",
+    COLOURED_NOISE: "take the filter off the torque signal, or sample more slowly: the sensor's "
+    'noise has a memory',
 }
 """What to do about every suspect, by its name; ``{motor}`` stands for the motor's name."""
 

@@ -120,9 +120,7 @@ def free_run(white_box: WhiteBox, p: Array, stretch: Stretch) -> FreeRun:
 
 
 def _kicks(path: Trajectory, residual: Array, stretch: Stretch) -> NDArray[np.bool_] | None:
-    """Where the state has jumped against the model, shape (1, k); None where so often that the
-    model is to blame.
-    """
+    """Jumps of the state against the model, shape (1, k); None if too many to be jumps."""
     valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
     change = residual[:, 1:] - path.factor * residual[:, :-1]
     sharp = np.minimum(

@@ -1,5 +1,4 @@
-"""Follows the fit of every motor of a group while it runs, and lets its estimates say no more than
-the fit allows.
+"""Follows the fit of every motor of a group, and limits its estimates by that fit.
 
 A motor is tested when a parameter would first be called identified, then each time its data have
 doubled, at last every LONGEST_WAIT samples; sooner after a misfit, for a motor that settles is soon
@@ -124,9 +123,7 @@ class _Tested:
     misfits: int
 
     def outweighs(self, count: int, range_v: float) -> bool:
-        """Tell whether a misfit stands against samples that say nothing of one: they tell less than
-        it rests on.
-        """
+        """Tell whether a misfit outweighs later samples that show none but tell less."""
         poorer = count < LESS * self.assessment.samples or range_v < LESS * self.range_v
         return self.misfits > PASSING and poorer
 
@@ -156,9 +153,7 @@ class FitMonitor:
         return FitAssessment() if tested is None else tested.assessment
 
     def is_urgent(self, motor: int) -> bool:
-        """Tell whether the estimate at hand waits for a test: nothing is believed of the motor
-        without.
-        """
+        """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
         tested = self._tested[motor]
         return tested is None or tested.assessment.verdict is FitVerdict.MISFIT
 
@@ -287,7 +282,7 @@ class FitMonitor:
         self._due[motor] = self._soon[motor] = place
 
     def _follow(self, motor: int) -> None:
-        """Note when a motor is tested next, and whether its test limits what may be believed of it."""
+        """Note when a motor is tested next, and whether its test limits its estimate."""
         tested = self._tested[motor]
         assert tested is not None
         self._due[motor] = tested.place + tested.wait
@@ -298,9 +293,7 @@ class FitMonitor:
 
     @staticmethod
     def _wait(before: _Tested | None, verdict: FitVerdict, count: int) -> int:
-        """Samples to the next test: as many as this one had; after a misfit few, then twice as many
-        each time.
-        """
+        """Samples to the next test: as many as this one; after a misfit few, then doubling."""
         if verdict is not FitVerdict.MISFIT:
             return int(np.clip(count, SHORTEST_WAIT, LONGEST_WAIT))
         again = before is not None and before.assessment.verdict is FitVerdict.MISFIT
@@ -316,9 +309,7 @@ class FitMonitor:
     def _suspects(
         self, analysis: ResidualAnalysis, explained: Mapping[str, Explanation], motor: int
     ) -> list[Suspect]:  # fmt: skip
-        """Name what is likely left out: from the voltage balance where much is wrong, else from the
-        free run.
-        """
+        """Name the likely missing effect: by voltage balance if much is wrong, else by free run."""
         name = self._motors[motor].name
         scores = {score.effect.name: 0.5 * score.score for score in analysis.scores}
         clearest = _clearest(explained)
@@ -383,7 +374,7 @@ class FitMonitor:
         self._limits[:] = True
 
     def state(self, motor: int, received: int) -> dict[str, Any]:
-        """Everything known of one motor, as plain values; places count back from the newest sample."""
+        """Everything about one motor, as plain values; places count back from the newest."""
         tested = self._tested[motor]
         if tested is None:
             return {'due': int(self._due[motor]) - received}
@@ -488,8 +479,9 @@ def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
 
 
 def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
-    """Share of the voltage that each parameter takes at most, shape (parameter,), as much wider as
-    its estimate.
+    """Upper bound on each parameter's share of the voltage, shape (parameter,).
+
+    The bound is wider by the spread of the estimate.
     """
     share, reach = nodes.voltage_shares(motor)
     shift = SIGMAS * np.sqrt(np.diagonal(judgement.spread))

@@ -1,5 +1,4 @@
-"""Residual analysis of a free run: its size, its whiteness, and whether what was left out explains
-it.
+"""Residual analysis of a free run: size, whiteness, and what missing effects explain.
 
 Tests after Ljung (1999, chapter 16) and Davidson and MacKinnon (2004, chapter 6): size against a
 noise floor, the Ljung-Box statistic, and a score test of every effect with a covariance that
@@ -106,8 +105,7 @@ class ResidualAnalysis:
 
 
 def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(None)) -> float:
-    """Standard deviation of white noise on a smooth signal, from its second differences; robust
-    against jumps.
+    """Standard deviation of white noise on a smooth signal, from second differences; robust.
 
     Args:
         signal: shape (n,).
@@ -118,9 +116,7 @@ def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(No
 
 
 def _moving_noise(residual: Array, readings: Array) -> float:
-    """Noise of those samples whose reading is neither that before nor that after; 0 where there are
-    too few.
-    """
+    """Noise of the samples whose reading differs from both neighbours; 0 if too few."""
     changes = readings[1:] != readings[:-1]
     moving = changes[1:] & changes[:-1]
     return difference_noise(residual, moving) if np.count_nonzero(moving) >= FEWEST_STEEP else 0.0
@@ -198,9 +194,7 @@ def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
-    """Return by how much stamps scatter, in sample intervals: errors in time show where the current
-    is steep.
-    """
+    """Return the scatter of stamps in sample intervals: such errors show where currents rise."""
     slope = np.abs(np.gradient(run.current_a))
     count = max(FEWEST_STEEP, int(STEEPEST * slope.size))
     if 4 * count >= slope.size:  # there is no rest to compare with
@@ -251,16 +245,12 @@ class _Projection:
         return left
 
     def shift(self, signal: Array) -> Array:
-        """Return how the logarithms of the parameters answer a signal that is taken for theirs,
-        shape (parameter,).
-        """
+        """Return the response of the log-parameters to a misread signal, shape (parameter,)."""
         moved = self._solved(self._q.T @ signal) / self._scale
         return _of_parameters(moved[1 : self._unknowns])
 
     def robust_std(self) -> Array:
-        """Standard deviations of the logarithms of the parameters, shape (parameter,), whatever the
-        correlation.
-        """
+        """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""
         reached = self._q * self.remainder[:, None]
         spread = self._solved(long_run_covariance(reached)) / self._scale[:, None]
         spread = (self._solved(spread.T) / self._scale[:, None])[
@@ -278,9 +268,7 @@ class _Projection:
 
 
 def _of_parameters(coordinates: Array) -> Array:
-    """Turn changes of the coordinates' logarithms, shape (coordinate, ...), into those of the
-    parameters.
-    """
+    """Turn changes of log-coordinates, shape (coordinate, ...), into those of parameters."""
     moved = coordinates - coordinates[:1]
     moved[0] = -coordinates[0]
     return moved
@@ -305,9 +293,7 @@ def long_run_covariance(terms: Array) -> Array:
 def _scores(
     run: FreeRun, projection: _Projection, scene: Scene, weight: Array, least_a: float
 ) -> tuple[EffectScore, ...]:
-    """Test every effect; those that white residuals, of ``least_a`` at least, already rule out are
-    left out.
-    """
+    """Test every effect but those that white residuals rule out at ``least_a`` or more."""
     listed = [
         (effect, shapes)
         for effect, alternatives in possible_effects(scene)
@@ -336,9 +322,7 @@ def _scores(
 
 
 def _score(distinct: Array, remainder: Array, least_a: float) -> tuple[float, Array] | None:
-    """Robust score of one alternative and how much of it there is; None where white residuals rule
-    it out.
-    """
+    """Robust score and size of one alternative; None where white residuals rule it out."""
     gram = distinct.T @ distinct
     reached = distinct.T @ remainder
     amount: Array = np.asarray(np.linalg.lstsq(gram, reached, rcond=1e-10)[0], dtype=float)

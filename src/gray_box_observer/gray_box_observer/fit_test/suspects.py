@@ -91,8 +91,7 @@ class Explanation:
 
 
 def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explanation]:
-    """Fit every effect beside the parameters; return the best alternative of each, by the effect's
-    name.
+    """Fit every effect beside the parameters; return its best alternative by its name.
 
     Args:
         white_box: of one motor.
@@ -152,9 +151,7 @@ def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list
 def _balance(
     white_box: MotorWhiteBox, stretch: Stretch
 ) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
-    """Voltage balance in weak form: rows of parameters, of the voltage, and of every effect's
-    shapes.
-    """
+    """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
     current_a, interval_s = stretch.state[0], stretch.interval_s[0]
     speed = white_box.speed(stretch.state, stretch.speed_rad_s)
     whole = ~stretch.restart[0]
@@ -179,9 +176,7 @@ def _balance(
 
 
 def _windowed(signals: Array, whole: Array) -> Array:
-    """Integrals over triangles of some samples, shape (signal, row); none spans a new signal
-    history.
-    """
+    """Integrals over triangles of samples, shape (signal, row); none spans a restart."""
     count = signals.shape[1]
     triangle = np.concatenate([np.arange(1, WINDOW + 1), np.arange(WINDOW - 1, 0, -1)]) / WINDOW
     if count < triangle.size:

@@ -1,6 +1,4 @@
-"""The white box run freely over a whole record at given values, and how well it fits: for reports
-and validation.
-"""
+"""The white box run freely over a whole record, and its fit, for reports and validation."""
 
 from __future__ import annotations
 
@@ -44,8 +42,7 @@ def white_box_torque(
     torque_nm: Array,
     speed_rad_s: Array,
 ) -> Array:
-    """Run the white box freely; it is set to the measured torque where a history begins, and
-    nowhere else.
+    """Run the white box freely; only the start of a history takes the measured torque.
 
     Args:
         white_box: of one motor.
@@ -101,8 +98,9 @@ def _run(white_box: MotorWhiteBox, coordinates: Array, stretch: Stretch, start: 
 
 
 def fit_percent(measured: Array, predicted: Array) -> float | None:
-    """Return how much of the variation is explained, ``100 (1 - |y - yhat| / |y - mean y|)``
-    (NRMSE), in per cent.
+    """Return the explained variation in per cent, ``100 (1 - |y - yhat| / |y - mean y|)``.
+
+    This is the fit by normalised root mean square error (NRMSE).
 
     100 is perfect, 0 no better than the mean, and there is no lower limit. None where nothing
     varies or is predicted.
@@ -117,8 +115,7 @@ def fit_percent(measured: Array, predicted: Array) -> float | None:
 
 
 def autocorrelation(residual: Array) -> tuple[Array, float] | None:
-    """Return the residual's autocorrelation at lags 1 to LAGS, and the band that holds 99 % of
-    those of white noise.
+    """Return the residual's autocorrelation at lags 1 to LAGS, and its 99 % white-noise band.
 
     Args:
         residual: shape (n,), in order; its newest NEWEST samples count, those that are not finite

@@ -1,3 +1,1 @@
-"""The observer over recorded bags, and the `identify` command around it. Read `offline_run.py`
-first, then `command.py`.
-"""
+"""The observer over recorded bags (`offline_run.py`), and the `identify` command around it."""

@@ -1,6 +1,4 @@
-"""The offline command: runs the observer over bags and says what it found, as JSON and as an HTML
-report.
-"""
+"""The offline command: observes bags and writes what it found, as JSON and as HTML."""
 
 from __future__ import annotations
 
@@ -77,7 +75,8 @@ def _tell(text: str) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog='identify',
-        description='Run the observer over recorded bags as fast as it can, and say what it identified.',
+        description='Run the observer over recorded bags as fast as it can, and say what it '
+        'identified.',
         epilog='A parameter file of the observer node serves here as it is: --params FILE.yaml.',
     )
     parser.add_argument(
@@ -111,14 +110,16 @@ def _parser() -> argparse.ArgumentParser:
         '--columns',
         nargs='+',
         metavar='KEY=VALUE',
-        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V current=i_mA*1e-3 '
+        help='what the columns of the log are, in SI units, such as time=t_s voltage=u_V '
+        'current=i_mA*1e-3 '
         'torque_constant=0.05 speed=w motor=left_wheel; or one YAML file with the same keys',
     )
     parser.add_argument(
         '--truth',
         type=Path,
         metavar='FILE.yaml',
-        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by default',
+        help='true parameters, drawn into the report; for one BAG, truth.yaml in or beside it by '
+        'default',
     )
     parser.add_argument(
         '--max-chunk-mb',
@@ -147,18 +148,20 @@ def _run(options: argparse.Namespace) -> int:
             )
         from gray_box_observer.identify.archive import archive_command
 
-        given = read_parameter_file(options.params) if options.params else {}
+        parameter_values = read_parameter_file(options.params) if options.params else {}
         _warn_of_unknown(
-            Configuration.from_flat(given)
+            Configuration.from_flat(parameter_values)
         )  # what is wrong with the file is no bag's fault
-        return archive_command.run(options, given)
+        return archive_command.run(options, parameter_values)
     for target in (options.report, None if options.json in (None, '-') else Path(options.json)):
         if target is not None:
             refuse_unwritable(target, makes_folders=target is options.report)
-    given = read_parameter_file(options.params) if options.params else {}
+    parameter_values = read_parameter_file(options.params) if options.params else {}
     if options.from_csv:
-        return _identify_log(options, given)
-    return _identify(options, configure(given, carried_by(_every_bag(options)), 'the bag'))
+        return _identify_log(options, parameter_values)
+    return _identify(
+        options, configure(parameter_values, carried_by(_every_bag(options)), 'the bag')
+    )
 
 
 def _every_bag(options: argparse.Namespace) -> list[Path]:
@@ -166,14 +169,12 @@ def _every_bag(options: argparse.Namespace) -> list[Path]:
     return [*options.bags, *([options.validate] if options.validate else [])]
 
 
-def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
-    """Make the bag of a CSV log and run the observer over it; a run that fails leaves no bag
-    behind.
-    """
+def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any]) -> int:
+    """Make the bag of a CSV log and run the observer over it; a failed run leaves no bag."""
     if len(options.bags) != 1 or not options.columns:
         raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
     mapping = read_mapping(options.columns)
-    configuration = configure(given, mapping.parameters(), '--columns')
+    configuration = configure(parameter_values, mapping.parameters(), '--columns')
     summary = _convert(options, mapping)
     try:
         _refuse_gaps(options.from_csv, summary, configuration)
@@ -186,13 +187,14 @@ def _identify_log(options: argparse.Namespace, given: dict[str, Any]) -> int:
 def _warn_of_unknown(configuration: Configuration) -> None:
     for name in configuration.unknown[:MOST_NAMED]:
         near = nearest(name, configuration.alike(name))
-        meant = f' (did you mean {near}?)' if near else ''
+        suggestion = f' (did you mean {near}?)' if near else ''
         _tell(
-            f'warning: parameter {brief(name)[1:-1]} is none of the observer{meant}; it is ignored'
+            f'warning: parameter {brief(name)[1:-1]} is none of the observer{suggestion}; it is '
+            'ignored'
         )
-    rest = len(configuration.unknown) - MOST_NAMED
-    if rest > 0:
-        _tell(f'warning: and {rest} parameters more that are none of the observer')
+    remaining_count = len(configuration.unknown) - MOST_NAMED
+    if remaining_count > 0:
+        _tell(f'warning: and {remaining_count} parameters more that are none of the observer')
 
 
 def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
@@ -205,9 +207,9 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
     rivals = Training() if options.validate else None
     listeners = [listener for listener in (collector, rivals) if listener is not None]
 
-    def listen(heard: Result) -> None:
+    def listen(observer_result: Result) -> None:
         for listener in listeners:
-            listener(heard)
+            listener(observer_result)
 
     limits = read_limits(options)
     with _progress(_every_bag(options), limits) as update:
@@ -218,10 +220,10 @@ def _identify(options: argparse.Namespace, configuration: Configuration) -> int:
         warnings = [*warnings_of(outcome), *assumptions_of(outcome)]
         histories = () if collector is None else _histories(collector, outcome, result)
         if rivals is not None:
-            known = len(outcome.warnings)
+            warning_count = len(outcome.warnings)
             for name, judged in validate(options.validate, outcome, rivals, update, limits).items():
                 result['motors'][name]['validation'] = plain(judged.to_dict())
-            warnings += outcome.warnings[known:]
+            warnings += outcome.warnings[warning_count:]
     for warning in warnings:
         _tell(f'warning: {warning}')
     if options.json:
@@ -257,22 +259,20 @@ def _collector(options: argparse.Namespace) -> Collector:
     require_plotly()
     if options.truth:
         return Collector(read_truth(options.truth))
-    found = find_truth(options.bags[0]) if len(options.bags) == 1 else None
-    if found is None:
+    truth_file = find_truth(options.bags[0]) if len(options.bags) == 1 else None
+    if truth_file is None:
         return Collector()
     try:
-        truth = read_truth(found)
+        truth = read_truth(truth_file)
     except GrayBoxError as error:  # nobody asked for it
         _tell(f'warning: {error}; it is ignored')
         return Collector()
-    _tell(f'the report takes {found} for the truth')
+    _tell(f'the report takes {truth_file} for the truth')
     return Collector(truth)
 
 
 def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -> None:
-    """Refuse a log of which no sample would follow from the one before: its time is in another
-    unit.
-    """
+    """Refuse a log without consecutive samples: its time is in another unit."""
     if summary.interval_s > configuration['gap_s']:
         raise GrayBoxError(
             f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '
@@ -317,12 +317,12 @@ def _histories(
     collector: Collector, outcome: offline_run.Outcome, result: dict[str, Any]
 ) -> tuple[MotorHistory, ...]:
     """Return what the report draws of every motor, as it is at the end of the bags that teach."""
-    rejected = {
+    rejections = {
         name: {reason: count for reason, count in motor['rejected'].items() if count}
         for name, motor in result['motors'].items()
     }
     changes_s = {name: course.changes_s for name, course in outcome.courses.items()}
-    return collector.histories(outcome.observer, rejected, changes_s)
+    return collector.histories(outcome.observer, rejections, changes_s)
 
 
 def _write_report(

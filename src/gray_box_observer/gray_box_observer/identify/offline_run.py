@@ -1,6 +1,4 @@
-"""Running the observer over bags, as fast as it can: the same intake and the same core as the live
-node.
-"""
+"""Runs the observer over bags at full speed, by the same input and core as the live node."""
 
 from __future__ import annotations
 
@@ -148,8 +146,7 @@ def feed(
     progress: Progress = lambda count: None,
     limits: ReadLimits | None = None,
 ) -> None:
-    """Feed further bags to the observer of a run that has ended; neither its digest nor its course
-    goes on.
+    """Feed more bags to a finished run's observer; its digest and course stay as they are.
 
     Args:
         bags: rosbag2 folders or bare MCAP files.
@@ -188,14 +185,12 @@ def _feed_all(
         take(outcome.observer.flush())
 
 
-def match_topics(wanted: str, available: Iterable[str]) -> list[str]:
-    """Return the bag's topics that a configured name means: the same name, or the same behind a
-    namespace.
-    """
-    name = '/' + wanted.lstrip('/')
+def match_topics(configured_name: str, available: Iterable[str]) -> list[str]:
+    """Return the bag's topics that a configured name means, with or without a namespace."""
+    name = '/' + configured_name.lstrip('/')
     topics = sorted(available)
     return [t for t in topics if t == name] or [
-        t for t in topics if not wanted.startswith('/') and t.endswith(name)
+        t for t in topics if not configured_name.startswith('/') and t.endswith(name)
     ]
 
 
@@ -227,9 +222,7 @@ def _feed(
 def _decoded(
     bag: BagReader, topics: Collection[str], max_bytes: int
 ) -> Iterator[tuple[RawMessage, Any]]:
-    """Yield every message with its content; None where it is too large, or malformed and not
-    counted as lost.
-    """
+    """Yield every message with its content; None if too large, or malformed and not counted."""
     if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
         for raw, message in bag.decoded(topics):
             yield raw, None if len(raw.data) > max_bytes else message
@@ -271,33 +264,32 @@ def _signals_of(
     """
     signals: dict[str, list[str]] = {}
     for name in SIGNALS:
-        wanted = configuration[f'{name}.topic']
-        if not wanted:
+        configured_name = configuration[f'{name}.topic']
+        if not configured_name:
             continue
-        found = match_topics(wanted, bag.topics)
-        if len(found) != 1:
+        matches = match_topics(configured_name, bag.topics)
+        if len(matches) != 1:
             have = name_list(bag.topics)
-            problem = 'has no topic' if not found else f'has {len(found)} topics that could be'
+            problem = 'has no topic' if not matches else f'has {len(matches)} topics that could be'
             raise BagError(
-                f'{path} {problem} {wanted}; it has: {have}. Name it with the parameter '
+                f'{path} {problem} {configured_name}; it has: {have}. Name it with the parameter '
                 f'{name}.topic'
             )
-        signals.setdefault(found[0], []).append(name)
+        signals.setdefault(matches[0], []).append(name)
         warnings += _mismatch(
-            f'{path}: {found[0]}', bag.topics[found[0]].type_name, name, configuration
+            f'{path}: {matches[0]}', bag.topics[matches[0]].type_name, name, configuration
         )
     return signals
 
 
 def _mismatch(where: str, type_name: str, name: str, configuration: Configuration) -> list[str]:
-    """Say where a topic is of another type than configured: here it can be read all the same, live
-    it could not.
-    """
-    wanted = configuration[f'{name}.type']
-    if type_name.replace('/msg/', '/') == wanted.replace('/msg/', '/'):
+    """Say where a topic's type is not the configured one: readable here, but not live."""
+    configured_type = configuration[f'{name}.type']
+    if type_name.replace('/msg/', '/') == configured_type.replace('/msg/', '/'):
         return []
     return [
-        f'{where} is of type {type_name}, but {name}.type is {wanted}: the node would hear nothing'
+        f'{where} is of type {type_name}, but {name}.type is {configured_type}: the node would '
+        'hear nothing'
     ]
 
 
@@ -307,8 +299,11 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
         {name for signal in outcome.intake.signals.values() for name in signal.unknown}
     )
     if strangers:
-        wanted = ', '.join(outcome.observer.configuration.motors)
-        return f'{names}: no usable sample of motor {wanted}; the messages speak of {", ".join(strangers[:5])}'
+        motor_names = ', '.join(outcome.observer.configuration.motors)
+        return (
+            f'{names}: no usable sample of motor {motor_names}; the messages speak of '
+            f'{", ".join(strangers[:5])}'
+        )
     reasons = sorted(
         {
             r.value

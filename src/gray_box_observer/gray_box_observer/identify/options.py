@@ -18,13 +18,14 @@ MOST_NAMED = 8
 """Motors that a message names."""
 
 
-def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) -> Configuration:
-    """Configure the observer by what the parameter file gives, and else by what the data were made
-    with.
+def configure(
+    parameter_values: Mapping[str, Any], data_values: Mapping[str, Any], teller: str
+) -> Configuration:
+    """Configure the observer by the parameter file, and else by the data's own parameters.
 
     Args:
-        given: By the parameter file.
-        told: By the data, such as the constant with which current became torque.
+        parameter_values: By the parameter file.
+        data_values: By the data, such as the constant with which current became torque.
         teller: Who tells it, for messages.
 
     Raises:
@@ -32,31 +33,37 @@ def configure(given: Mapping[str, Any], told: Mapping[str, Any], teller: str) ->
             would be read with another torque constant than it was made with, which makes every
             parameter wrong by their ratio, and where the motors have other names.
     """
-    motors = given.get('motors', told.get('motors'))
+    motors = parameter_values.get('motors', data_values.get('motors'))
     names = {} if motors is None else {'motors': motors}
-    named = Configuration.from_flat({**names, **given})
-    others = [str(name) for name in told.get('motors', [])]
-    if others and not any(name in named.motors for name in others):
+    configuration = Configuration.from_flat({**names, **parameter_values})
+    other_motors = [str(name) for name in data_values.get('motors', [])]
+    if other_motors and not any(name in configuration.motors for name in other_motors):
         raise GrayBoxError(
-            f'motors are {_in_words(others)} by {teller}, but {_in_words(list(named.motors))} by '
+            f'motors are {_in_words(other_motors)} by {teller}, but '
+            f'{_in_words(list(configuration.motors))} by '
             'the parameter file: '
             "call them alike, such as by 'motor=NAME' among --columns"
         )
-    constants = {name: value for name, value in told.items() if _is_constant(name, named.motors)}
+    constants = {
+        name: value
+        for name, value in data_values.items()
+        if _is_constant(name, configuration.motors)
+    }
     for name, value in constants.items():
-        if name in given and given[name] != value:
+        if name in parameter_values and parameter_values[name] != value:
             raise GrayBoxError(
-                f'{brief(name)[1:-1]} is {brief(value)} by {teller}, but {brief(given[name])} by '
+                f'{brief(name)[1:-1]} is {brief(value)} by {teller}, but '
+                f'{brief(parameter_values[name])} by '
                 'the parameter file: '
                 'leave one out'
             )
-    return Configuration.from_flat({**names, **constants, **given})
+    return Configuration.from_flat({**names, **constants, **parameter_values})
 
 
 def _in_words(names: Sequence[str]) -> str:
     """Names of motors, as far as a line bears them."""
-    rest = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
-    return f'{", ".join(names[:MOST_NAMED])}{rest}'
+    remainder = f' and {len(names) - MOST_NAMED} more' if len(names) > MOST_NAMED else ''
+    return f'{", ".join(names[:MOST_NAMED])}{remainder}'
 
 
 def read_limits(options: argparse.Namespace) -> ReadLimits:
@@ -65,9 +72,7 @@ def read_limits(options: argparse.Namespace) -> ReadLimits:
 
 
 def _is_constant(name: str, motors: Container[str]) -> bool:
-    """Whether the data may tell this parameter: the torque constant that they were made with, and
-    no other.
-    """
+    """Whether the data may set this parameter: their torque constant, and no other."""
     motor, _, parameter = name.rpartition('.')
     return parameter == 'torque_constant' and motor in motors
 

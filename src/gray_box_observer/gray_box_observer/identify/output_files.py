@@ -37,8 +37,7 @@ def refuse_unwritable(target: Path, *, makes_folders: bool) -> None:
 
 
 def write_json(result: dict[str, Any], target: str) -> None:
-    """Write a result as JSON, to a file or, for ``-``, to standard output; what is not finite
-    becomes ``null``.
+    """Write a result as JSON, to a file or standard output (``-``); not finite is ``null``.
 
     Raises:
         GrayBoxError: the file cannot be written.

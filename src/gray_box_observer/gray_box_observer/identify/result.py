@@ -19,8 +19,8 @@ from gray_box_observer.samples import Rejection
 def warnings_of(outcome: Outcome) -> list[str]:
     """Return everything that the user should know of a run, one sentence each."""
     observer = outcome.observer
-    seen = {*observer.motors, *observer.incidents}
-    unseen = [name for name in observer.configuration.motors if name not in seen]
+    seen_motors = {*observer.motors, *observer.incidents}
+    unseen_motors = [name for name in observer.configuration.motors if name not in seen_motors]
     motors = observer.configuration.motors
     gap_s = observer.configuration['gap_s']
     doubts = {
@@ -37,7 +37,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
             if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
         ),
         *_stops(outcome.observer),
-        *(f'no usable sample of motor {name}; it is not in the result' for name in unseen),
+        *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(
             f'{counts.total()} messages of {name} could not be read'
             for name, counts in outcome.intake.rejected.items()
@@ -61,9 +61,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
 
 
 def assumptions_of(outcome: Outcome) -> list[str]:
-    """Return what is taken for granted of every motor because nobody has stated it, one sentence
-    each.
-    """
+    """Return what is assumed of every motor for want of a statement, one sentence each."""
     motors = outcome.observer.configuration.motors
     return [
         f'motor {name}: {text}'
@@ -84,9 +82,7 @@ def _stops(observer: Observer) -> list[str]:
 
 
 def describe(outcome: Outcome) -> dict[str, Any]:
-    """Return the result as plain values: what ``--json`` writes; a number that is not finite is
-    None.
-    """
+    """Return the result as plain values for ``--json``; numbers that are not finite are None."""
     observer = outcome.observer
     described = {
         name: observer.contain(observer.group_of(name), partial(_motor, outcome, name))
@@ -94,12 +90,16 @@ def describe(outcome: Outcome) -> dict[str, Any]:
     }
     motors = {name: values for name, values in described.items() if values is not None}
     incidents = observer.incidents.items()
-    stopped = {
+    stopped_motors = {
         name: {'reason': incident.reason, 'traceback': incident.trace}
         for name, incident in incidents
     }
     result: dict[str, Any] = plain(
-        {'motors': motors, **({'stopped': stopped} if stopped else {}), 'digest': outcome.digest}
+        {
+            'motors': motors,
+            **({'stopped': stopped_motors} if stopped_motors else {}),
+            'digest': outcome.digest,
+        }
     )
     return result
 

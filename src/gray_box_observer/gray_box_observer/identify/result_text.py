@@ -47,8 +47,10 @@ def write_text(
     for name, fit in fits.items():
         print(fit_line(name, fit, coloured=coloured), file=stream)
     for name, motor in result['motors'].items():
-        fitted = words_of(motor['fit_percent'], '.2f')
-        explained = f', fit of the free run {fitted} %' if motor['fit_percent'] is not None else ''
+        fit_text = words_of(motor['fit_percent'], '.2f')
+        explained = (
+            f', fit of the free run {fit_text} %' if motor['fit_percent'] is not None else ''
+        )
         print(
             f'{printable(name)}: {motor["samples"]} samples in {motor["duration_s"]:.1f} '
             f's{explained}',
@@ -99,8 +101,6 @@ def _validation_lines(validation: Mapping[str, Any]) -> list[str]:
 
 
 def scores_of(validation: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
-    """Return the scores of a validation by who made the free run; the predictor only where there is
-    one.
-    """
+    """Return a validation's scores by free run; the predictor only where there is one."""
     rivals = {key: validation[key] for key in ('white_box', 'persistence')}
     return {'predictor': validation, **rivals} if validation['predictor'] else rivals

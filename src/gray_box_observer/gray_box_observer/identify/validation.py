@@ -1,5 +1,4 @@
-"""What was learnt on some bags, frozen and judged on another: free runs of predictor, white box and
-a rival.
+"""What some bags taught, frozen and judged on another: predictor, white box and a rival.
 
 The rival stands in for persistence, which repeats the torque measured last and so is no free run.
 What a free run can repeat is what the training data had at the same voltage (and speed, where it is
@@ -57,8 +56,8 @@ class StaticMap:
         """Return the torque at voltages and speeds, shape (n,) each."""
         matrix = self.normal[:3, :3]
         scale = np.sqrt(np.maximum(matrix.diagonal(), 1e-300))
-        scaled = matrix / np.outer(scale, scale) + RIDGE * np.eye(3)
-        weights = np.linalg.solve(scaled, self.normal[:3, 3] / scale) / scale
+        scaled_matrix = matrix / np.outer(scale, scale) + RIDGE * np.eye(3)
+        weights = np.linalg.solve(scaled_matrix, self.normal[:3, 3] / scale) / scale
         speed = np.where(np.isfinite(speed_rad_s), speed_rad_s, 0.0)
         torque_nm: Array = weights[0] + weights[1] * voltage_v + weights[2] * speed
         return torque_nm
@@ -74,8 +73,8 @@ class Training:
         """Take one result."""
         sample = result.sample
         if sample.interval_s[0] > 0.0:
-            taught = self.maps.setdefault(result.motor, StaticMap())
-            taught.add(
+            static_map = self.maps.setdefault(result.motor, StaticMap())
+            static_map.add(
                 float(sample.voltage_v[0]), float(sample.speed_rad_s[0]), float(sample.torque_nm[0])
             )
 
@@ -95,15 +94,15 @@ class Score:
     fit_percent: float | None
 
     @classmethod
-    def judge(cls, measured: Array, predicted: Array) -> Score:
+    def judge(cls, measured_nm: Array, predicted_nm: Array) -> Score:
         """Judge a run, shape (n,); samples that either has no number for are left out."""
-        both = np.isfinite(measured) & np.isfinite(predicted)
-        if not both.any():
+        is_usable = np.isfinite(measured_nm) & np.isfinite(predicted_nm)
+        if not is_usable.any():
             return cls(None, None, None)
-        error = predicted[both] - measured[both]
-        spread = float(np.std(measured[both]))
+        error = predicted_nm[is_usable] - measured_nm[is_usable]
+        spread = float(np.std(measured_nm[is_usable]))
         nmae = float(np.mean(np.abs(error))) / spread if spread > 0.0 else None
-        return cls(float(np.sqrt(np.mean(error**2))), nmae, fit_percent(measured, predicted))
+        return cls(float(np.sqrt(np.mean(error**2))), nmae, fit_percent(measured_nm, predicted_nm))
 
     def to_dict(self) -> dict[str, float | None]:
         """Return plain values for JSON."""
@@ -131,9 +130,7 @@ class Validation:
     fit: Mapping[str, Any]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; the figures on top are those of the predictor, or else of
-        the white box.
-        """
+        """Return plain values for JSON; top figures are the predictor's or the white box's."""
         best = self.white_box if self.predictor is None else self.predictor
         return {
             'bag': self.bag,
@@ -154,9 +151,9 @@ class _Record:
 
     def __call__(self, result: Result) -> None:
         sample, prediction = result.sample, result.prediction
-        said = np.nan if prediction is None else float(prediction.torque_nm[0])
+        predicted_nm = np.nan if prediction is None else float(prediction.torque_nm[0])
         values = (sample.interval_s, sample.voltage_v, sample.torque_nm, sample.speed_rad_s)
-        self.rows.append((*(float(value[0]) for value in values), said))
+        self.rows.append((*(float(value[0]) for value in values), predicted_nm))
 
 
 def validate(
@@ -186,16 +183,17 @@ def validate(
         if result.motor in records:  # others were not taught
             records[result.motor](result)
 
-    refused = {name: observer.counts(name).rejected for name in records}
+    earlier_rejections = {name: observer.counts(name).rejected for name in records}
     offline_run.feed([bag], observer.configuration, outcome, listen, progress, limits)
     records = {name: record for name, record in records.items() if name not in observer.incidents}
     for name, record in records.items():
         if len(record.rows) < FEWEST:
-            new = observer.counts(name).rejected - refused[name]
+            new = observer.counts(name).rejected - earlier_rejections[name]
             because = ', '.join(sorted(f'{reason.value}: {count}' for reason, count in new.items()))
-            rejected = f' (rejected: {because})' if because else ''
+            rejection_note = f' (rejected: {because})' if because else ''
             raise BagError(
-                f'--validate {bag}: {len(record.rows)} usable samples of motor {name}{rejected}, '
+                f'--validate {bag}: {len(record.rows)} usable samples of motor '
+                f'{name}{rejection_note}, '
                 f'expected {FEWEST} at '
                 'least: it must hold the signals that the training bags hold'
             )
@@ -229,16 +227,16 @@ def _judge(
         motor.white_box, motor.theta[0], interval_s, voltage_v, torque_nm, speed_rad_s
     )
     follows = interval_s > 0.0
-    measured = np.where(
+    measured_nm = np.where(
         follows, torque_nm, np.nan
     )  # where a history begins the run is set to the measurement
     has_predictor = outcome.observer.skill(name) is not None
     return Validation(
         bag=str(bag),
         samples=int(np.count_nonzero(follows)),
-        predictor=Score.judge(measured, predicted_nm) if has_predictor else None,
-        white_box=Score.judge(measured, white_box_nm),
-        persistence=Score.judge(measured, rival(voltage_v, speed_rad_s)),
+        predictor=Score.judge(measured_nm, predicted_nm) if has_predictor else None,
+        white_box=Score.judge(measured_nm, white_box_nm),
+        persistence=Score.judge(measured_nm, rival(voltage_v, speed_rad_s)),
         fit=_fit(outcome, name, rows).to_dict(),
     )
 

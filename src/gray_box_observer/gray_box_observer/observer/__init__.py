@@ -1,6 +1,4 @@
-"""The observer: one sample at a time, from messages to estimates. Read `observer.py` first, then
-`motor_observer.py`.
-"""
+"""The observer: from messages to estimates. Read `observer.py`, then `motor_observer.py`."""
 
 from gray_box_observer.observer.observer import Observer
 

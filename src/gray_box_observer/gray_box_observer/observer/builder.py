@@ -1,6 +1,4 @@
-"""Builds the observer of a motor or a group out of what the configuration says and what the first
-sample shows.
-"""
+"""Builds the observer of a motor or a group from the configuration and the first sample."""
 
 from __future__ import annotations
 
@@ -45,37 +43,41 @@ def motor_observer(
     motors: Sequence[MotorConfiguration],
     training: TrainingFactory | None,
     *,
-    measured: bool,
+    speed_measured: bool,
 ) -> MotorObserver:
-    """Build the observer of a motor, or of a group, at the first sample, when it is known whether
-    speed is measured.
+    """Build the observer at the first sample, when it is known whether speed is measured.
 
     Args:
         configuration: of the observer as a whole.
         motors: of the motors, alike in :func:`kind`.
         training: makes the predictor's trainer; None: no predictor.
-        measured: whether the first sample came with speed.
+        speed_measured: whether the first sample came with speed.
 
     Raises:
         ConfigurationError: speed has to be measured, and is not.
     """
     first = motors[0]
     source = first.values['speed_source']
-    if source == 'measured' and not measured:
+    if source == 'measured' and not speed_measured:
         raise ConfigurationError(
             f'motor {first.name}: speed_source is measured, but its first torque sample came '
             'without speed'
         )
     boxes = [
-        motor.white_box(speed_measured=measured and source != 'torque_constant') for motor in motors
+        motor.white_box(speed_measured=speed_measured and source != 'torque_constant')
+        for motor in motors
     ]
     white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
     nodes = context_nodes(configuration, motors, white_box)
 
     def watch(motor: int) -> DelayWatch:
-        initial, asked = np.array([motors[motor].initial()]), first.estimates_delay
+        initial, estimates_delay = np.array([motors[motor].initial()]), first.estimates_delay
         return DelayWatch(
-            boxes[motor], initial, first.delay_s, asked=asked, gap_s=configuration['gap_s']
+            boxes[motor],
+            initial,
+            first.delay_s,
+            asked=estimates_delay,
+            gap_s=configuration['gap_s'],
         )
 
     predictor = alarm = None
@@ -88,8 +90,7 @@ def motor_observer(
 
 
 def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:
-    """Return what motors must have in common to be computed together; None for one that must stay
-    alone.
+    """Return what motors must share to be computed together; None for one that stays alone.
 
     Alone stays whose stamps are not those of the others (its delay is estimated, its speed has a
     topic of its own), and where the thesis's rules were asked for.
@@ -101,18 +102,24 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
     if rules_alone or configuration['speed.topic'] or motor.estimates_delay:
         return None
     values = motor.values
-    known = frozenset(
+    constants = frozenset(
         name for name, parameter in KNOWN_PARAMETERS.items() if values[parameter] > 0.0
     )
     limits_v = tuple(values['voltage_limits'])
-    return tuple(values['context_nodes']), known, motor.delay_s, limits_v, values['speed_source']
+    return (
+        tuple(values['context_nodes']),
+        constants,
+        motor.delay_s,
+        limits_v,
+        values['speed_source'],
+    )
 
 
 def _joined(boxes: Sequence[MotorWhiteBox]) -> MotorWhiteBox:
     """One white box for many motors: constants become arrays of shape (motor,)."""
-    known = {name: np.array([box.known[name] for box in boxes]) for name in boxes[0].known}
+    constants = {name: np.array([box.known[name] for box in boxes]) for name in boxes[0].known}
     return replace(
-        boxes[0], torque_constant=np.array([box.torque_constant for box in boxes]), known=known
+        boxes[0], torque_constant=np.array([box.torque_constant for box in boxes]), known=constants
     )
 
 
@@ -126,18 +133,16 @@ def context_nodes(
         return GradientUpdate(
             white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts
         )
-    known = np.array([motor.initial_relative_std() for motor in motors])
+    relative_std = np.array([motor.initial_relative_std() for motor in motors])
     rules, device = (
         RecursiveRules(**configuration.group('recursive')),
         torch_device(configuration['device']),
     )
-    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, known, device)
+    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, relative_std, device)
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
-    """Return what is known of a motor before its first sample: the initial values, as sure as the
-    configuration is.
-    """
+    """Return a motor's belief before its first sample: initial values and their uncertainty."""
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
     return context_nodes(configuration, [motor], white_box).estimate()
 
@@ -184,9 +189,10 @@ def _predictor(
         'theta_reference': initial.tolist(),
         'seed': seed,
     }
-    measured = white_box.speed_measured
+    speed_measured = white_box.speed_measured
     return Predictor(
-        white_box, count, initial, rules, training(job), speed_measured=measured, seed=seed, device=device
+        white_box, count, initial, rules, training(job), speed_measured=speed_measured, seed=seed,
+        device=device
     )  # fmt: skip
 
 

@@ -61,16 +61,16 @@ class Part:
             return pairing.torque(
                 stamp_ns, self._spread(values), self._spread(speeds), self._missing
             )
-        return pairing.take[signal](stamp_ns, self._spread(values), missing=self._missing)
+        return pairing.take[signal](stamp_ns, self._spread(values), absent=self._missing)
 
     @property
     def _missing(self) -> NDArray[np.bool_] | None:
         """Which motors of the group the message does not speak of; None: it speaks of all."""
         if self.target is None:
             return None
-        missing = np.ones(len(self.group.names), dtype=bool)
-        missing[self.target] = False
-        return missing
+        absent = np.ones(len(self.group.names), dtype=bool)
+        absent[self.target] = False
+        return absent
 
     def _spread(self, values: Values) -> Array:
         """Values of the group's motors; NaN where the message has none."""
@@ -161,9 +161,7 @@ class Grouping:
         self._parts.clear()
 
     def gather(self, names: Sequence[str]) -> None:
-        """Compute motors together from now on, where they are many, of one kind, and nothing has
-        come of them yet.
-        """
+        """Compute motors together from now on, if they are many, alike and without results."""
         new = [
             name
             for name in dict.fromkeys(names)
@@ -173,9 +171,9 @@ class Grouping:
             return
         kinds: dict[Any, list[str]] = {}
         for name in new:
-            what = kind(self._configuration, self._configuration.motors[name])
-            if what is not None:
-                kinds.setdefault(what, []).append(name)
+            motor_kind = kind(self._configuration, self._configuration.motors[name])
+            if motor_kind is not None:
+                kinds.setdefault(motor_kind, []).append(name)
         for alike in kinds.values():
             if len(alike) >= self._configuration['group_from']:
                 self._settle(alike)
@@ -209,15 +207,15 @@ class Grouping:
 
     def _found(self, names: tuple[str, ...]) -> list[Part]:
         """Find where in a message every group stands."""
-        found: dict[int, tuple[Group, list[int], list[int]]] = {}
+        places: dict[int, tuple[Group, list[int], list[int]]] = {}
         for at, name in enumerate(names):
             if name in self._places:
                 group, place = self._places[name]
-                _, source, target = found.setdefault(id(group), (group, [], []))
+                _, source, target = places.setdefault(id(group), (group, [], []))
                 source.append(at)
                 target.append(place)
         parts: list[Part] = []
-        for group, source, target in found.values():
+        for group, source, target in places.values():
             if len(group.names) == 1:
                 parts += [Part(group, at) for at in source]
                 continue
@@ -226,9 +224,7 @@ class Grouping:
         return parts
 
     def _divide(self, spoken_of: set[str]) -> None:
-        """Part motors of groups that have not begun to learn yet, where only some of them are among
-        those given.
-        """
+        """Take motors out of groups that have not begun to learn, where only some are named."""
         for group in self.groups:
             some = spoken_of.intersection(group.names)
             if len(group.names) > 1 and group.is_open and 0 < len(some) < len(group.names):

@@ -138,9 +138,7 @@ def _reason_of(error: Exception) -> str:
 
 
 def _state_of(group: Group, place: int) -> tuple[dict[str, Any] | str, dict[str, Array]]:
-    """Return copies of the state of a motor, or in words why it cannot be had: the observer is
-    broken, somehow.
-    """
+    """Return copies of a motor's state, or why it cannot be had from a broken observer."""
     if group.observer is None:
         return 'no sample was learnt yet', {}
     try:

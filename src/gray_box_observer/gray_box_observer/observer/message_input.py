@@ -39,9 +39,7 @@ MAX_LIST_BYTES = 8_000_000
 
 
 class _Census(NamedTuple):
-    """Who is in a list of names: whether a motor of ours, which of ours twice, and some that are
-    not ours.
-    """
+    """Names in a list: whether a motor of ours, which of them twice, and unknown ones."""
 
     known: bool
     twice: str | None
@@ -75,8 +73,7 @@ class Signal:
         self._readable = False
 
     def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array, bool]:
-        """Return the names of motors in the message, a value in SI units for each, and whether one
-        is configured.
+        """Return the motor names, a value in SI units for each, and whether any is configured.
 
         Raises:
             SampleError: names and values differ in number, an array is too short or too long for
@@ -107,28 +104,28 @@ class Signal:
         if len(names) != len(value):
             raise SampleError(f'{len(names)} names but {len(value)} values of {self._path.text}')
         self._readable = True
-        told = tuple(names)
-        if len(told) == 1:  # the usual case, in plain floats
+        motor_names = tuple(names)
+        if len(motor_names) == 1:  # the usual case, in plain floats
             values: Sequence[float] | Array = (self.scale * float(value[0]) + self.offset,)
         else:
             values = self.scale * np.asarray(value, dtype=float) + self.offset
-        census = self._lists.get(told) or self._census(told)
+        census = self._lists.get(motor_names) or self._census(motor_names)
         if census.twice is not None:
             raise SampleError(f'{census.twice} is named twice')
         for name in census.strangers:  # remember some of them, for diagnostics
             if len(self.unknown) < MOST_STRANGERS or name in self.unknown:
                 self.unknown[name] += 1
-        return told, values, census.known
+        return motor_names, values, census.known
 
     def _census(self, names: tuple[str, ...]) -> _Census:
         """Find out who is in a list of names, and remember it."""
         ours = Counter(name for name in names if name in self._motors)
         strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
         twice = next((name for name, count in ours.items() if count > 1), None)
-        found = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
+        census = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
         if worth_remembering(names):
-            self._lists.remember(names, found, size_of_names(names))
-        return found
+            self._lists.remember(names, census, size_of_names(names))
+        return census
 
     def _only_motor(self) -> tuple[str, ...]:
         if len(self._motors) != 1:
@@ -220,7 +217,7 @@ class Intake:
             self.rejected[name][Rejection.MALFORMED] += 1
             return Taken(0, (), [])
         try:
-            names, values, known = self.signals[name].read(message)
+            names, values, has_our_motor = self.signals[name].read(message)
             speeds = self._speeds(message) if name == 'torque' else None
         except (
             SampleError,
@@ -235,7 +232,7 @@ class Intake:
             )
             self.rejected[name][Rejection.MALFORMED] += 1
             return Taken(stamp_ns, (), [])
-        if not known:
+        if not has_our_motor:
             self.others[name] += 1
         return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
 
@@ -245,9 +242,7 @@ class Intake:
         self.rejected[name][reason] += 1
 
     def _speeds(self, message: Any) -> Sequence[float] | Array | None:
-        """Speeds from the torque message's velocity; None where it has none or speed has a topic of
-        its own.
-        """
+        """Speeds from the torque message's velocity; None if absent or on a topic of their own."""
         velocity = None if self._own_speed_topic else getattr(message, 'velocity', None)
         if velocity is None or not len(velocity):  # an array of numpy has no truth
             return None

@@ -44,7 +44,7 @@ class Group:
 
     @property
     def is_open(self) -> bool:
-        """Whether it may still be settled otherwise who belongs together: nothing was learnt yet."""
+        """Whether the grouping may still change: nothing was learnt yet."""
         return self.observer is None and not self.is_stopped
 
 
@@ -107,19 +107,19 @@ class GroupResult:
             if sample.present is not None and not sample.present[motor]:
                 continue
             one = slice(motor, motor + 1)
-            said = None
+            own_prediction = None
             if prediction is not None:
-                said = Prediction(
+                own_prediction = Prediction(
                     prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None
                 )
             estimate = (
                 self.estimate.of(row[motor]) if self.estimate is not None and motor in row else None
             )
             alone = Sample(
-                sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one], sample.torque_nm[one],
-                sample.speed_rad_s[one],
+                sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one],
+                sample.torque_nm[one], sample.speed_rad_s[one],
             )  # fmt: skip
-            yield Result(name, alone, said, estimate, bool(self.alarm[motor]))
+            yield Result(name, alone, own_prediction, estimate, bool(self.alarm[motor]))
 
 
 def _rollout_of(prediction: Prediction, one: slice) -> Array:

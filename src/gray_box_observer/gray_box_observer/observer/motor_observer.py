@@ -1,6 +1,4 @@
-"""The observer of motors that are sampled together: white box, context nodes and predictor, one
-sample at a time.
-"""
+"""The observer of motors sampled together: white box, context nodes and predictor."""
 
 from __future__ import annotations
 
@@ -25,8 +23,7 @@ from gray_box_observer.white_box.interface import Array
 
 @dataclass(slots=True)
 class Aftermath:
-    """What a sample leaves to be done when its prediction and estimates are known; see
-    :meth:`MotorObserver.settle`.
+    """Work left over by a sample after its estimates; see :meth:`MotorObserver.settle`.
 
     Attributes:
         sample: the sample.
@@ -109,8 +106,7 @@ class MotorObserver:
         return self._foreseen[1]
 
     def foresee(self, voltage_v: Any) -> None:
-        """Work out the next prediction while nobody waits for it; changes nothing but when it is
-        done.
+        """Work out the next prediction while nobody waits for it; changes only its timing.
 
         What will be asked is known where samples come evenly: the interval is that of the last two
         once more. Where it is not, this does nothing.
@@ -155,10 +151,10 @@ class MotorObserver:
         prediction = (
             None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
         )
-        left = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
+        aftermath = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
         estimate = self.repeat(sample)
-        self._aftermath = left
-        return left, estimate
+        self._aftermath = aftermath
+        return aftermath, estimate
 
     def settle(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
@@ -172,29 +168,29 @@ class MotorObserver:
                 ),
                 one,
             )
-        left = self._aftermath
-        if left is None:
+        aftermath = self._aftermath
+        if aftermath is None:
             return
         self._follow()
         self._aftermath = None
-        sample, prediction = left.sample, left.prediction
+        sample, prediction = aftermath.sample, aftermath.prediction
         if self._alarm is not None and prediction is not None:
             self._alarm.take(
-                sample.torque_nm - prediction.torque_nm, sample.interval_s, left.identified
+                sample.torque_nm - prediction.torque_nm, sample.interval_s, aftermath.identified
             )
-        left.alarm = self.alarmed
+        aftermath.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
-            self._predictor.study(sample, prediction, left.theta, left.covariance)
+            self._predictor.study(sample, prediction, aftermath.theta, aftermath.covariance)
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
-        left = self._aftermath
-        if left is None or left.followed:
+        aftermath = self._aftermath
+        if aftermath is None or aftermath.followed:
             return
-        left.followed = True
-        if self._predictor is not None and left.prediction is not None:
+        aftermath.followed = True
+        if self._predictor is not None and aftermath.prediction is not None:
             try:
-                self._predictor.follow(left.sample, left.prediction)
+                self._predictor.follow(aftermath.sample, aftermath.prediction)
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
@@ -209,41 +205,34 @@ class MotorObserver:
 
     @property
     def alarm(self) -> ResidualAlarm | None:
-        """Watches the prediction's residual, all samples taken; None where no prediction is good
-        enough to judge by.
-        """
+        """Watches the prediction's residual; None where no prediction is good enough."""
         self.settle()
         return self._alarm
 
     def repeat(self, sample: Sample) -> Estimate | None:
-        """Learn a sample, which has been predicted and scored; return the estimates that have
-        changed.
-        """
-        changed = self.context_nodes.learn(sample)
+        """Learn a predicted and scored sample; return the estimates that have changed."""
+        has_changed = self.context_nodes.learn(sample)
         if self._predictor is not None:
             self._foreseen = None
             self._evenly = np.array_equal(sample.interval_s, self._interval_s)
             self._interval_s = sample.interval_s
-        if not changed:
+        if not has_changed:
             self.changed = _NOBODY
             return None
         self.changed = _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
-        which: Any = slice(None) if self.changed.size == self.motors else self.changed
-        estimate = self._tested(self.context_nodes.estimate(which))
-        self._know(estimate, which)
+        motors: Any = slice(None) if self.changed.size == self.motors else self.changed
+        estimate = self._tested(self.context_nodes.estimate(motors))
+        self._know(estimate, motors)
         return estimate
 
-    def estimate(self, which: Any = slice(None)) -> Estimate:
-        """Return the present values of all motors or of some, believed as far as the fit lets them
-        be.
-        """
+    def estimate(self, motors: Any = slice(None)) -> Estimate:
+        """Return the present values of all or some motors, believed as far as the fit allows."""
         self.settle()
-        estimate = self.context_nodes.estimate(which)
-        return self._fit.judged(self.context_nodes, estimate, self._places[which])
+        estimate = self.context_nodes.estimate(motors)
+        return self._fit.judged(self.context_nodes, estimate, self._places[motors])
 
     def _tested(self, estimate: Estimate) -> Estimate:
-        """Test the fit of motors whose estimates have changed; return these as far as they may be
-        believed.
+        """Test the fit of motors with changed estimates; return these as far as believable.
 
         Who waits for nothing is tested when the sample's results are out.
         """
@@ -255,9 +244,7 @@ class MotorObserver:
         return self._fit.judged(self.context_nodes, estimate, self.changed)
 
     def retested(self) -> list[int]:
-        """Return whose fit was tested since this was asked last: what is believed of them may be
-        another.
-        """
+        """Return whose fit was tested since the last call: its belief may have changed."""
         self.settle()
         motors, self._retested = sorted(self._retested), set()
         return motors
@@ -267,39 +254,34 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(slice(motor, motor + 1))
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
 
-    def _know(self, estimate: Estimate, which: Any) -> None:
-        """Keep what is believed of some motors, and whether all is identified, which freezing does
-        not undo.
+    def _know(self, estimate: Estimate, motors: Any) -> None:
+        """Keep the beliefs of some motors, and whether all is identified; freezing keeps both.
 
         What was believed before may still be needed: it is replaced, never written to.
         """
         if not self._frozen:
             self._identified = self._identified.copy()
-            self._known_parameters[which] = [
+            self._known_parameters[motors] = [
                 [v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts
             ]
-            self._identified[which] = self._known_parameters[which].all(axis=1)
+            self._identified[motors] = self._known_parameters[motors].all(axis=1)
         if estimate.value.shape[0] == self.motors:
             self._theta, self._covariance = estimate.value, estimate.covariance
         else:
             self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
-            self._theta[which], self._covariance[which] = estimate.value, estimate.covariance
+            self._theta[motors], self._covariance[motors] = estimate.value, estimate.covariance
 
-    def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning, of the context nodes and of the predictor; predictions and the
-        alarm go on.
-        """
+    def freeze(self, is_frozen: bool) -> None:
+        """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
         self.settle()
-        self._frozen = frozen
-        self.context_nodes.freeze(frozen)
+        self._frozen = is_frozen
+        self.context_nodes.freeze(is_frozen)
         if self.predictor is not None:
-            self.predictor.training.freeze(frozen)
+            self.predictor.training.freeze(is_frozen)
 
     @property
     def identified(self) -> bool:
-        """Whether every parameter was identified when learning went on last: freezing does not make
-        it unknown.
-        """
+        """Whether every parameter was identified when learning last went on, before a freeze."""
         return bool(self._identified.all())
 
     def identified_of(self, motor: int) -> bool:
@@ -341,8 +323,7 @@ class MotorObserver:
         return self._alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
-        """Start over with new context nodes from samples that were paired anew; the network is
-        trained on from there.
+        """Restart with new context nodes from samples paired anew; the network trains on.
 
         The nodes are given all but the last sample as what they remember and learn the last: the
         recursive rule then fits everything at once, which takes a fraction of the time of learning
@@ -369,11 +350,11 @@ class MotorObserver:
         """Return the physics of one motor, its constants plain numbers."""
         if self.motors == 1:
             return self.white_box
-        known = {name: float(value[motor]) for name, value in self.white_box.known.items()}
+        constants = {name: float(value[motor]) for name, value in self.white_box.known.items()}
         return replace(
             self.white_box,
             torque_constant=float(self.white_box.torque_constant[motor]),
-            known=known,
+            known=constants,
         )
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -412,27 +393,27 @@ class MotorObserver:
             ConfigurationError: it was learnt of other parameters, or by other rules.
             CheckpointError: it is no state that could have been learnt.
         """
-        which = slice(motor, motor + 1)
+        motor_slice = slice(motor, motor + 1)
         flag(plain, 'identified')
-        known = entry(plain, 'identified_parameters')
-        if not isinstance(known, list) or [type(one) for one in known] != [bool] * len(
-            self.white_box.parameters
-        ):
+        identified_flags = entry(plain, 'identified_parameters')
+        if not isinstance(identified_flags, list) or [type(one) for one in identified_flags] != [
+            bool
+        ] * len(self.white_box.parameters):
             raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
         self.context_nodes.restore(
             dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
         )
-        estimate = self.context_nodes.estimate(which)
+        estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
         self._fit.restore(
             dict(group(plain, 'fit')), motor, int(self.context_nodes.replay.received[motor])
         )
-        self._know(self.estimate(which), which)
+        self._know(self.estimate(motor_slice), motor_slice)
         if self._frozen:  # verdicts tell it no more
             self._identified = self._identified.copy()
-            self._identified[which] = plain['identified']
-            self._known_parameters[which] = known
+            self._identified[motor_slice] = plain['identified']
+            self._known_parameters[motor_slice] = identified_flags
         if self.predictor is not None:
             self.predictor.restore(_group(arrays, 'network'), motor)
         alarm = _group(arrays, 'alarm')

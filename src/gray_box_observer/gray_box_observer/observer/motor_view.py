@@ -109,9 +109,7 @@ class MotorView:
         return self.observer.fit_of(self.place)
 
     def fit_percent(self) -> float | None:
-        """Return the fit of the free run to the samples remembered, in per cent (NRMSE); None: not
-        known.
-        """
+        """Return the free run's fit to remembered samples, in per cent (NRMSE); None: unknown."""
         replay = self.remembered()
         if len(replay) < 2:
             return None
@@ -147,9 +145,9 @@ class MotorView:
     def remembered(self) -> ReplayBuffer:
         """Return a copy of the samples that are remembered of it."""
         content = self.observer.context_nodes.replay.content(self._one)
-        made = ReplayBuffer(1, max(1, content.shape[2]))
-        made.refill(content)
-        return made
+        buffer = ReplayBuffer(1, max(1, content.shape[2]))
+        buffer.refill(content)
+        return buffer
 
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of it, for a checkpoint."""

@@ -1,5 +1,4 @@
-"""The observer: feeds every group of motors that come in the same messages to a motor observer,
-sample by sample.
+"""The observer: feeds each group of motors that share messages to a motor observer.
 
 One core, three doors: live topics, a replayed bag and the offline command all feed this object.
 """
@@ -139,7 +138,8 @@ class Observer:
         )
 
     def take(
-        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values, speeds: Values | None = None
+        self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values,
+        speeds: Values | None = None
     ) -> list[GroupResult]:  # fmt: skip
         """Take what one message says of a signal.
 
@@ -175,9 +175,7 @@ class Observer:
         return self._flat([result for group in self.every_group for result in self._flush(group)])
 
     def results(self, result: GroupResult) -> list[Result]:
-        """Return what a sample of a group has led to, motor by motor; nothing where the group has
-        stopped since.
-        """
+        """Return a sample's results motor by motor; nothing where the group has stopped since."""
         return self.contain(result.group, lambda: list(result)) or []
 
     def contain(
@@ -207,7 +205,7 @@ class Observer:
             return None
 
     def stop(self, group: Group, error: Exception, samples: Sequence[Sample] = ()) -> None:
-        """Stop the motors of a group because of an error; the others go on. The first error counts."""
+        """Stop a group's motors because of an error; the others go on. The first error counts."""
         if group.is_stopped:
             return
         incident = Incident.from_error(group, error, samples)
@@ -221,8 +219,7 @@ class Observer:
             self.incidents[name] = incident
 
     def forecast_group(self, group: Group, stamp_ns: int) -> Array | None:
-        """Predict the torque of every motor of a group at a stamp that is still to come, shape
-        (motor,); NaN: unknown.
+        """Predict the torques of a group at a stamp to come, shape (motor,); NaN: unknown.
 
         None where the voltage is not known up to the stamp; changes nothing.
         """
@@ -239,8 +236,7 @@ class Observer:
         return None if prediction is None else prediction.torque_nm
 
     def foresee(self, group: Group) -> None:
-        """Work out the next prediction of a group before it is asked for, where it can be told what
-        will be asked.
+        """Work out a group's next prediction in advance, where its stamp can be foretold.
 
         Changes nothing but when it is done: for whoever has time now and none when the next voltage
         has come.
@@ -259,9 +255,7 @@ class Observer:
                 self.stop(group, error)
 
     def forecast(self, motor: str, stamp_ns: int) -> Forecast | None:
-        """Predict the torque at a stamp whose voltage is known and whose torque is still to come;
-        changes nothing.
-        """
+        """Predict the torque at a stamp with voltage but without torque; changes nothing."""
         group, place = self._grouping.place(motor)
         torque_nm = self.forecast_group(group, stamp_ns)
         if torque_nm is None or not math.isfinite(torque_nm[place]):
@@ -288,15 +282,13 @@ class Observer:
                 only.
         """
         group, place = self._grouping.place(motor)
-        found = self.forecast_group_held(group, horizon_s)
-        if found is None or not math.isfinite(found[1][place]):
+        group_forecast = self.forecast_group_held(group, horizon_s)
+        if group_forecast is None or not math.isfinite(group_forecast[1][place]):
             return None
-        return Forecast(motor, found[0], float(found[1][place]))
+        return Forecast(motor, group_forecast[0], float(group_forecast[1][place]))
 
     def forecast_group_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
-        """Return stamp and torques, shape (motor,), of :meth:`forecast_held` for every motor of a
-        group.
-        """
+        """Return stamp and torques, (motor,), of :meth:`forecast_held` for a whole group."""
         return self.contain(group, lambda: self._forecast_held(group, horizon_s))
 
     def _forecast_held(self, group: Group, horizon_s: float) -> tuple[int, Array] | None:
@@ -313,19 +305,18 @@ class Observer:
 
     def group_estimates(self) -> list[tuple[tuple[str, ...], Estimate]]:
         """Return names and present estimates of every group that has been seen."""
-        found = []
+        estimates = []
         for group in self.every_group:
             observer = group.observer
             if observer is None:
                 continue
             estimate = self.contain(group, observer.estimate)
             if estimate is not None:
-                found.append((group.names, estimate))
-        return found
+                estimates.append((group.names, estimate))
+        return estimates
 
     def estimates(self) -> dict[str, Estimate]:
-        """Return the present estimate of every motor that has been seen, by its name; part of the
-        Python API.
+        """Return the present estimate of every motor seen, by its name; part of the Python API.
 
         Each has a motor axis of one: ``value`` and ``std`` have shape (1, parameter),
         ``covariance`` has shape (1, parameter, parameter), all in SI units. ``parameters`` names
@@ -334,50 +325,40 @@ class Observer:
         return self._of_every_motor(lambda motor: motor.estimate)
 
     def known(self, motor: str) -> tuple[Estimate, bool]:
-        """Return what is known of a motor and whether all of it is identified; of one not seen yet,
-        what was given.
-        """
-        seen = self.motors.get(motor)
-        if seen is None:
-            given = initial_estimate(self.configuration, self.configuration.motors[motor])
-            return given, given.identified(0)
-        return seen.estimate, seen.identified
+        """Return a motor's belief, and whether all is identified; the given one at first."""
+        view = self.motors.get(motor)
+        if view is None:
+            initial = initial_estimate(self.configuration, self.configuration.motors[motor])
+            return initial, initial.identified(0)
+        return view.estimate, view.identified
 
     def parameters_identified(self, motor: str) -> tuple[bool, ...]:
-        """Return which parameters of a motor are identified; of one not seen yet, by what was
-        given.
-        """
-        seen = self.motors.get(motor)
-        if seen is not None:
-            return seen.parameters_identified
-        given = initial_estimate(self.configuration, self.configuration.motors[motor])
-        return tuple(verdict in COUNTS_AS_KNOWN for verdict in given.verdicts[0])
+        """Return a motor's identified parameters; before it is seen, the given ones."""
+        view = self.motors.get(motor)
+        if view is not None:
+            return view.parameters_identified
+        initial = initial_estimate(self.configuration, self.configuration.motors[motor])
+        return tuple(verdict in COUNTS_AS_KNOWN for verdict in initial.verdicts[0])
 
     def fit(self, motor: str) -> FitAssessment:
-        """Return how well the white box explains the data of a motor; untested where it was not
-        seen yet.
-        """
-        seen = self.motors.get(motor)
-        return FitAssessment() if seen is None else seen.fit
+        """Return how well the white box explains a motor's data; untested before it is seen."""
+        view = self.motors.get(motor)
+        return FitAssessment() if view is None else view.fit
 
     def delays(self) -> dict[str, DelayEstimate]:
-        """Return what is known of the delay between voltage and torque of every motor that has been
-        seen.
-        """
+        """Return the delay between voltage and torque of every motor that has been seen."""
         return self._of_every_motor(lambda motor: motor.delay)
 
     def _of_every_motor(self, get: Callable[[MotorView], T]) -> dict[str, T]:
         """Return something of every motor that has been seen; what has stopped is left out."""
-        found = {
+        values = {
             name: self.contain(self.group_of(name), partial(get, motor))
             for name, motor in [*self.motors.items()]
         }
-        return {name: value for name, value in found.items() if value is not None}
+        return {name: value for name, value in values.items() if value is not None}
 
     def alarm(self, motor: str) -> bool:
-        """Whether the alarm on the prediction's residual stands; never where nothing is predicted
-        by the physics.
-        """
+        """Whether the residual alarm stands; never where the physics predicts nothing."""
         if motor not in self._grouping:
             return False
         group, place = self._grouping.place(motor)
@@ -400,12 +381,12 @@ class Observer:
         """Whether learning is stopped."""
         return self._frozen
 
-    def freeze(self, frozen: bool) -> None:
+    def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of every motor; predictions go on."""
-        self._frozen = frozen
+        self._frozen = is_frozen
         for group in self.every_group:
             if group.observer is not None:
-                self.contain(group, partial(group.observer.freeze, frozen))
+                self.contain(group, partial(group.observer.freeze, is_frozen))
 
     def reconfigure(self, configuration: Configuration) -> None:
         """Take over the values of parameters that may change at any time; what was learnt stays."""
@@ -423,13 +404,13 @@ class Observer:
 
     def restore(
         self,
-        saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
+        states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]],
         together: Sequence[Sequence[str]] = (),
     ) -> None:
         """Take back what :meth:`MotorObserver.state` gave, by motor: all of it or nothing.
 
         Args:
-            saved: plain values and arrays, by motor.
+            states: plain values and arrays, by motor.
             together: motors that were computed together: they came in the same messages, what
                 others do nobody knows.
 
@@ -437,20 +418,20 @@ class Observer:
             ConfigurationError: something was learnt with another white box or other parameters.
         """
         places = self._grouping.places
-        made: list[tuple[Group, MotorObserver]] = []
+        replacements: list[tuple[Group, MotorObserver]] = []
         try:
             for names in together:
                 self._grouping.gather(names)
             affected = [
-                group for group in self.every_group if any(name in saved for name in group.names)
+                group for group in self.every_group if any(name in states for name in group.names)
             ]
-            made.extend((group, self._restored(group, saved)) for group in affected)
+            replacements.extend((group, self._restored(group, states)) for group in affected)
         except BaseException:
-            for _, observer in made:
+            for _, observer in replacements:
                 observer.close()
             self._grouping.put_back(places)
             raise
-        for group, observer in made:  # all good: take over
+        for group, observer in replacements:  # all good: take over
             self._flush(group)  # what still waited belongs to the old signal history
             if group.observer is not None:
                 self.contain(group, group.observer.settle)
@@ -464,34 +445,34 @@ class Observer:
                 self.incidents.pop(name, None)
 
     def _restored(
-        self, group: Group, saved: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
+        self, group: Group, saved_states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
     ) -> MotorObserver:
         """Make the observer of a group from what was saved; what was not saved stays as it is."""
-        states = dict(saved)
+        states = dict(saved_states)
         for motor, name in enumerate(group.names):
             if name not in states and group.observer is not None:
                 states[name] = group.observer.state(motor)
-        told = {
+        measured_flags = {
             bool(states[name][0]['white_box']['speed_measured'])
             for name in group.names
             if name in states
         }
-        made = self._make(group, any(told))
+        observer = self._make(group, any(measured_flags))
         try:
             for motor, name in enumerate(group.names):
                 if name not in states:
                     continue
                 plain, arrays = states[name]
-                if made.white_box_of(motor).to_dict() != plain['white_box']:
+                if observer.white_box_of(motor).to_dict() != plain['white_box']:
                     raise ConfigurationError(
                         f'motor {name}: the checkpoint was learnt with other known constants or '
                         'terms'
                     )
-                made.restore(plain, arrays, motor)
+                observer.restore(plain, arrays, motor)
         except BaseException:
-            made.close()
+            observer.close()
             raise
-        return made
+        return observer
 
     def close(self) -> None:
         """Stop whatever trains in the background."""
@@ -505,7 +486,8 @@ class Observer:
         return self._grouping.groups
 
     def _take(
-        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values, speeds: Values | None
+        self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values,
+        speeds: Values | None
     ) -> list[GroupResult]:  # fmt: skip
         """Let every group have its part of a message."""
         results: list[GroupResult] = []
@@ -527,10 +509,10 @@ class Observer:
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
-        waiting, pairing = deque(samples), group.pairing
+        queue, pairing = deque(samples), group.pairing
         assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
-        while waiting:
-            sample = waiting.popleft()
+        while queue:
+            sample = queue.popleft()
             if group.observer is None:
                 self._adopt(group, self._make(group, bool(np.isfinite(sample.speed_rad_s).any())))
             observer = group.observer
@@ -540,11 +522,13 @@ class Observer:
                 if again is not None and results:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
-            left, estimate = observer.step(sample)
+            aftermath, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
-                GroupResult(group, sample, left.prediction, observer.changed, estimate, left)
+                GroupResult(
+                    group, sample, aftermath.prediction, observer.changed, estimate, aftermath
+                )
             )
             delay_s = None
             if not self._frozen:
@@ -552,16 +536,16 @@ class Observer:
                     pairing.history, sample.stamp_ns, awaited=estimate is not None
                 )
             if delay_s is not None:
-                known, rest = pairing.redelay(delay_s, sample.stamp_ns)
+                past_samples, later_samples = pairing.redelay(delay_s, sample.stamp_ns)
                 motors = [self.configuration.motors[name] for name in group.names]
                 observer.relearn(
-                    context_nodes(self.configuration, motors, observer.white_box), known
+                    context_nodes(self.configuration, motors, observer.white_box), past_samples
                 )
                 estimate = observer.estimate()
                 results[-1] = replace(
                     results[-1], estimate=estimate, changed=np.arange(len(group.names))
                 )
-                waiting = deque(rest)
+                queue = deque(later_samples)
         return results
 
     def _adopt(self, group: Group, observer: MotorObserver) -> None:
@@ -572,11 +556,13 @@ class Observer:
             {name: MotorView(observer, place) for place, name in enumerate(group.names)}
         )
 
-    def _make(self, group: Group, measured: bool) -> MotorObserver:
+    def _make(self, group: Group, speed_measured: bool) -> MotorObserver:
         motors = [self.configuration.motors[name] for name in group.names]
-        made = motor_observer(self.configuration, motors, self._training, measured=measured)
-        made.freeze(self._frozen)
-        return made
+        observer = motor_observer(
+            self.configuration, motors, self._training, speed_measured=speed_measured
+        )
+        observer.freeze(self._frozen)
+        return observer
 
     def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
         """Results of groups, motor by motor."""

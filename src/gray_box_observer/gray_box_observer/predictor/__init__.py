@@ -1,6 +1,4 @@
-"""The LSTM that forecasts torque from voltage and the context nodes, and its training (thesis 4.3,
-5.1).
-"""
+"""The LSTM that forecasts torque from voltage and context nodes (thesis 4.3, 5.1)."""
 
 from gray_box_observer.predictor.alarm import AlarmRules, ResidualAlarm
 from gray_box_observer.predictor.network_inputs import Variant

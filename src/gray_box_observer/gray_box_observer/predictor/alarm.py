@@ -110,19 +110,17 @@ class ResidualAlarm:
     @property
     def spread(self) -> Array:
         """Standard deviation of the residual in N m, shape (motor,); NaN while nothing is known."""
-        learnt, variance = self._axis.give(self._learnt), self._axis.give(self._variance)
-        spread: Array = np.sqrt(np.where(learnt > 0, variance, np.nan))
+        sample_count, variance = self._axis.give(self._learnt), self._axis.give(self._variance)
+        spread: Array = np.sqrt(np.where(sample_count > 0, variance, np.nan))
         return spread
 
     @property
     def level(self) -> Array:
-        """How far the larger sum has come to the threshold, shape (motor,); at 1 the alarm is
-        raised.
-        """
+        """The larger sum relative to the threshold, shape (motor,); at 1 the alarm is raised."""
         return self._axis.give(self._axis.ops.maximum(self._up, self._down) / self._threshold)
 
     def take(
-        self, residual_nm: Array, interval_s: Array, identified: NDArray[np.bool_]
+        self, residual_nm: Array, interval_s: Array, is_identified: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Take one sample's residuals; return for which motors the alarm stands.
 
@@ -133,52 +131,60 @@ class ResidualAlarm:
             residual_nm: shape (motor,): measured less predicted torque; NaN where nothing was
                 predicted.
             interval_s: shape (motor,).
-            identified: shape (motor,): whether every parameter was identified before the sample.
+            is_identified: shape (motor,): whether every parameter was identified before the sample.
         """
         axis, ops = self._axis, self._axis.ops
-        told, interval, known = axis.take(residual_nm), axis.take(interval_s), axis.take(identified)
-        usable = ops.isfinite(told) & (interval > 0.0)
-        residual = ops.where(usable, told, 0.0)
+        measured_residual, interval, is_known = (
+            axis.take(residual_nm),
+            axis.take(interval_s),
+            axis.take(is_identified),
+        )
+        usable = ops.isfinite(measured_residual) & (interval > 0.0)
+        residual = ops.where(usable, measured_residual, 0.0)
         before, threshold = self._raised, self._threshold
-        judged = usable & (self._learnt >= self.rules.learn) & (known | before)
-        scaled = self._between(residual * self._scale, -CLIP, CLIP)
+        judged = usable & (self._learnt >= self.rules.learn) & (is_known | before)
+        scaled_residual = self._between(residual * self._scale, -CLIP, CLIP)
         # capped, so that the sums come down again when the fault has gone
         self._up = ops.where(
-            judged, self._between(self._up + scaled - REFERENCE, 0.0, 2.0 * threshold), self._up
+            judged,
+            self._between(self._up + scaled_residual - REFERENCE, 0.0, 2.0 * threshold),
+            self._up,
         )
         self._down = ops.where(
-            judged, self._between(self._down - scaled - REFERENCE, 0.0, 2.0 * threshold), self._down
+            judged,
+            self._between(self._down - scaled_residual - REFERENCE, 0.0, 2.0 * threshold),
+            self._down,
         )
         over = ops.maximum(self._up, self._down)
         self._raised = (over >= threshold) | (before & (over > 0.0))
         calm = ops.logical_not(self._raised)
         self._count = self._count + (self._raised & ops.logical_not(before))
-        self._follow(residual, interval, usable & known & calm & (over < 0.5 * threshold))
+        self._follow(residual, interval, usable & is_known & calm & (over < 0.5 * threshold))
         if self._taken % REFRESH == 0:
-            self._refresh(known)
+            self._refresh(is_known)
         self._taken += 1
         return self.raised
 
-    def _follow(self, residual: Any, interval_s: Any, which: Any) -> None:
+    def _follow(self, residual: Any, interval_s: Any, is_calm: Any) -> None:
         """Follow the residual's spread and correlation while all is well."""
         ops = self._axis.ops
-        self._learnt = self._learnt + which
-        share = which / self._between(self._learnt, 1, self.rules.memory)
+        self._learnt = self._learnt + is_calm
+        share = is_calm / self._between(self._learnt, 1, self.rules.memory)
         bounded = self._between(residual, -self._limit, self._limit)
-        kept = ops.where(self._learnt >= self.rules.learn, bounded, residual)
-        self._variance = self._variance + share * (kept * kept - self._variance)
-        self._product = self._product + share * (kept * self._previous - self._product)
+        clipped_residual = ops.where(self._learnt >= self.rules.learn, bounded, residual)
+        self._variance = self._variance + share * (
+            clipped_residual * clipped_residual - self._variance
+        )
+        self._product = self._product + share * (clipped_residual * self._previous - self._product)
         self._interval_s = self._interval_s + share * (interval_s - self._interval_s)
-        self._previous = ops.where(which, kept, 0.0)
+        self._previous = ops.where(is_calm, clipped_residual, 0.0)
 
-    def _refresh(self, identified: Any) -> None:
-        """Work out again what changes slowly; forget what was summed up before the parameters were
-        identified.
-        """
+    def _refresh(self, is_identified: Any) -> None:
+        """Work out again what changes slowly; forget sums from before identification."""
         ops, armed, counts = (
             self._axis.ops,
             self._learnt >= self.rules.learn,
-            identified | self._raised,
+            is_identified | self._raised,
         )
         correlation = ops.clip(self._product / ops.maximum(self._variance, 1e-300), 0.0, 0.99)
         inflation = (1.0 + correlation) / (1.0 - correlation)  # of the variance of a sum of many
@@ -196,10 +202,12 @@ class ResidualAlarm:
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """Everything learnt of one motor, for a checkpoint."""
-        which = slice(motor, motor + 1)
-        told = {name: self._axis.give(getattr(self, f'_{name}'))[which].copy() for name in _ARRAYS}
-        sums = np.stack([told.pop('up'), told.pop('down')])
-        return {'sums': sums, **told, 'taken': np.array(self._taken)}
+        motor_slice = slice(motor, motor + 1)
+        values = {
+            name: self._axis.give(getattr(self, f'_{name}'))[motor_slice].copy() for name in _ARRAYS
+        }
+        sums = np.stack([values.pop('up'), values.pop('down')])
+        return {'sums': sums, **values, 'taken': np.array(self._taken)}
 
     def restore(self, arrays: dict[str, Any], motor: int = 0) -> None:
         """Take back what :meth:`state` gave, for one motor.
@@ -208,17 +216,17 @@ class ResidualAlarm:
             CheckpointError: it is no state that could have been learnt.
         """
         check_arrays(arrays, _SAVED)
-        told = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
+        values = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
         for name in _ARRAYS:
             all_told = self._axis.give(getattr(self, f'_{name}')).copy()
-            all_told[motor] = told[name][0]
+            all_told[motor] = values[name][0]
             setattr(self, f'_{name}', self._axis.take(all_told))
         self._taken = int(arrays['taken'])
 
 
 _ARRAYS = (
-    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit', 'threshold', 'raised',
-    'count',
+    'up', 'down', 'variance', 'product', 'previous', 'interval_s', 'learnt', 'scale', 'limit',
+    'threshold', 'raised', 'count',
 )  # fmt: skip
 
 _SAVED = {
@@ -239,9 +247,7 @@ _SAVED = {
 
 
 def run_length(threshold: float, reference: float = REFERENCE) -> float:
-    """Mean number of samples between false alarms of two cumulative sums in white noise (Siegmund
-    1985, 2.5).
-    """
+    """Mean run length between false alarms of two CUSUMs in white noise (Siegmund 1985, 2.5)."""
     return float(_run_lengths(threshold, math.exp, reference))
 
 
@@ -252,9 +258,7 @@ def _run_lengths(threshold: Any, exp: Any, reference: float = REFERENCE) -> Any:
 
 
 def threshold_for(samples: float) -> float:
-    """Threshold whose mean run length is so many samples, at least 3 (no sum of one or two
-    residuals is a fault).
-    """
+    """Threshold for a mean run length in samples, at least 3: one or two residuals are no fault."""
     low, high = 0.0, 100.0
     for _ in range(60):
         middle = 0.5 * (low + high)

@@ -1,5 +1,4 @@
-"""The few functions that relaxation and alarm need, for plain floats; numpy and torch offer the
-same names for arrays.
+"""Functions that steady state and alarm need for floats; numpy and torch share the names.
 
 A single motor streams in plain floats: an array of one costs ten times as much an operation.
 """
@@ -47,8 +46,7 @@ class Floats:
 
 
 class Axis:
-    """The motor axis inside the predictor: one motor becomes plain floats, several stay arrays or
-    become tensors.
+    """The motor axis inside the predictor: one motor is plain floats, several are arrays.
 
     Args:
         motors: number of motors.
@@ -86,20 +84,20 @@ class Axis:
         if not self._on_device or not isinstance(white_box, MotorWhiteBox):
             return white_box
         constants = white_box.torque_constant, *white_box.known.values()
-        torque_constant, *known = (
+        torque_constant, *known_values = (
             self.array(np.broadcast_to(constant, self.motors)) for constant in constants
         )
         return replace(
             white_box,
             torque_constant=torque_constant,
-            known=dict(zip(white_box.known, known, strict=True)),
+            known=dict(zip(white_box.known, known_values, strict=True)),
         )
 
     def give(self, value: Any) -> NDArray[Any]:
         """Turn it back into shape (motor,)."""
         if self._on_device:
-            given: NDArray[Any] = value.cpu().numpy()
-            return given
+            array: NDArray[Any] = value.cpu().numpy()
+            return array
         return np.array([value]) if self.single else value
 
     def columns(self, theta: Array) -> list[Any]:

@@ -37,8 +37,7 @@ class Forecaster(Protocol):
     """Streams one network over the samples of a group of motors."""
 
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
-        """Return the torque at the end of an interval, shape (motor,), NaN where it cannot tell;
-        changes nothing.
+        """Return the torque at the end of an interval, (motor,), NaN: unknown; changes nothing.
 
         The memory is what :meth:`remember` takes if the sample comes.
         """

@@ -1,5 +1,4 @@
-"""The network that variant ``physics`` begins with: pre-trained on a whole family of motors,
-shipped with the package.
+"""The first network of variant ``physics``: pre-trained on many motors, in the package.
 
 Made by ``python -m gray_box_observer.predictor.training.pretrain``; reading it needs no torch.
 """
@@ -22,17 +21,13 @@ SHIPPED = Path(__file__).with_name('start.safetensors')
 
 
 def fresh(hidden: int, seed: int) -> Weights:
-    """Return a network that answers 0: the relaxation then follows from the slopes at both ends
-    alone.
-    """
-    drawn = Weights.initial(INPUTS, hidden, seed)
-    return replace(drawn, output=np.zeros(hidden), output_bias=np.zeros(1))
+    """Return a network that answers 0, which leaves the slopes at both ends of the way."""
+    weights = Weights.initial(INPUTS, hidden, seed)
+    return replace(weights, output=np.zeros(hidden), output_bias=np.zeros(1))
 
 
 def first_network(rules: TrainingRules, seed: int) -> Weights:
-    """Return what the rules say to begin with; a fresh network where the shipped one is of another
-    size.
-    """
+    """Return the network to begin with; a fresh one where the shipped one's size differs."""
     if rules.start == 'shipped':
         shipped = load(SHIPPED)
         if shipped.hidden == rules.hidden:

@@ -1,5 +1,4 @@
-"""What a motor has lately been given: voltage and speed, smoothed by leaky integrators over a
-ladder of times.
+"""Past voltage and speed of a motor, smoothed by leaky integrators with a ladder of times.
 
 Inertia makes the speed, and hence the back-EMF, a slow filter of the voltage. A network would have
 to learn such memory by back-propagation through hundreds of samples. Leaky integrators have it from
@@ -45,10 +44,12 @@ def followed(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Arr
         speed_rad_s: shape (motor,).
         intervals: shape (motor,): its length, in sample intervals.
     """
-    held = np.empty((*voltage_v.shape, SIGNALS, 1))
-    held[..., 0, 0], held[..., 1, 0] = voltage_v, speed_rad_s
-    reached: Array = held + (traces - held) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
-    return reached
+    inputs = np.empty((*voltage_v.shape, SIGNALS, 1))
+    inputs[..., 0, 0], inputs[..., 1, 0] = voltage_v, speed_rad_s
+    traces_at_end: Array = (
+        inputs + (traces - inputs) * np.exp(-intervals[:, None] / LADDER)[:, None, :]
+    )
+    return traces_at_end
 
 
 def along(voltage_v: Array, speed_rad_s: Array, intervals: Array, start: Array) -> Array:
@@ -60,18 +61,16 @@ def along(voltage_v: Array, speed_rad_s: Array, intervals: Array, start: Array) 
         intervals: shape (motor, time): lengths, in sample intervals.
         start: shape (motor, SIGNALS, rung): at its beginning.
     """
-    left = np.exp(-intervals[..., None] / LADDER)[:, :, None, :]
-    passed = np.stack([voltage_v, speed_rad_s], axis=-1)[..., None] * (1.0 - left)
+    decay = np.exp(-intervals[..., None] / LADDER)[:, :, None, :]
+    path = np.stack([voltage_v, speed_rad_s], axis=-1)[..., None] * (1.0 - decay)
     traces = start
-    for k in range(passed.shape[1]):
-        traces = passed[:, k] = passed[:, k] + traces * left[:, k]
-    return passed
+    for k in range(path.shape[1]):
+        traces = path[:, k] = path[:, k] + traces * decay[:, k]
+    return path
 
 
 def ending(voltage_v: Array, speed_rad_s: Array, intervals: Array) -> Array:
-    """Return the traces at the end of a signal history that began at rest, in one step; see
-    :func:`along`.
-    """
+    """Return the traces at the end of a history that began at rest, at once; see :func:`along`."""
     to_end = np.cumsum(intervals[:, ::-1], axis=1)[:, ::-1][
         ..., None
     ]  # from the beginning of each interval

@@ -1,5 +1,4 @@
-"""The linear part of a correction: a weighted sum of the signals and of their traces, bent where
-data ask for it.
+"""The linear part of a correction: a weighted, bent sum of the signals and their traces.
 
 It is learnt in closed form, from few samples, and a linear map that holds between two levels of the
 voltage holds between any others too, so it needs no sample of every place between them. Dry
@@ -59,8 +58,7 @@ part in so many of the largest, what they say of the others is better than nothi
 def features(
     voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array, traces: Array
 ) -> Array:
-    """Return what is weighted, of the shape of the signals with an axis of FEATURES behind; in SI
-    units.
+    """Return the weighted features: the signals' shape with a last axis FEATURES; SI units.
 
     Args:
         voltage_v: held voltage.
@@ -69,11 +67,11 @@ def features(
         speed_rad_s: held speed; zero where none is measured.
         traces: of the shape of the signals, with axes of SIGNALS and rungs behind.
     """
-    seen = np.empty((*current_a.shape, FEATURES))
+    columns = np.empty((*current_a.shape, FEATURES))
     for k, signal in enumerate((voltage_v, current_a, steady_a, speed_rad_s)):
-        seen[..., k] = signal
-    seen[..., NOW:] = traces.reshape(*current_a.shape, -1)
-    return seen
+        columns[..., k] = signal
+    columns[..., NOW:] = traces.reshape(*current_a.shape, -1)
+    return columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +97,7 @@ class LinearPart:
         return cls(np.zeros(FEATURES), np.zeros(FEATURES))
 
     @classmethod
-    def learnt(cls, seen: Array, wanted: Array) -> LinearPart:
+    def learnt(cls, inputs: Array, targets: Array) -> LinearPart:
         """Learn as far up the ladder, and as bent, as pays, and nothing where nothing does.
 
         Every part of the time is judged by what the others teach (cross-validation by blocks,
@@ -107,88 +105,93 @@ class LinearPart:
         samples that teach, but not beyond them.
 
         Args:
-            seen: shape (motor, time, FEATURES).
-            wanted: shape (motor, time): what is missing.
+            inputs: shape (motor, time, FEATURES).
+            targets: shape (motor, time): what is missing.
         """
-        part = _parts(wanted.shape[1])
-        chosen, least = None, np.abs(wanted)
+        part = _parts(targets.shape[1])
+        best_level, least = None, np.abs(targets)
         for level in LEVELS:
-            said = np.empty_like(wanted)
+            output = np.empty_like(targets)
             for k in range(PARTS):
-                others = part != k
-                said[:, ~others] = cls.fitted(seen[:, others], wanted[:, others], *level).say(
-                    seen[:, ~others]
-                )
-            left = np.abs(wanted - said)
-            if borne_out(*_gains(least, left), SIGNIFICANT if level[1] else CHOSEN):
-                chosen, least = level, left
-        return cls.silent() if chosen is None else cls._as_far_as_it_holds(seen, wanted, *chosen)
+                other_parts = part != k
+                output[:, ~other_parts] = cls.fitted(
+                    inputs[:, other_parts], targets[:, other_parts], *level
+                ).say(inputs[:, ~other_parts])
+            remaining_error = np.abs(targets - output)
+            if borne_out(*_gains(least, remaining_error), SIGNIFICANT if level[1] else CHOSEN):
+                best_level, least = level, remaining_error
+        return (
+            cls.silent()
+            if best_level is None
+            else cls._as_far_as_it_holds(inputs, targets, *best_level)
+        )
 
     @classmethod
-    def _as_far_as_it_holds(cls, seen: Array, wanted: Array, rungs: int, bent: bool) -> LinearPart:
-        """Fit to all, and let it reach as far beyond as a fit to the smaller features does, by what
-        the others say.
-        """
-        whole = cls.fitted(seen, wanted, rungs, bent)
-        size = (np.abs(seen) / np.maximum(whole.reach, 1e-12)).max(axis=(0, 2))
+    def _as_far_as_it_holds(
+        cls, inputs: Array, targets: Array, rungs: int, bent: bool
+    ) -> LinearPart:
+        """Fit to all; extrapolate as far as a fit to smaller features predicts the others."""
+        whole = cls.fitted(inputs, targets, rungs, bent)
+        size = (np.abs(inputs) / np.maximum(whole.reach, 1e-12)).max(axis=(0, 2))
         for further in FURTHER:
             inner = size <= 1.0 / further
             if min(inner.sum(), (~inner).sum()) < FEATURES:
                 continue
-            part = cls.fitted(seen[:, inner], wanted[:, inner], rungs, bent)
-            left = np.abs(wanted - replace(part, reach=np.full(FEATURES, np.inf)).say(seen))[
-                :, ~inner
-            ]
-            if borne_out(*_gains(np.abs(wanted[:, ~inner]), left)):
+            part = cls.fitted(inputs[:, inner], targets[:, inner], rungs, bent)
+            remaining_error = np.abs(
+                targets - replace(part, reach=np.full(FEATURES, np.inf)).say(inputs)
+            )[:, ~inner]
+            if borne_out(*_gains(np.abs(targets[:, ~inner]), remaining_error)):
                 return replace(whole, reach=whole.reach * further / TRUSTED)
         return whole
 
     @classmethod
     def fitted(
-        cls, seen: Array, wanted: Array, rungs: int = LADDER.size, bent: bool = False
+        cls, inputs: Array, targets: Array, rungs: int = LADDER.size, bent: bool = False
     ) -> LinearPart:
-        """Fit by regularised least squares (Hoerl and Kennard 1970) of features in units of their
-        size.
+        """Fit by regularised least squares (Hoerl and Kennard 1970) of scaled features.
 
         Args:
-            seen: shape (..., FEATURES).
-            wanted: shape (...).
+            inputs: shape (..., FEATURES).
+            targets: shape (...).
             rungs: how many of the ladder's have a part.
             bent: whether the line over the voltage may bend.
         """
-        used = np.concatenate(
+        is_used = np.concatenate(
             [np.full(NOW, True), np.tile(np.arange(LADDER.size) < rungs, SIGNALS)]
         )
-        bend_v = BENDS * float(np.abs(seen[..., 0]).max()) if bent else np.zeros(0)
-        chosen = np.concatenate([seen[..., used], _held(seen, bend_v)], axis=-1).reshape(
-            wanted.size, -1
-        )
-        size = np.sqrt(np.mean(chosen**2, axis=0)) + 1e-12
-        scaled = chosen / size
-        count = int(used.sum())
+        bend_v = BENDS * float(np.abs(inputs[..., 0]).max()) if bent else np.zeros(0)
+        selected_inputs = np.concatenate(
+            [inputs[..., is_used], _held(inputs, bend_v)], axis=-1
+        ).reshape(targets.size, -1)
+        size = np.sqrt(np.mean(selected_inputs**2, axis=0)) + 1e-12
+        scaled_inputs = selected_inputs / size
+        count = int(is_used.sum())
         pull = np.where(np.arange(size.size) < count, RIDGE, STRAIGHT)
-        solved = np.linalg.solve(
-            scaled.T @ scaled / wanted.size + np.diag(pull), scaled.T @ wanted.ravel()
+        solution = np.linalg.solve(
+            scaled_inputs.T @ scaled_inputs / targets.size + np.diag(pull),
+            scaled_inputs.T @ targets.ravel(),
         )
-        solved /= wanted.size * size
+        solution /= targets.size * size
         weight, reach = np.zeros(FEATURES), np.full(FEATURES, np.inf)
-        weight[used], reach[used] = solved[:count], np.abs(chosen[:, :count]).max(axis=0)
-        return cls(weight, reach, solved[count:], bend_v) if bent else cls(weight, reach)
+        weight[is_used], reach[is_used] = (
+            solution[:count],
+            np.abs(selected_inputs[:, :count]).max(axis=0),
+        )
+        return cls(weight, reach, solution[count:], bend_v) if bent else cls(weight, reach)
 
-    def say(self, seen: Array) -> Array:
-        """Return the weighted sum of features, fading beyond what was taught; their last axis goes."""
-        beyond = (np.abs(seen) / np.maximum(self.reach, 1e-12)).max(axis=-1)
+    def say(self, inputs: Array) -> Array:
+        """Return the weighted sum of features over their last axis, fading beyond the taught."""
+        beyond = (np.abs(inputs) / np.maximum(self.reach, 1e-12)).max(axis=-1)
         trusted = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
-        said: Array = (seen @ self.weight + _held(seen, self.bend_v) @ self.bent) * trusted
-        return said
+        output: Array = (inputs @ self.weight + _held(inputs, self.bend_v) @ self.bent) * trusted
+        return output
 
 
-def _held(seen: Array, bend_v: Array) -> Array:
-    """Voltages, none of them beyond where it bends, of the shape of the features but for their last
-    axis.
-    """
-    held: Array = np.minimum(np.maximum(seen[..., :1], -bend_v), bend_v)
-    return held
+def _held(inputs: Array, bend_v: Array) -> Array:
+    """Voltages limited to where the part bends, of the features' shape but the last axis."""
+    bounded_v: Array = np.minimum(np.maximum(inputs[..., :1], -bend_v), bend_v)
+    return bounded_v
 
 
 def _parts(count: int) -> Any:
@@ -196,12 +199,11 @@ def _parts(count: int) -> Any:
     return np.arange(count) * PARTS // count
 
 
-def _gains(had: Array, left: Array) -> tuple[Array, Array]:
-    """Mean errors of every part in time, and how much smaller others are; of shape (motor, time)
-    each.
-    """
+def _gains(had: Array, remaining_error: Array) -> tuple[Array, Array]:
+    """Mean errors of every part in time, and the reduction by others; (motor, time) each."""
     part = _parts(had.shape[1])
     means, gains = (
-        np.array([x[:, part == k].mean() for k in range(PARTS)]) for x in (had, had - left)
+        np.array([x[:, part == k].mean() for k in range(PARTS)])
+        for x in (had, had - remaining_error)
     )
     return means, gains

@@ -48,9 +48,7 @@ class Weights:
 
     @classmethod
     def initial(cls, inputs: int, hidden: int, seed: int) -> Weights:
-        """Draw a fresh network: uniform within one over the root of the hidden size, forget gates
-        open.
-        """
+        """Draw a fresh network: uniform by the root of the hidden size, forget gates open."""
         random = np.random.default_rng(seed)
         bound = hidden**-0.5
         bias = random.uniform(-bound, bound, 4 * hidden)
@@ -88,8 +86,7 @@ class Weights:
 
     @cached_property
     def matrices(self) -> tuple[Array, ...]:
-        """What :func:`advance` needs: two for the gates, of all but the cell half of the weights;
-        two for the output.
+        """The matrices of :func:`advance`: two for the gates (the cell's doubled), two for output.
 
         The first makes gates of inputs and hidden units below each other, the second is their bias,
         a column. The logistic function of a gate is ``(1 + tanh(gate / 2)) / 2``: so one call
@@ -150,8 +147,7 @@ def check_weights(
 
 
 def check_moments(arrays: Mapping[str, Any], hidden: int, inputs: int, prefix: str = '') -> None:
-    """Refuse arrays that are not what Adam remembers of every weight of a network that it has
-    taught.
+    """Refuse arrays that are not Adam's memory of every weight of a trained network.
 
     Args:
         arrays: its arrays among others, by ``adam_<place>_<name>``.
@@ -197,9 +193,7 @@ def _shapes(hidden: int, inputs: int) -> dict[str, tuple[int, ...]]:
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """What the network remembers: hidden and cell state, each of shape (motor, hidden), in either
-    order of memory.
-    """
+    """The network's memory: hidden and cell state, each (motor, hidden), in either order."""
 
     hidden: Array
     cell: Array
@@ -210,12 +204,10 @@ class Memory:
         return cls(np.zeros((motors, hidden)), np.zeros((motors, hidden)))
 
     def where(self, motors: Mask, other: Memory, ops: Any = np) -> Memory:
-        """Return this memory for the motors that a mask of shape (motor,) marks, another for the
-        rest.
-        """
-        chosen = motors[:, None]
+        """Return this memory for motors in a mask of shape (motor,), another for the rest."""
+        mask = motors[:, None]
         return Memory(
-            ops.where(chosen, self.hidden, other.hidden), ops.where(chosen, self.cell, other.cell)
+            ops.where(mask, self.hidden, other.hidden), ops.where(mask, self.cell, other.cell)
         )
 
     def cleared(self, motors: Mask, ops: Any = np) -> Memory:
@@ -240,8 +232,7 @@ def step(weights: Weights, memory: Memory, inputs: Array) -> tuple[Array, Memory
 
 
 def advance(ops: Any, matrices: Sequence[Any], memory: Memory, inputs: Any) -> tuple[Any, Memory]:
-    """As :func:`step` by numpy or torch: ``ops`` are its functions, and :attr:`Weights.matrices`
-    are in its form.
+    """As :func:`step` by numpy or torch functions ``ops``, with :attr:`Weights.matrices`.
 
     Motors stand beside each other here, gates below each other: so that every gate of all motors is
     one piece of memory. What need not be kept is overwritten, for new memory costs more than

@@ -1,6 +1,4 @@
-"""What the network is shown at every step: voltage, measured speed where there is one, and the
-context nodes.
-"""
+"""Inputs of the network at every step: voltage, measured speed if any, and context nodes."""
 
 from __future__ import annotations
 
@@ -15,8 +13,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 class Variant(str, Enum):
-    """Stage 2: what the LSTM is trained on. The four of the thesis (5.1), and what grew out of its
-    main one.
+    """Stage 2: what the LSTM is trained on: the thesis's four (5.1) and their descendants.
 
     ``physics`` takes the idea of ``main``, that measured torque is not needed, to its end: the
     network says how the identified motor relaxes (:mod:`steady_state`), and is taught on drawn

@@ -1,6 +1,4 @@
-"""Data scaled to 0..1 for the network and back (thesis 4.3.3), with a range that may grow while the
-motor runs.
-"""
+"""Scales data to 0..1 for the network and back (thesis 4.3.3); the range may grow live."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Normalisation:
-    """Ranges of everything the network sees and says; theta enters as the logarithm of its ratio to
-    a reference.
-    """
+    """Ranges of the network's inputs and outputs; theta enters as log-ratio to a reference."""
 
     voltage: Range
     torque: Range
@@ -85,8 +81,10 @@ class Normalisation:
     @classmethod
     def from_dict(cls, ranges: Mapping[str, Sequence[float]]) -> Normalisation:
         """Build the ranges that :meth:`to_dict` described."""
-        made = {name: Range(*bounds) for name, bounds in ranges.items()}
-        return cls(made['voltage'], made['torque'], made.get('speed'))
+        range_by_signal = {name: Range(*bounds) for name, bounds in ranges.items()}
+        return cls(
+            range_by_signal['voltage'], range_by_signal['torque'], range_by_signal.get('speed')
+        )
 
     @classmethod
     def of(cls, voltage_v: Array, torque_nm: Array, speed_rad_s: Array | None) -> Normalisation:
@@ -120,8 +118,7 @@ def saved_ranges(arrays: Mapping[str, Any], prefix: str, *, speed: bool) -> dict
 
 
 def moved(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:
-    """Return the weights that compute under the new ranges exactly what the given ones did under
-    the old ranges.
+    """Return weights that compute under the new ranges what the given ones did before.
 
     Both scalings are affine and the network is affine in its inputs and output, so nothing learnt
     is lost when data leave the range they were scaled by.

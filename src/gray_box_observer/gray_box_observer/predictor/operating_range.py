@@ -1,6 +1,4 @@
-"""Where a motor has been seen to run; it only grows, so that nothing learnt of one regime is given
-up for another.
-"""
+"""The operating range of a motor; it only grows, so that no learnt regime is given up."""
 
 from __future__ import annotations
 
@@ -33,9 +31,7 @@ class OperatingRange:
     speed_rad_s: Bounds = NOTHING
 
     def grown(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
-        """Return the range with these samples in it; those that begin a history anew tell no
-        voltage.
-        """
+        """Return the range with these samples; the first of a history tells no voltage."""
         goes_on = interval_s > 0.0
         return OperatingRange(
             _grown(self.voltage_v, voltage_v[goes_on]),
@@ -49,14 +45,12 @@ class OperatingRange:
         return OperatingRange(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
 
     def tells(self, speed_measured: bool) -> bool:
-        """Whether enough was seen to draw from: an interval, and a speed where speed is a signal."""
+        """Whether enough was seen to draw from: an interval, and a speed if it is a signal."""
         speed = not speed_measured or self.speed_rad_s[0] <= self.speed_rad_s[1]
         return self.interval_s[0] <= self.interval_s[1] and speed
 
     def voltages(self, declared_v: Sequence[float], margin: float = 0.2) -> Bounds:
-        """Voltages to be ready for: those declared, or what was seen and a margin of the largest
-        magnitude seen.
-        """
+        """Voltages to be ready for: the declared ones, or those seen plus a margin."""
         low, high = declared_v
         if low < high:
             return min(low, self.voltage_v[0]), max(high, self.voltage_v[1])
@@ -71,13 +65,14 @@ class OperatingRange:
     @classmethod
     def from_dict(cls, values: Mapping[str, Sequence[float]]) -> OperatingRange:
         """Build the range that :meth:`to_dict` described."""
-        made: dict[str, Any] = {name: (float(v[0]), float(v[1])) for name, v in values.items()}
-        return cls(**made)
+        bounds_by_signal: dict[str, Any] = {
+            name: (float(v[0]), float(v[1])) for name, v in values.items()
+        }
+        return cls(**bounds_by_signal)
 
 
 def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
-    """Take a range, as :meth:`OperatingRange.to_dict` gives it, out of saved arrays; empty where
-    none was saved.
+    """Read a range of :meth:`OperatingRange.to_dict` from saved arrays; empty if none.
 
     Args:
         arrays: two bounds each, among others.

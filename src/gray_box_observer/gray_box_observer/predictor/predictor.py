@@ -1,5 +1,4 @@
-"""The predictor: forecasts each torque before it is measured, and has itself trained in the
-background.
+"""The predictor: forecasts each torque before it is measured, and trains in the background.
 
 Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what it said.
 """
@@ -91,8 +90,8 @@ class Predictor:
     """
 
     def __init__(
-        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules, training: Training,
-        *, speed_measured: bool, seed: int = 0, device: str | None = None,
+        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules,
+        training: Training, *, speed_measured: bool, seed: int = 0, device: str | None = None,
     ) -> None:  # fmt: skip
         is_physics = rules.variant is Variant.PHYSICS
         device = device if is_physics and motors >= DEVICE_FROM else None
@@ -141,17 +140,15 @@ class Predictor:
             return Prediction(blank, lambda: blank, None, None)
         rollout = partial(self._rollout, question, self._rollout_nm)
         torque_nm, memory = self._forecaster.forecast(question)
-        correction_nm, learnt = self.residual.correct(question, torque_nm)
+        correction_nm, recollection = self.residual.correct(question, torque_nm)
         if correction_nm is None:
             return Prediction(torque_nm, rollout, memory, question.way)
         return Prediction(
-            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, learnt
+            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, recollection
         )
 
     def _rollout(self, question: Question, from_nm: Array) -> Array:
-        """Torque of the white box alone at the end of an interval, shape (motor,); NaN where none
-        goes on.
-        """
+        """Torque of the white box alone at the end of an interval, (motor,); NaN: none."""
         axis, ops = self._axis, self._axis.ops
         start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
         length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
@@ -198,10 +195,10 @@ class Predictor:
         if since is not None and since.memory is not None:
             question = replace(question, origin=(_physics_of(since), since.memory))
         torque_nm = self._forecaster.forecast(question)[0]
-        learnt = self.residual.correction
-        if learnt is None or not self.residual.speaks:
+        correction = self.residual.correction
+        if correction is None or not self.residual.speaks:
             return torque_nm
-        path_nm = self._forecaster.path(question, learnt.instants_s(horizon_s))
+        path_nm = self._forecaster.path(question, correction.instants_s(horizon_s))
         return torque_nm + self.residual.along(
             question, path_nm, None if since is None else since.residual_memory
         )
@@ -227,8 +224,8 @@ class Predictor:
         )
         added_nm = None if prediction.physics_nm is None else prediction.torque_nm - physics_nm
         self.residual.remember(added_nm, anew, prediction.residual_memory)
-        started = np.isfinite(prediction.white_box_torque_nm) & ~anew
-        rollout_nm = np.where(started, prediction.white_box_torque_nm, sample.torque_nm)
+        has_prediction = np.isfinite(prediction.white_box_torque_nm) & ~anew
+        rollout_nm = np.where(has_prediction, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
         self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
         # a torque message without its speed must not put NaN into the network's memory or into a
@@ -262,11 +259,11 @@ class Predictor:
         self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """The network, what was learnt beside it, and what its training depends on, of one motor,
-        as arrays.
-        """
-        learnt = {} if self.residual.correction is None else self.residual.correction.arrays()
-        return {**self._forecaster.state(), **learnt, **self.training.state(motor)}
+        """One motor's network, learnt additions, and state of training, as arrays."""
+        residual_arrays = (
+            {} if self.residual.correction is None else self.residual.correction.arrays()
+        )
+        return {**self._forecaster.state(), **residual_arrays, **self.training.state(motor)}
 
     def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave of one motor; training goes on from there.
@@ -285,9 +282,7 @@ class Predictor:
         self.training.restore(arrays, motor)
 
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
-        """Say where an interval leads; None where no motor goes on from a known start under a known
-        voltage.
-        """
+        """Say where an interval leads; None where no motor has a known start and voltage."""
         axis, ops = self._axis, self._axis.ops
         voltage, speed = axis.take(voltage_v), 0.0
         usable = (

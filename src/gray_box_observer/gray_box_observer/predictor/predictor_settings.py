@@ -77,16 +77,12 @@ class TrainingRules:
 
     @property
     def length(self) -> int:
-        """Samples in a training window: half as many again as the context, and these count in the
-        loss.
-        """
+        """Samples in a training window: context and half as many again, which make the loss."""
         return self.context + max(2, self.context // 2)
 
     @property
     def job_samples(self) -> int:
-        """Newest samples that a job carries: all for the thesis's windows, few where they only
-        judge a network.
-        """
+        """Newest samples that a job carries: all for the thesis's windows, else few to judge."""
         return (
             min(RECENT, self.replay_capacity)
             if self.variant is Variant.PHYSICS

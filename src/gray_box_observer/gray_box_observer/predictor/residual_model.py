@@ -1,5 +1,4 @@
-"""What the physics does not know: a correction of the predicted torque, learnt from data and kept
-on a short lead.
+"""What the physics does not know: a bounded correction of the torque, learnt from data.
 
 Cogging, brushes, friction and a rotor that follows leave a residual that no choice of the
 parameters explains. A linear part learns it from voltage, speed, their traces and the current that
@@ -83,9 +82,7 @@ class Correction:
     def inputs(
         self, voltage_v: Array, current_a: Array, steady_a: Array, speed_rad_s: Array
     ) -> Array:
-        """Columns of the network's input, of the shape of the current with an axis of INPUTS
-        behind; bounded.
-        """
+        """The network's input: the current's shape with a last axis INPUTS; bounded."""
         columns = np.empty((*current_a.shape, INPUTS))
         for k, column in enumerate((voltage_v, current_a, steady_a, speed_rad_s)):
             columns[..., k] = column
@@ -95,18 +92,18 @@ class Correction:
         )  # np.clip takes four times as long for one motor
         return inputs
 
-    def current(self, readout: Array, seen: Array) -> Array:
+    def current(self, readout: Array, inputs: Array) -> Array:
         """Return the correction in A: bounded, and faded where few samples were seen.
 
         Args:
             readout: of the network.
-            seen: what it was said of, see
+            inputs: what it was said of, see
                 :func:`~gray_box_observer.predictor.linear_part.features`.
         """
-        at = cells(seen[..., :2] / self.size[:2])
+        at = cells(inputs[..., :2] / self.size[:2])
         samples = self.support[at[..., 1], at[..., 0]]
-        said = self.linear.say(seen) + np.tanh(readout) * samples / (samples + FEW)
-        correction: Array = self.share * self.limit_a * np.minimum(np.maximum(said, -1.0), 1.0)
+        output = self.linear.say(inputs) + np.tanh(readout) * samples / (samples + FEW)
+        correction: Array = self.share * self.limit_a * np.minimum(np.maximum(output, -1.0), 1.0)
         return correction
 
     @property
@@ -126,8 +123,8 @@ class Correction:
         linear = {
             f'linear_{name}': getattr(self.linear, name) for name in LinearPart.__dataclass_fields__
         }
-        named = {**self.weights.arrays(), **linear, **own}
-        return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in named.items()}
+        arrays = {**self.weights.arrays(), **linear, **own}
+        return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in arrays.items()}
 
     @classmethod
     def of(cls, arrays: Mapping[str, Any]) -> Correction | None:
@@ -148,8 +145,7 @@ class Correction:
         return cls(Weights.of(own), linear, own['size'], limit_a, share, own['support'], interval_s)
 
     def instants_s(self, horizon_s: float) -> Array:
-        """Return when it is asked on the way through a horizon: at its own pace, at most ASKED
-        times, and at the end.
+        """Return when to ask it in a horizon: at its own pace, ASKED times at most, at the end.
 
         What it says follows from the last samples, so of a longer way the beginning is left out.
         """
@@ -236,26 +232,24 @@ class ResidualForecaster:
     def correct(
         self, question: Question, torque_nm: Array
     ) -> tuple[Array | None, Recollection | None]:
-        """Return the correction of a forecast torque in N m, shape (motor,), and what has to be
-        remembered with it.
+        """Return the correction of a forecast in N m, shape (motor,), and the memory it leaves.
 
         None where nothing was learnt, or nothing that helps.
         """
-        learnt, memory = self.correction, self._memory
-        if learnt is None or not self.speaks or memory is None:
+        model, memory = self.correction, self._memory
+        if model is None or not self.speaks or memory is None:
             return None, None
-        known = np.isfinite(torque_nm)
-        current: Array = self._white_box.state(np.where(known, torque_nm, 0.0))
+        is_known = np.isfinite(torque_nm)
+        current: Array = self._white_box.state(np.where(is_known, torque_nm, 0.0))
         steady = self._axis.give(question.way.steady_a)
         signals = question.voltage_v, current, steady, question.speed_rad_s
-        readout, network = step(learnt.weights, memory.network, learnt.inputs(*signals))
-        reached = self._followed(question, memory, learnt)
-        correction = self._white_box.output(learnt.current(readout, features(*signals, reached)))
-        return np.where(known, correction, 0.0), Recollection(network, reached)
+        readout, network = step(model.weights, memory.network, model.inputs(*signals))
+        traces = self._followed(question, memory, model)
+        correction = self._white_box.output(model.current(readout, features(*signals, traces)))
+        return np.where(is_known, correction, 0.0), Recollection(network, traces)
 
     def along(self, question: Question, path_nm: Array, memory: Recollection | None) -> Array:
-        """Return the correction at the end of a way through a held voltage in N m, shape (motor,);
-        changes nothing.
+        """Return the correction after a held voltage in N m, shape (motor,); changes nothing.
 
         Args:
             question: what is held, and how long.
@@ -263,26 +257,26 @@ class ResidualForecaster:
                 :meth:`Correction.instants_s`.
             memory: what was remembered before; None: after the last sample.
         """
-        learnt, memory = self.correction, memory or self._memory
-        if learnt is None or memory is None:
+        model, memory = self.correction, memory or self._memory
+        if model is None or memory is None:
             return np.zeros(self._motors)
         current = self._white_box.state(np.nan_to_num(path_nm))
         steady = self._axis.give(question.way.steady_a)
-        held = (
+        signals = (
             np.asarray(signal)[:, None]
             for signal in (question.voltage_v, steady, question.speed_rad_s)
         )
-        voltage_v, steady_a, speed_rad_s = held
-        inputs, network = learnt.inputs(voltage_v, current, steady_a, speed_rad_s), memory.network
+        voltage_v, steady_a, speed_rad_s = signals
+        inputs, network = model.inputs(voltage_v, current, steady_a, speed_rad_s), memory.network
         for k in range(inputs.shape[1]):
-            readout, network = step(learnt.weights, network, inputs[:, k])
+            readout, network = step(model.weights, network, inputs[:, k])
         end = question.voltage_v, current[:, -1], steady, question.speed_rad_s
-        seen = features(*end, self._followed(question, memory, learnt))
-        return self._white_box.output(learnt.current(readout, seen))
+        columns = features(*end, self._followed(question, memory, model))
+        return self._white_box.output(model.current(readout, columns))
 
-    def _followed(self, question: Question, memory: Recollection, learnt: Correction) -> Array:
+    def _followed(self, question: Question, memory: Recollection, model: Correction) -> Array:
         """Traces at the end of an interval."""
-        intervals = question.interval_s / learnt.interval_s
+        intervals = question.interval_s / model.interval_s
         return lag_features.followed(
             memory.traces, question.voltage_v, question.speed_rad_s, intervals
         )
@@ -290,22 +284,20 @@ class ResidualForecaster:
     def remember(
         self, correction_nm: Array | None, anew: Mask, memory: Recollection | None
     ) -> None:
-        """Go on to the next sample, with a blank memory where the signal history starts; None:
-        nothing was added.
-        """
+        """Go on to the next sample, blank at the start of a history; None: nothing was added."""
         memory = self._memory if memory is None else memory  # a history begins without a forecast
         if memory is not None:
             self._memory = memory.cleared(anew)
         if correction_nm is None and not self._square_nm2.any():
             return
-        added = np.zeros(self._motors) if correction_nm is None else np.nan_to_num(correction_nm)
-        self._square_nm2 += (added * added - self._square_nm2) / SIZE_MEMORY
+        correction = (
+            np.zeros(self._motors) if correction_nm is None else np.nan_to_num(correction_nm)
+        )
+        self._square_nm2 += (correction * correction - self._square_nm2) / SIZE_MEMORY
 
     @property
     def size_nm(self) -> Array:
-        """Root mean square of the correction over the last SIZE_MEMORY samples or so in N m, shape
-        (motor,).
-        """
+        """RMS of the correction over about the last SIZE_MEMORY samples in N m, (motor,)."""
         size: Array = np.sqrt(self._square_nm2)
         return size
 
@@ -319,13 +311,13 @@ class ResidualForecaster:
                 nothing was said, nothing was traced, and what the network remembered is long past.
                 None: a history begins.
         """
-        found = Correction.of(arrays)
-        if found is None:
+        model = Correction.of(arrays)
+        if model is None:
             return
-        blank = Recollection.blank(self._motors, found.weights.hidden)
+        blank = Recollection.blank(self._motors, model.weights.hidden)
         before = self._memory if self.speaks and self._memory is not None else blank
-        traced = blank.traces if newest is None else _traced(newest, found.interval_s)
-        self.correction, self._memory = found, Recollection(before.network, traced)
+        traced = blank.traces if newest is None else _traced(newest, model.interval_s)
+        self.correction, self._memory = model, Recollection(before.network, traced)
 
 
 def _traced(newest: Mapping[str, Array], pace_s: float) -> Array:

@@ -1,6 +1,4 @@
-"""Skill of the prediction: errors made before the truth was revealed, against rivals that cost
-nothing.
-"""
+"""Skill of the prediction: errors made before the truth came, against rivals without cost."""
 
 from __future__ import annotations
 
@@ -53,12 +51,10 @@ class Scores:
         self._count = 0
 
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
-        """Score one sample: measured torque and what every rival said, each of shape (motor,); NaN
-        is not scored.
-        """
+        """Score one sample: measured torque and each rival's, (motor,); NaN is not scored."""
         row = self._count % self._window
-        for rival, said in self._said.items():
-            said[row] = predictions[rival]
+        for rival, values in self._said.items():
+            values[row] = predictions[rival]
         self._torque[row] = torque_nm
         self._count += 1
 
@@ -67,7 +63,7 @@ class Scores:
         rows = slice(min(self._count, self._window))
         torque_nm = self._torque[rows, motor].copy()
         errors = {
-            rival: np.abs(said[rows, motor] - torque_nm) for rival, said in self._said.items()
+            rival: np.abs(values[rows, motor] - torque_nm) for rival, values in self._said.items()
         }
         scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
         count = int(scored.sum())

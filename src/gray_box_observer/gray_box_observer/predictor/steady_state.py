@@ -154,10 +154,10 @@ def chord(ops: Any, white_box: WhiteBox, way: Course, state: Any) -> Any:
 
 
 def _chord(ops: Any, balance: Balance, way: Course, state: Any) -> Any:
-    left = state - way.steady_a
-    far = abs(left) > way.near_a
+    distance = state - way.steady_a
+    far = abs(distance) > way.near_a
     gap = gap_v(balance, way.theta, way.voltage_v, balance.signals((state,), way.speed_rad_s))
-    slope = gap / way.theta[0] / ops.where(far, -left, 1.0)
+    slope = gap / way.theta[0] / ops.where(far, -distance, 1.0)
     return ops.maximum(ops.where(far, slope, way.settling), SLOWEST)
 
 
@@ -187,9 +187,7 @@ def flow(
 
 
 def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: Any) -> Any:
-    """As :func:`flow`, for signals of shape (motor,): every motor in as many steps as it would take
-    alone.
-    """
+    """As :func:`flow`, for signals of shape (motor,): each motor in its own number of steps."""
     begin = _begin(ops, white_box, way, state, interval_s)
     counts = ops.maximum(ops.ceil(begin.length / FLOW_STEP), 1.0)
     most = ops.max(counts)
@@ -197,17 +195,16 @@ def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s
         return _followed(ops, white_box, way, begin, int(most))
     end = ops.empty_like(state)
     for count in ops.unique(counts).tolist():
-        which = ops.flatnonzero(counts == count)
-        end[which] = _followed(
-            ops, white_box.of_motors(which), way.of(which), begin.of(which), int(count)
+        motors = ops.flatnonzero(counts == count)
+        end[motors] = _followed(
+            ops, white_box.of_motors(motors), way.of(motors), begin.of(motors), int(count)
         )
     return end
 
 
 @dataclass(frozen=True, slots=True)
 class _Begin:
-    """Where an interval begins: the current, how fast it goes, the fastest rate on the way, and how
-    long that is.
+    """Where an interval begins: the current, its rate, the fastest rate ahead, and the length.
 
     The length is ``log(1 + time * fastest rate)``, which :func:`flow` cuts into steps.
     """
@@ -232,22 +229,24 @@ def _followed(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps: 
     """Current at the end of an interval cut into so many steps."""
     balance = white_box.balances(begin.state)[State.CURRENT]
     distance = begin.state - way.steady_a
-    left, time_s = 0.0 * distance, 0.0 * distance
+    log_ratio, time_s = 0.0 * distance, 0.0 * distance
     for k in range(steps):
         end_s = ops.expm1(begin.length * ((k + 1) / steps)) / begin.fastest
         h, time_s = end_s - time_s, end_s
         k1 = (
             begin.here
             if k == 0
-            else _chord(ops, balance, way, way.steady_a + distance * ops.exp(left))
+            else _chord(ops, balance, way, way.steady_a + distance * ops.exp(log_ratio))
         )
-        k2 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k1))
-        k3 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - 0.5 * h * k2))
-        k4 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(left - h * k3))
-        left = ops.where(left < -ARRIVED, left, left - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
-        if ops.all(left < -ARRIVED):
+        k2 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(log_ratio - 0.5 * h * k1))
+        k3 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(log_ratio - 0.5 * h * k2))
+        k4 = _chord(ops, balance, way, way.steady_a + distance * ops.exp(log_ratio - h * k3))
+        log_ratio = ops.where(
+            log_ratio < -ARRIVED, log_ratio, log_ratio - h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        )
+        if ops.all(log_ratio < -ARRIVED):
             break
-    return begin.state + distance * ops.expm1(left)
+    return begin.state + distance * ops.expm1(log_ratio)
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,10 +323,10 @@ def exponent(ops: Any, interval: Relaxation, readout: Any) -> Any:
         interval: its dimensionless form.
         readout: output of the network; bounded here.
     """
-    moved = 1.0 + ops.expm1(-interval.duration) / interval.duration
+    mean_share = 1.0 + ops.expm1(-interval.duration) / interval.duration
     varies = abs(interval.settling) + abs(interval.halfway)
     answer = ANSWER * ops.tanh(readout / ANSWER)
-    return interval.duration * ops.exp(moved * (interval.settling + varies * answer))
+    return interval.duration * ops.exp(mean_share * (interval.settling + varies * answer))
 
 
 def after(ops: Any, interval: Relaxation, readout: Any) -> Any:

@@ -1,6 +1,4 @@
-"""Variant ``physics`` in streaming: the network carries a predicted current towards where the
-physics leads it.
-"""
+"""Variant ``physics`` in streaming: the network leads a current towards its steady state."""
 
 from __future__ import annotations
 
@@ -17,8 +15,7 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
 class RelaxingForecaster:
-    """See :class:`~gray_box_observer.predictor.forecaster.Forecaster`. Useful from the second
-    sample of a history on.
+    """See `forecaster.Forecaster`. Useful from the second sample of a history on.
 
     Args:
         white_box: the physics.
@@ -51,8 +48,7 @@ class RelaxingForecaster:
         return axis.give(torque_nm), memory
 
     def path(self, question: Question, instants_s: Array) -> Array:
-        """Forecast torques on the way through a held voltage, each in one step from where the motor
-        is.
+        """Forecast torques along a held voltage, each in one step from the motor's state.
 
         Args:
             question: what is held; the length of its interval is left aside.

@@ -59,9 +59,7 @@ def numbers(values: npt.ArrayLike, digits: int = SIGNAL_DIGITS) -> list[float | 
 
 
 def plain(text: str) -> str:
-    """Escape a user's text for plotly.js, which reads a subset of HTML in labels and a `%{` in
-    templates.
-    """
+    """Escape a user's text for plotly.js, which reads some HTML in labels and `%{` templates."""
     return html.escape(text, quote=False).replace('%{', '%&#123;')
 
 
@@ -180,10 +178,10 @@ def largest(values: FloatArray) -> float:
     return float(np.max(np.abs(finite))) if finite.size else 0.0
 
 
-def thinning_note(drawn: Mapping[str, tuple[int, int]]) -> str:
+def thinning_note(counts: Mapping[str, tuple[int, int]]) -> str:
     """Say which series were thinned, from (drawn, of) by name; empty if none was."""
     thin = [
-        f'{name}: {some:,} of {every:,}' for name, (some, every) in drawn.items() if some < every
+        f'{name}: {some:,} of {every:,}' for name, (some, every) in counts.items() if some < every
     ]
     if not thin:
         return ''

@@ -57,16 +57,16 @@ def thinned(
         )
     else:
         bucket = np.arange(count) * buckets // count
-    kept = [np.array([0, count - 1])]
+    places = [np.array([0, count - 1])]
     finite = np.flatnonzero(np.isfinite(value))
     if finite.size:
         order = finite[np.lexsort((value[finite], bucket[finite]))]
         edges = np.flatnonzero(np.diff(bucket[order])) + 1
-        kept.append(order[np.concatenate(([0], edges))])
-        kept.append(order[np.concatenate((edges - 1, [order.size - 1]))])
+        places.append(order[np.concatenate(([0], edges))])
+        places.append(order[np.concatenate((edges - 1, [order.size - 1]))])
     occupied, first = np.unique(bucket, return_index=True)
-    kept.append(first[~np.isin(occupied, bucket[finite])])
-    return np.unique(np.concatenate(kept))
+    places.append(first[~np.isin(occupied, bucket[finite])])
+    return np.unique(np.concatenate(places))
 
 
 def segments(time_s: FloatArray, verdict: Sequence[str]) -> list[Segment]:

@@ -26,7 +26,7 @@ class Scale:
 
 
 def printed_unit(unit: str) -> str:
-    """Write a unit of the code (`V s / (rad A)`, `ohm`) as it is set in print (`V·s/(rad·A)`, `Ω`)."""
+    """Write a unit of the code (`V s / (rad A)`, `ohm`) as in print (`V·s/(rad·A)`, `Ω`)."""
     unit = re.sub(r'\bohm\b', 'Ω', unit.strip())
     unit = re.sub(r'\s*/\s*', '/', unit).replace('^2', '²').replace('**2', '²')
     return re.sub(r'[\s*]+', '·', unit)

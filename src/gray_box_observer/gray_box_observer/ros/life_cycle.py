@@ -27,8 +27,8 @@ def survive_impossible_transitions(node: LifecycleNode) -> None:
         try:
             return change(request, response)
         except rclpy_implementation.RCLError as error:
-            wanted = request.transition.label or request.transition.id
-            node.get_logger().warning(f'no transition {wanted} from here: {error}')
+            transition_name = request.transition.label or request.transition.id
+            node.get_logger().warning(f'no transition {transition_name} from here: {error}')
             response.success = False
             return response
 

@@ -1,6 +1,4 @@
-"""Parameters of a node that are declared as a list: on the node, read-only, and in the text of its
-``--help``.
-"""
+"""Parameters in a list: declared on the node, read-only, and in the text of ``--help``."""
 
 from __future__ import annotations
 
@@ -30,16 +28,16 @@ def declare(
         ConfigurationError: a value of the wrong type or out of its range, or a name that nobody
             declared.
     """
-    given = {
+    overrides = {
         name: parameter.value
         for name, parameter in getattr(node, '_parameter_overrides', {}).items()
     }
-    given.update(preceding or {})
-    values = {spec.name: spec.check(given.get(spec.name, spec.default)) for spec in specs}
+    overrides.update(preceding or {})
+    values = {spec.name: spec.check(overrides.get(spec.name, spec.default)) for spec in specs}
     for spec in specs:  # rclpy refuses 1 for 1.0, so what was checked is declared
         node.declare_parameter(spec.name, values[spec.name], describe(spec), ignore_override=True)
-    unknown = sorted(name for name in given if not node.has_parameter(name))
-    settle(node, unknown, lambda _: values)
+    unknown_names = sorted(name for name in overrides if not node.has_parameter(name))
+    settle(node, unknown_names, lambda _: values)
     return values
 
 

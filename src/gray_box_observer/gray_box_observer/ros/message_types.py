@@ -15,14 +15,12 @@ _TEXT = re.compile(r'w?string(<\d+>)?')
 
 
 def message_class(type_name: str) -> Any | None:
-    """Return the Python class of ``package/msg/Name``; None where this environment does not have
-    it.
-    """
-    found = _TYPE_NAME.match(type_name)
-    if found is None:
+    """Return the Python class of ``package/msg/Name``; None where it is not installed."""
+    match = _TYPE_NAME.match(type_name)
+    if match is None:
         return None
     try:
-        return getattr(importlib.import_module(f'{found[1]}.msg'), found[2], None)
+        return getattr(importlib.import_module(f'{match[1]}.msg'), match[2], None)
     except ImportError:
         return None
 
@@ -34,29 +32,29 @@ def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
         kind: message class.
         steps: names of fields, and indices.
     """
-    walked, held = kind.__name__, kind
+    walked, field_type = kind.__name__, kind
     for step in steps:
-        array = _ARRAY.fullmatch(held) if isinstance(held, str) else None
+        array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
         if isinstance(step, int):
             if array is None:
                 return f'{walked} is no array, so there is no [{step}]'
             most = array['count'] or array['most']
             if most is not None and step >= int(most):
                 return f'{walked} has at most {most} values, so there is no [{step}]'
-            held = _known(array['held'] or array['kind'])
+            field_type = _known(array['held'] or array['kind'])
             walked += f'[{step}]'
             continue
         if array is not None:
             return f'{walked} is an array, so there is no field {step!r}: add an index'
-        if isinstance(held, str):
+        if isinstance(field_type, str):
             return f'{walked} is a single value, so there is no field {step!r}'
-        fields = held.get_fields_and_field_types()
+        fields = field_type.get_fields_and_field_types()
         if step not in fields:
             return f'{walked} has no field {step!r}; there are: {", ".join(fields)}'
-        held = _known(fields[step])
+        field_type = _known(fields[step])
         walked += f'.{step}'
-    array = _ARRAY.fullmatch(held) if isinstance(held, str) else None
-    last = held if array is None else _known(array['held'] or array['kind'])
+    array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
+    last = field_type if array is None else _known(array['held'] or array['kind'])
     if not isinstance(last, str):
         return f'{walked} holds no numbers; it has: {", ".join(last.get_fields_and_field_types())}'
     return f'{walked} holds text, no numbers' if _TEXT.fullmatch(last) else ''

@@ -1,6 +1,4 @@
-"""What :mod:`gray_box_observer.settings.parameters` lists, on a node: declared, checked as a set,
-changed while it runs.
-"""
+"""The parameters of `settings.parameters` on a node: declared, checked, changed."""
 
 from __future__ import annotations
 
@@ -26,30 +24,29 @@ from gray_box_observer.settings.parameters import (
 
 
 def declare(node: Node) -> Configuration:
-    """Declare every parameter on the node, with description, range and read-only flag, and check
-    them as a set.
+    """Declare every parameter with description, range and read-only flag; check the set.
 
     Raises:
         ConfigurationError: a value of the wrong type or out of its range, values that do not fit
             together, or a name that nobody declared.
     """
-    given = {
+    flat_values = {
         name: parameter.value
         for name, parameter in getattr(node, '_parameter_overrides', {}).items()
     }
-    configuration = Configuration.from_flat(given)
-    declared = [
+    configuration = Configuration.from_flat(flat_values)
+    declarations = [
         (spec.name, configuration[spec.name], describe(spec)) for spec in OBSERVER_PARAMETERS
     ]
     described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
     for name, motor in configuration.motors.items():
-        declared += [
+        declarations += [
             (f'{name}.{own}', motor.values[own], descriptor)
             for own, descriptor in described.items()
         ]
     # rclpy refuses 1 for 1.0, so what was given is read and checked as identify does, and declared
     # as it was understood
-    node.declare_parameters('', declared, ignore_override=True)
+    node.declare_parameters('', declarations, ignore_override=True)
     settle(node, configuration.unknown, configuration.alike)
     return configuration
 
@@ -59,7 +56,7 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.description, read_only=not spec.live)
     if spec.choices:
         descriptor.additional_constraints = f'one of: {", ".join(spec.choices)}'
-    if spec.words:  # a number or a word: the type is settled by configuration.py, and a range would refuse the word
+    if spec.words:  # a number or a word: configuration.py checks it, for a range refuses words
         descriptor.dynamic_typing = True
         words = ' or '.join(spec.words)
         descriptor.additional_constraints = (
@@ -82,8 +79,7 @@ def describe(spec: ParameterSpec) -> ParameterDescriptor:
 
 
 class LiveParameters:
-    """Lets parameters change while the node runs: all that are set at once are checked as a set,
-    then take effect.
+    """Lets parameters change while the node runs: a set is checked, then takes effect.
 
     Args:
         node: the node.
@@ -113,10 +109,10 @@ class LiveParameters:
         return SetParametersResult(successful=True)
 
     def _take_over(self, parameters: list[Parameter]) -> None:
-        changed = self._changed(parameters)
-        if changed != self._configuration:
-            self._configuration = changed
-            self._apply(changed)
+        configuration = self._changed(parameters)
+        if configuration != self._configuration:
+            self._configuration = configuration
+            self._apply(configuration)
 
     def _changed(self, parameters: list[Parameter]) -> Configuration:
         return self._configuration.changed(

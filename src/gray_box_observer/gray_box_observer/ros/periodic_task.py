@@ -1,6 +1,4 @@
-"""Work that comes round by the clock: it shall keep no message waiting, and messages shall not
-crowd it out.
-"""
+"""Periodic work that delays no message, and that no stream of messages crowds out."""
 
 from __future__ import annotations
 
@@ -16,8 +14,7 @@ one is near."""
 
 
 class Chore:
-    """Something to do every so often: right after a message, while the next is far; by the timer
-    where none come.
+    """A periodic task: runs after a message while the next is far, or by a timer if none come.
 
     A timer knows nothing of messages: what it does just before one comes keeps that one waiting.
     And the events executor of rclpy 7.1 serves messages and timers in the order in which they came,
@@ -45,8 +42,7 @@ class Chore:
         self._action()
 
     def ring(self) -> None:
-        """Do it, or leave it to the messages, where one is near and none failed to come last time;
-        for the timer.
+        """For the timer: run, or leave it to messages if one is near and none stayed away.
 
         A timer that has fallen behind finds it done: not once more for that.
         """
@@ -66,8 +62,8 @@ class Chore:
                 (messages that lead to nothing), it is not waited for.
         """
         self._met_s = time.monotonic()
-        due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
-        if not due and self._met_s - self._done_s <= LATE * self._period_s:
+        is_due = self._left_s is not None and (quiet or self._met_s - self._left_s >= self._near_s)
+        if not is_due and self._met_s - self._done_s <= LATE * self._period_s:
             return False
         self.do()
         return True

@@ -1,5 +1,4 @@
-"""Endpoints whose quality of service a user may override, topic by topic, as rclcpp and rclpy name
-it.
+"""Endpoints whose quality of service users may override, named as rclcpp and rclpy do.
 
 ``qos_overrides./motor/voltage.subscription.reliability: best_effort`` and the like; see
 :data:`POLICIES`.
@@ -117,7 +116,7 @@ def _with_overrides(create: Callable[[QoSProfile], Any], topic: str, qos: QoSPro
 
 def unused_overrides(node: Node) -> list[str]:
     """Name the overrides that were given for topics that the node does not have."""
-    given = getattr(node, '_parameter_overrides', {})
+    overrides = getattr(node, '_parameter_overrides', {})
     return sorted(
-        name for name in given if name.startswith(PREFIX) and not node.has_parameter(name)
+        name for name in overrides if name.startswith(PREFIX) and not node.has_parameter(name)
     )

@@ -1,5 +1,4 @@
-"""Starting, spinning and ending a node the same way everywhere: signals, exit codes, one-line
-errors.
+"""Starting, spinning and ending a node: signals, exit codes and one-line errors.
 
 An executable of this package ends with 0 when it finished or was asked to end (SIGINT, SIGTERM,
 SIGHUP), and with 2 and one line on stderr when the user must change something. All else is a defect
@@ -70,9 +69,9 @@ class Stop:
         with self._lock:
             self.error = self.error or error
             self._requested = True
-            waiting = self._waiting
-        if waiting is not None and not waiting.done():
-            waiting.set_result(None)
+            future = self._waiting
+        if future is not None and not future.done():
+            future.set_result(None)
 
     @property
     def requested(self) -> bool:
@@ -80,9 +79,7 @@ class Stop:
         return self._requested
 
     def future(self) -> Future:
-        """A fresh future that completes when the end is asked for; it replaces the one handed out
-        before.
-        """
+        """Return a fresh future that completes at the end; it replaces the previous one."""
         with self._lock:
             self._waiting = Future()
             if self._requested:
@@ -109,9 +106,7 @@ def parse_arguments(
 
 
 def make_executor() -> Executor:
-    """The fastest single-threaded executor of this rclpy: the events executor carries twice the
-    rate.
-    """
+    """The fastest single-threaded executor of this rclpy: the events executor, twice the rate."""
     try:
         from rclpy.experimental import EventsExecutor
     except ImportError:
@@ -168,8 +163,7 @@ def run_node(
 
 
 def _check_parameter_files(args: Sequence[str]) -> None:
-    """Read the parameter files of the command line before rcl does, which waits for pipes and lets
-    keys stand twice.
+    """Read the parameter files before rcl, which waits for pipes and accepts repeated keys.
 
     Raises:
         InputError: One of them cannot be read, or is no plain YAML.
@@ -231,8 +225,7 @@ def _one_line(error: BaseException) -> str:
 
 @contextmanager
 def _signals_to(stop: Stop) -> Iterator[None]:
-    """Turn SIGINT, SIGTERM and SIGHUP into ``stop()`` at once, even while the main thread waits
-    inside rmw.
+    """Turn SIGINT, SIGTERM and SIGHUP into ``stop()`` at once, even inside a wait of rmw.
 
     Python runs its signal handlers only between byte codes of the main thread, which may sleep in C
     for long; the wake-up descriptor is written by the handler in C itself, so a thread that reads
@@ -266,8 +259,8 @@ def _signals_to(stop: Stop) -> Iterator[None]:
 
 def _listen(descriptor: socket.socket, stop: Stop) -> None:
     first_s: float | None = None
-    while received := descriptor.recv(1):
-        number = received[0]
+    while signal_bytes := descriptor.recv(1):
+        number = signal_bytes[0]
         now_s = time.monotonic()
         if first_s is None:
             first_s = now_s

@@ -26,9 +26,7 @@ DIAGNOSTICS_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: relative name (``{motor}`` and ``{parameter}`` stand for their names), type, QoS
-    and content.
-    """
+    """One topic: relative name with ``{motor}`` and ``{parameter}``, type, QoS and content."""
 
     name: str
     type: type

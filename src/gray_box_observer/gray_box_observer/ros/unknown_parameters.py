@@ -24,32 +24,32 @@ _OPTIONS = ('-p', '--param')
 
 
 def settle(
-    node: Node, unknown: Sequence[str], known: Known, args: Sequence[str] | None = None
+    node: Node, unknown_names: Sequence[str], valid_names: Known, args: Sequence[str] | None = None
 ) -> None:
     """Refuse unknown parameters, or warn of them.
 
     Args:
         node: to which they were given.
-        unknown: their names.
-        known: gives the names that each may have been meant for.
+        unknown_names: their names.
+        valid_names: gives the names that each may have been meant for.
         args: the command line; None for the process's own.
 
     Raises:
         ConfigurationError: one of them was meant for this node.
     """
-    said = _on_command_line(sys.argv if args is None else args)
+    command_line_names = _on_command_line(sys.argv if args is None else args)
     slips = {
-        name: nearest(name, known(name))
-        for name in unknown
-        if name in said or slip_of(name, known(name))
+        name: nearest(name, valid_names(name))
+        for name in unknown_names
+        if name in command_line_names or slip_of(name, valid_names(name))
     }
     if slips:
         kind = 'parameters' if len(slips) > 1 else 'a parameter'
         raise ConfigurationError(
             printable(f'not {kind} of this node: {in_words(slips)}; --help lists them')
         )
-    if unknown:
-        names = in_words(dict.fromkeys(unknown, ''))
+    if unknown_names:
+        names = in_words(dict.fromkeys(unknown_names, ''))
         node.get_logger().warning(
             printable(f'not of this node, ignored: {names}; --help lists its parameters')
         )

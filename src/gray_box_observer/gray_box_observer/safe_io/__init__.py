@@ -1,3 +1,1 @@
-"""Text, files and names from outside, read within bounds and written whole or not at all. Read
-`atomic_write.py` first.
-"""
+"""Bounded reading and atomic writing of foreign text and files. Read `atomic_write.py` first."""

@@ -1,5 +1,4 @@
-"""Files that are written as a whole or not at all: beside their place, under a name that nobody can
-guess.
+"""Files written whole or not at all: first beside their place, under an unguessable name.
 
 A reader never sees half a file, a crash leaves the old one. Nothing is ever written through a link
 that somebody has laid there: the file that is not whole yet is made exclusively, and a link in the
@@ -33,8 +32,7 @@ _EXCLUSIVE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 @contextmanager
 def atomic_write(path: Path, *, private: bool = False, durable: bool = False) -> Iterator[BinaryIO]:
-    """Open a new file that takes the place of ``path`` when the block ends; where it fails, the old
-    file stays.
+    """Open a new file that replaces ``path`` at the block's end; on failure the old one stays.
 
     Args:
         path: where the file shall stand, in a folder that is there.
@@ -80,9 +78,7 @@ def _refuse_special(path: Path) -> None:
 
 
 def _sweep(path: Path) -> None:
-    """Remove what writers of this file have left that were killed; a young one may still be
-    written.
-    """
+    """Remove what killed writers of this file have left; a young one may still be in use."""
     pattern = re.compile(
         rf'\.{re.escape(path.name)}\.[0-9a-f]{{{2 * SECRET_BYTES}}}{re.escape(PARTIAL)}'
     )

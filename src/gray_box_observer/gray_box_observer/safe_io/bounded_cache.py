@@ -19,8 +19,7 @@ NAME_BYTES = 64
 
 
 class BoundedCache(dict[K, V]):
-    """Values by key, bounded in number and in bytes; where either is exceeded, all is forgotten and
-    begins anew.
+    """Values by key, bounded in number and bytes; beyond either, all are forgotten.
 
     Whoever sends the same keeps being remembered. What is another every time is worked out anew
     every time, which is what it costs without a memory.

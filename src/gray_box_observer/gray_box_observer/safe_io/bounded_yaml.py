@@ -1,5 +1,4 @@
-"""YAML read as data alone, within bounds: what parameters, truths, mappings and the metadata of
-bags are written in.
+"""YAML read as data alone, within bounds: parameters, truths, mappings, metadata of bags.
 
 Scalars, lists and groups are all that is built, from the parser's events and without recursion.
 Anchors, aliases, merge keys, tags and second documents are refused, for a few bytes of them can
@@ -138,9 +137,7 @@ def _refuse_reference(event: yaml.NodeEvent) -> None:
 
 
 def _put(node: _Open, value: Any, event: yaml.NodeEvent) -> None:
-    """Put a value where it belongs: behind the others of a list, or under the key that waits for
-    it.
-    """
+    """Put a value where it belongs: at the end of a list, or under the waiting key."""
     if isinstance(node.content, list):
         node.content.append(value)
     elif node.key is not None:
@@ -184,13 +181,13 @@ def _value(event: yaml.ScalarEvent) -> Any:
     return text
 
 
-def _refusal(event: yaml.Event, what: str) -> InputError:
+def _refusal(event: yaml.Event, complaint: str) -> InputError:
     mark = event.start_mark
     where = f'line {mark.line + 1}: ' if mark is not None else ''
-    return InputError(f'{where}{what}')
+    return InputError(f'{where}{complaint}')
 
 
 def _shown(text: object) -> str:
     """Text from the file for a message: short, and without signs that a terminal would obey."""
-    written = repr(str(text))[1:-1]
-    return written if len(written) <= _SHOWN else f'{written[:_SHOWN]}...'
+    printable_text = repr(str(text))[1:-1]
+    return printable_text if len(printable_text) <= _SHOWN else f'{printable_text[:_SHOWN]}...'

@@ -1,6 +1,4 @@
-"""Numbers for people and programs: what is not finite is said to be not known, wherever it is
-written.
-"""
+"""Numbers for people and programs: one that is not finite is written as not known."""
 
 from __future__ import annotations
 
@@ -38,7 +36,7 @@ def plain(tree: Any) -> Any:
     return [plain(value) for value in tree]
 
 
-def words_of(value: float | None, form: str = '.6g', unknown: str = 'not known') -> str:
+def words_of(value: float | None, form: str = '.6g', placeholder: str = 'not known') -> str:
     """Return a number as text, or words where it is not known."""
     number = finite_or_none(value)
-    return unknown if number is None else format(number, form)
+    return placeholder if number is None else format(number, form)

@@ -1,6 +1,4 @@
-"""Opening what a user names as an input: regular files of bounded size, and nothing that could wait
-or never end.
-"""
+"""Opens a user's input: regular files of bounded size, nothing that waits or never ends."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Numbers as instruments write them; Python's own readers also take ``1_2`` for 12, and digits of
-any script.
-"""
+"""Numbers as instruments write them, without Python's ``1_2`` or digits of other scripts."""
 
 from __future__ import annotations
 
@@ -21,8 +19,7 @@ class NumberError(ValueError, argparse.ArgumentTypeError):
 
 
 def parse_float(text: str) -> float:
-    """The number that a text writes with ASCII digits and a decimal point; ``nan`` and ``inf`` are
-    numbers too.
+    """The number in ASCII digits with a decimal point; ``nan`` and ``inf`` are numbers too.
 
     Raises:
         NumberError: It writes none.

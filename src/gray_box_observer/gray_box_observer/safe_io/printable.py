@@ -1,5 +1,4 @@
-"""Text from outside as it may be shown: what is no printable character stands as an escape, and
-nothing obeys it.
+"""Foreign text as it may be shown: unprintable characters are escaped, nothing is obeyed.
 
 Names of motors, topics and files, and errors that quote them, come from bags and networks. A
 terminal would take control characters in them for orders, a log a line feed for the next entry.

@@ -1,5 +1,4 @@
-"""What a saved state must be like before anything of it is believed: names, shapes, types, ranges,
-definiteness.
+"""Checks of a saved state before it is believed: names, shapes, types, ranges, definiteness.
 
 A checksum says that a checkpoint is what was written, not that it makes sense: anybody can write
 one. Every class that has a state declares its rules beside it and asks here, when it is given one
@@ -102,32 +101,32 @@ def check_array(name: str, array: Any, rule: ArrayRule) -> None:
     Raises:
         CheckpointError: it is missing or breaks the rule.
     """
-    shown = printable(name, 80)
+    label = printable(name, 80)
     if array is None:
-        raise CheckpointError(f'{shown} is missing')
+        raise CheckpointError(f'{label} is missing')
     if array.dtype.name != rule.dtype:
-        raise CheckpointError(f'{shown} is of type {array.dtype}, expected {rule.dtype}')
+        raise CheckpointError(f'{label} is of type {array.dtype}, expected {rule.dtype}')
     fits = len(array.shape) == len(rule.shape)
     if not fits or any(
         want not in (None, size) for size, want in zip(array.shape, rule.shape, strict=True)
     ):
-        expected = ', '.join('any' if size is None else str(size) for size in rule.shape)
-        raise CheckpointError(f'{shown} is of shape {array.shape}, expected ({expected})')
+        shape_text = ', '.join('any' if size is None else str(size) for size in rule.shape)
+        raise CheckpointError(f'{label} is of shape {array.shape}, expected ({shape_text})')
     if not array.size or rule.dtype == FLAG:
         return
     low, high = float(np.fmin.reduce(array, axis=None)), float(np.fmax.reduce(array, axis=None))
     if rule.dtype in (FLOAT, SINGLE):
         if not rule.blank and np.isnan(array).any():
-            raise CheckpointError(f'{shown} holds what is no number')
+            raise CheckpointError(f'{label} holds what is no number')
         if math.isnan(low):  # nothing else
             return
         if not rule.endless and not (math.isfinite(low) and math.isfinite(high)):
-            raise CheckpointError(f'{shown} is not finite')
+            raise CheckpointError(f'{label} is not finite')
     if (low < rule.low and not (rule.endless and low == -math.inf)) or (
         high > rule.high and not (rule.endless and high == math.inf)
     ):
         worst = low if low < rule.low else high
-        raise CheckpointError(f'{shown} holds {worst:.6g}, expected {rule.low:g} to {rule.high:g}')
+        raise CheckpointError(f'{label} holds {worst:.6g}, expected {rule.low:g} to {rule.high:g}')
 
 
 def check_covariance(name: str, covariance: Array, *, certain: bool = True) -> None:
@@ -240,8 +239,7 @@ def check_generator(plain: Any) -> None:
 
 
 def check_words(arrays: Mapping[str, Any], name: str) -> None:
-    """Refuse what is no state of a generator as words, see
-    :mod:`~gray_box_observer.predictor.training.random_state`.
+    """Refuse what is not a generator's state in words; see `predictor.training.random_state`.
 
     Raises:
         CheckpointError: it is none.

@@ -1,4 +1,4 @@
-"""Samples: what comes in, how voltage and torque are paired by stamp, and what is refused and why."""
+"""Samples: how voltage and torque are paired by stamp, and what is refused and why."""
 
 from gray_box_observer.samples.pairing import Pairing
 from gray_box_observer.samples.raw_history import RawHistory

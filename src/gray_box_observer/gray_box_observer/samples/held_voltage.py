@@ -80,9 +80,7 @@ class HeldVoltage:
 
     @property
     def patience_s(self) -> float:
-        """For how long a voltage, of one motor of a group, may be missing before it is overdue, in
-        s.
-        """
+        """How long a voltage of one motor of a group may be missing before it is overdue, s."""
         return self._rhythm.silence_s if self._rhythm.regular else math.inf
 
     def take(self, stamp_ns: int, voltage_v: Any) -> None:
@@ -107,9 +105,7 @@ class HeldVoltage:
         self._pauses -= pause is not None
 
     def mean(self, start_ns: int, end_ns: int) -> Any:
-        """Mean of the voltage over an interval that begins with the last torque, where it was
-        known.
-        """
+        """Mean voltage over an interval from the last torque on, where it was known."""
         held_v, cursor_ns, integral_vns = self._held_v, start_ns, 0.0
         for since_ns, voltage_v, _ in self._coming:
             if since_ns >= end_ns:
@@ -123,8 +119,7 @@ class HeldVoltage:
         return (integral_vns + held_v * (end_ns - cursor_ns)) / (end_ns - start_ns)
 
     def unknown_until_ns(self, start_ns: int, end_ns: int, torque: Rhythm) -> int | None:
-        """Return when voltage is known again where it was not between two torques; None: it always
-        was.
+        """Return when voltage is known again between two torques; None: it always was.
 
         Later than the second of them where no voltage has come by then. A voltage that is old while
         torque comes was not changed, unless it always came regularly and is overdue. What it is
@@ -147,12 +142,12 @@ class HeldVoltage:
             return until_ns
         return end_ns + 1 if rhythm.silent(seconds(end_ns - since_ns)) else until_ns
 
-    def step_to(self, stamp_ns: int, *, lost: bool) -> tuple[Any, Any]:
+    def step_to(self, stamp_ns: int, *, is_lost: bool) -> tuple[Any, Any]:
         """Go on to the stamp of a torque.
 
         Args:
             stamp_ns: the stamp.
-            lost: nobody knows any more what is in force there.
+            is_lost: nobody knows any more what is in force there.
 
         Returns:
             The voltage in force before the stamp, and one that begins there; blank where there is
@@ -160,7 +155,7 @@ class HeldVoltage:
         """
         while self._coming and self._coming[0][0] < stamp_ns:
             self._hold_next()
-        if lost:
+        if is_lost:
             self._held_v = self._blank
         begins = bool(self._coming) and self._coming[0][0] == stamp_ns
         return self._held_v, self._coming[0][1] if begins else self._blank

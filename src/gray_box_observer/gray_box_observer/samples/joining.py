@@ -1,5 +1,4 @@
-"""What the values of a message decide: which are used, and what sample they make with the voltage
-held before.
+"""What a message's values decide: which are used, and what sample the held voltage makes.
 
 Two forms with one meaning: a single motor in plain floats (an array of one costs ten times as much
 an operation), and a group in arrays. A motor of the group whose value cannot be used is absent from
@@ -51,43 +50,32 @@ class Joining(Protocol):
     def usable(self, signal: str, value: float) -> bool:
         """Whether a plain number can be used; counted where not."""
 
-    def voltage(self, voltage_v: Any, missing: Missing) -> Any:
-        """Return the voltage as far as it can be used, NaN in place of what cannot; None where
-        nothing can.
-        """
+    def voltage(self, voltage_v: Any, absent: Missing) -> Any:
+        """Return the usable voltage, NaN in place of the rest; None where nothing is usable."""
 
     def filled(self, stamp_ns: int, voltage_v: Any, voltages: HeldVoltage) -> Any:
-        """Return a voltage with that before it in place of what cannot be used, NaN where that is
-        overdue.
-        """
+        """Return a voltage with unusable values from the one before, NaN where overdue."""
 
     def refuse(self, signal: str, reason: Rejection, values: Any) -> None:
-        """Count a message as refused, for those motors of which it says something that could be
-        used.
-        """
+        """Count a message as refused, for the motors of which it holds usable values."""
 
     def one(self, values: Any, motor: int) -> float:
         """Return the value of one motor."""
 
-    def torque(self, torque_nm: Any, speed_rad_s: Any, missing: Missing) -> Any:
-        """Return the torque as far as it can be used, NaN in place of what cannot; None where
-        nothing can.
-        """
+    def torque(self, torque_nm: Any, speed_rad_s: Any, absent: Missing) -> Any:
+        """Return the usable torque, NaN in place of the rest; None where nothing is usable."""
 
     def with_speed(self, torque_nm: Any, speed_rad_s: Any) -> Any:
         """Return the torque of what came with its speed; None where nothing did."""
 
     def ahead(self, passed_ns: int, mean_v: Any, gap_ns: int) -> tuple[Any, Any]:
-        """Return interval in s and mean voltage in V since the last sample; an interval of 0 where
-        none leads there.
-        """
+        """Return interval in s and mean voltage in V since the last sample; 0: none leads here."""
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any], torque_nm: Any,
-        speed_rad_s: Any, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Any, held_v: tuple[Any, Any],
+        torque_nm: Any, speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
-        """Make a sample, of finite numbers; None where nothing is known of any motor, which is
-        counted.
+        """Make a sample of finite numbers; None, counted, where no motor is known.
 
         Args:
             stamp_ns: of the torque.
@@ -116,13 +104,13 @@ class OneMotor:
     """A single motor, in plain floats.
 
     Args:
-        refused: counts what is refused.
+        refusal_counts: counts what is refused.
     """
 
     blank = math.nan
 
-    def __init__(self, refused: Refused) -> None:
-        self._refused = refused
+    def __init__(self, refusal_counts: Refused) -> None:
+        self._refused = refusal_counts
 
     def restart(self) -> None:
         """Nothing is owed to a single motor."""
@@ -136,7 +124,7 @@ class OneMotor:
         ] += 1
         return False
 
-    def voltage(self, voltage_v: float, missing: Missing) -> float | None:
+    def voltage(self, voltage_v: float, absent: Missing) -> float | None:
         """See :class:`Joining`."""
         return voltage_v if self.usable('voltage', voltage_v) else None
 
@@ -152,7 +140,7 @@ class OneMotor:
         """See :class:`Joining`."""
         return values
 
-    def torque(self, torque_nm: float, speed_rad_s: float, missing: Missing) -> float | None:
+    def torque(self, torque_nm: float, speed_rad_s: float, absent: Missing) -> float | None:
         """See :class:`Joining`."""
         good = self.usable('torque', torque_nm) and (
             math.isnan(speed_rad_s) or self.usable('torque', speed_rad_s)
@@ -171,8 +159,8 @@ class OneMotor:
         return seconds(passed_ns), mean_v
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float], torque_nm: float,
-        speed_rad_s: float, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: float, held_v: tuple[float, float],
+        torque_nm: float, speed_rad_s: float, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         if passed_ns is not None and not math.isnan(mean_v):
@@ -233,26 +221,26 @@ class ManyMotors:
         """Signals with a topic of their own come to single motors only."""
         raise NotImplementedError
 
-    def voltage(self, voltage_v: Array, missing: Missing) -> Array | None:
+    def voltage(self, voltage_v: Array, absent: Missing) -> Array | None:
         """See :class:`Joining`."""
         good = np.abs(voltage_v) <= ABSURD_MAGNITUDE  # NaN is not
-        if missing is None and np.all(good):
+        if absent is None and np.all(good):
             return voltage_v
-        self._count_bad(voltage_v, good, 'voltage', missing)
+        self._count_bad(voltage_v, good, 'voltage', absent)
         return np.where(good, voltage_v, np.nan) if np.any(good) else None
 
     def filled(self, stamp_ns: int, voltage_v: Array, voltages: HeldVoltage) -> Array:
         """See :class:`Joining`."""
-        unknown = np.isnan(voltage_v)
-        if not unknown.any():
+        is_unknown = np.isnan(voltage_v)
+        if not is_unknown.any():
             self._told_ns = stamp_ns
             return voltage_v
-        self._told_ns = np.where(unknown, self._told_ns, stamp_ns)
-        overdue = unknown & (
+        self._told_ns = np.where(is_unknown, self._told_ns, stamp_ns)
+        overdue = is_unknown & (
             (stamp_ns - self._told_ns) / NANOSECONDS_PER_SECOND > voltages.patience_s
         )
         self._regular = self._regular and not overdue.any()
-        return np.where(unknown, np.where(overdue, np.nan, voltages.newest_v), voltage_v)
+        return np.where(is_unknown, np.where(overdue, np.nan, voltages.newest_v), voltage_v)
 
     def refuse(self, signal: str, reason: Rejection, values: Array) -> None:
         """See :class:`Joining`."""
@@ -262,25 +250,25 @@ class ManyMotors:
         """See :class:`Joining`."""
         return float(values[motor])
 
-    def torque(self, torque_nm: Array, speed_rad_s: Any, missing: Missing) -> Array | None:
+    def torque(self, torque_nm: Array, speed_rad_s: Any, absent: Missing) -> Array | None:
         """See :class:`Joining`."""
         good = np.abs(torque_nm) <= ABSURD_MAGNITUDE
         fast = np.abs(speed_rad_s) > ABSURD_MAGNITUDE  # NaN, where none is measured, is not
-        if missing is None and np.all(good) and not np.any(fast):
+        if absent is None and np.all(good) and not np.any(fast):
             return torque_nm
-        self._count_bad(torque_nm, good, 'torque', missing)
+        self._count_bad(torque_nm, good, 'torque', absent)
         if np.any(fast & good):
             self._count_bad(speed_rad_s, ~fast | ~good, 'torque', None)
         good = good & ~fast
         return np.where(good, torque_nm, np.nan) if np.any(good) else None
 
     def _count_bad(
-        self, values: Array, good: NDArray[np.bool_], signal: str, missing: Missing
+        self, values: Array, good: NDArray[np.bool_], signal: str, absent: Missing
     ) -> None:
         bad = ~good
-        if missing is not None:
-            self._missed[signal] += missing
-            bad &= ~missing
+        if absent is not None:
+            self._missed[signal] += absent
+            bad &= ~absent
         finite = np.isfinite(values)
         self._own[signal][Rejection.NON_FINITE] += bad & ~finite
         self._own[signal][Rejection.ABSURD] += bad & finite
@@ -308,8 +296,8 @@ class ManyMotors:
         return np.where(self._owed_ns == 0, mean_v, owing)
 
     def join(
-        self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array], torque_nm: Array,
-        speed_rad_s: Any, gap_ns: int,
+        self, stamp_ns: int, passed_ns: int | None, mean_v: Array, held_v: tuple[Array, Array],
+        torque_nm: Array, speed_rad_s: Any, gap_ns: int,
     ) -> Sample | None:  # fmt: skip
         """See :class:`Joining`."""
         speed = speed_rad_s if isinstance(speed_rad_s, np.ndarray) else self.blank
@@ -347,12 +335,12 @@ class ManyMotors:
 
     def refused(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        told: Refused = {'speed': Counter()}
+        refusal_counts: Refused = {'speed': Counter()}
         for signal, counts in self._own.items():
-            told[signal] = Counter(
+            refusal_counts[signal] = Counter(
                 {reason: int(count[motor]) for reason, count in counts.items() if count[motor]}
             )
-        return told
+        return refusal_counts
 
     def missed(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
@@ -367,9 +355,13 @@ class ManyMotors:
         for signal, by_reason in self._own.items():
             for reason in by_reason:
                 by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
-        received = np.array([(of.received_voltage, of.received_torque) for of in counts])
+        received_counts = np.array([(of.received_voltage, of.received_torque) for of in counts])
         self._missed = dict(
-            zip(('voltage', 'torque'), (received.max(axis=0) - received).T, strict=True)
+            zip(
+                ('voltage', 'torque'),
+                (received_counts.max(axis=0) - received_counts).T,
+                strict=True,
+            )
         )
-        used = np.array([of.used for of in counts])
-        self._lost = used.max() - used
+        used_counts = np.array([of.used for of in counts])
+        self._lost = used_counts.max() - used_counts

@@ -60,8 +60,8 @@ def quantisation_step(readings: Array) -> Array:
     Returns:
         Shape (motor,): the step, in the unit of the readings; 0 where there is none to be seen.
     """
-    ordered = np.sort(readings, axis=1)
-    repeated = np.sum(np.diff(ordered, axis=1) == 0.0, axis=1) >= max(
+    sorted_readings = np.sort(readings, axis=1)
+    repeated = np.sum(np.diff(sorted_readings, axis=1) == 0.0, axis=1) >= max(
         2.0, REPEATED * readings.shape[1]
     )
     step = np.zeros(readings.shape[0])
@@ -90,9 +90,7 @@ def _step(readings: Array) -> float:
 
 
 def _refined(distances: Array, step: float) -> float:
-    """The step again, from distances of more and more steps: what rounding has put into one is
-    averaged out.
-    """
+    """The step again, from distances of ever more steps, which averages the rounding out."""
     for reach in (1.5, 8.0, 64.0, 512.0):
         near = distances[(distances > 0.5 * step) & (distances < reach * step)]
         if near.size:

@@ -31,8 +31,7 @@ class OwnSpeed:
             self._coming.popleft()
 
     def at(self, stamp_ns: int, gap_ns: int) -> float:
-        """Speed in rad/s at the stamp of a torque, none of which is older than the one before; NaN:
-        unknown.
+        """Speed in rad/s at a torque's stamp, stamps never going back; NaN: unknown.
 
         Linear between samples, held after the last, or into a gap, for a gap at most.
         """

@@ -88,8 +88,8 @@ class Pairing:
     """
 
     def __init__(
-        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False, uses_speed: bool = True,
-        delay_s: float = 0.0,
+        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False,
+        uses_speed: bool = True, delay_s: float = 0.0,
     ) -> None:  # fmt: skip
         self.motors = motors
         self._own_speed = own_speed
@@ -157,19 +157,18 @@ class Pairing:
         return len(self._torques)
 
     def restart(self, delay_s: float | None = None) -> list[Sample]:
-        """Begin the signal history anew (clock set back); what still waited is completed first and
-        returned.
+        """Begin a new signal history (clock set back); complete and return what waited.
 
         Args:
             delay_s: by how much voltage acts later from now on; None: as before.
         """
-        left = self.flush()
+        last_samples = self.flush()
         if delay_s is not None:
             self._set_delay(delay_s)
         self._restart()
         self.history.restart()
         self.restarts += 1
-        return left
+        return last_samples
 
     def redelay(self, delay_s: float, until_ns: int) -> tuple[list[Sample], list[Sample]]:
         """Pair everything remembered anew under another delay.
@@ -188,7 +187,7 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts, waited = self.of(0), self.waiting
+        counts, waiting_before = self.of(0), self.waiting
         self._set_delay(delay_s)
         self._learn_habits()
         self._restart()
@@ -197,7 +196,7 @@ class Pairing:
         for signal, stamp_ns, values in events:
             samples += self.take[signal](stamp_ns, *values)
         self.count_as([counts])
-        self.used += waited - self.waiting
+        self.used += waiting_before - self.waiting
         self._repeated_until_ns = until_ns
         certain = [sample for sample in samples if sample.stamp_ns <= certain_ns]
         return certain, samples[len(certain) :]
@@ -209,7 +208,7 @@ class Pairing:
         counted.
         """
         delay_s = seconds(self._delay_ns)
-        made = Pairing(
+        pairing = Pairing(
             self._rules,
             len(motors),
             own_speed=self._own_speed,
@@ -221,9 +220,9 @@ class Pairing:
             picked: list[Any] = [
                 np.asarray(value)[index] if np.ndim(value) else value for value in values
             ]
-            made.take[signal](stamp_ns, *picked)
-        made.count_as([self.of(motor) for motor in motors])
-        return made
+            pairing.take[signal](stamp_ns, *picked)
+        pairing.count_as([self.of(motor) for motor in motors])
+        return pairing
 
     def count_as(self, counts: Sequence[PairingCounts]) -> None:
         """Count on from what had become of every motor's messages."""
@@ -242,71 +241,68 @@ class Pairing:
         return self._repeated_until_ns is not None and sample.stamp_ns <= self._repeated_until_ns
 
     def voltage(
-        self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None
+        self, stamp_ns: int, voltage_v: Any, absent: NDArray[np.bool_] | None = None
     ) -> list[Sample]:
         """Take one voltage sample in V; return the samples it completes, oldest first.
 
         Args:
             stamp_ns: its stamp.
             voltage_v: the voltage; of a group an array of shape (motor,).
-            missing: which motors of the group the message does not speak of; None: none.
+            absent: which motors of the group the message does not speak of; None: none.
         """
         self.received_voltage += 1
-        voltage_v = self._joining.voltage(voltage_v, missing)
+        voltage_v = self._joining.voltage(voltage_v, absent)
         if voltage_v is None:
             return []
         raw_ns, stamp_ns = stamp_ns, stamp_ns + self._delay_ns
-        done = self._order('voltage', stamp_ns, self._voltages.newest_ns, voltage_v)
-        if done is None:
+        samples = self._order('voltage', stamp_ns, self._voltages.newest_ns, voltage_v)
+        if samples is None:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
         self._voltages.take(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
-        return done + self._complete(self._known_ns()) if self._torques else done
+        return samples + self._complete(self._known_ns()) if self._torques else samples
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
-        """Take one speed sample in rad/s, where speed is a signal of its own; return the samples it
-        completes.
-        """
+        """Take one sample of a separate speed signal, rad/s; return the completed samples."""
         if not self._joining.usable('speed', speed_rad_s):
             return []
-        done = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
-        if done is None:
+        samples = self._order('speed', stamp_ns, self._speeds.newest_ns, speed_rad_s)
+        if samples is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
         self._speeds.take(stamp_ns, speed_rad_s)
-        return done + self._complete(self._known_ns())
+        return samples + self._complete(self._known_ns())
 
     def torque(
         self,
         stamp_ns: int,
         torque_nm: Any,
         speed_rad_s: Any = math.nan,
-        missing: NDArray[np.bool_] | None = None,
+        absent: NDArray[np.bool_] | None = None,
     ) -> list[Sample]:
-        """Take one torque sample in N m, with speed in rad/s where it is measured; return the
-        samples it completes.
+        """Take one torque sample (N m), with speed (rad/s) if measured; return the completed ones.
 
         The arguments are as in :meth:`voltage`.
         """
         self.received_torque += 1
-        torque_nm = self._joining.torque(torque_nm, speed_rad_s, missing)
+        torque_nm = self._joining.torque(torque_nm, speed_rad_s, absent)
         if torque_nm is None:
             return []
-        done = self._order('torque', stamp_ns, self._newest_torque_ns, torque_nm)
-        if done is None:
+        samples = self._order('torque', stamp_ns, self._newest_torque_ns, torque_nm)
+        if samples is None:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
         if self._newest_torque_ns is not None:
             self._torque_rhythm.take(seconds(stamp_ns - self._newest_torque_ns))
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
-        done += self._complete(self._known_ns())
+        samples += self._complete(self._known_ns())
         if self._torques:
-            held = self._complete(stamp_ns - self._hold_ns)
-            self.held += len(held)
-            done += held
-        return done
+            held_samples = self._complete(stamp_ns - self._hold_ns)
+            self.held += len(held_samples)
+            samples += held_samples
+        return samples
 
     def _known_ns(self) -> int | None:
         """Up to where every signal that belongs to torque is known; None: nowhere."""
@@ -317,9 +313,7 @@ class Pairing:
 
     @property
     def newest_voltage(self) -> tuple[int, Any] | None:
-        """Instant in ns from which the newest voltage acts, and the voltage in V; None where it is
-        not known.
-        """
+        """Instant in ns from which the newest voltage acts, and that voltage in V, or None."""
         newest_ns = self._voltages.newest_ns
         return (
             None
@@ -333,8 +327,7 @@ class Pairing:
         return self._previous_ns
 
     def ahead(self, stamp_ns: int) -> tuple[Any, Any] | None:
-        """Return interval in s and mean voltage in V from the last sample to a stamp whose torque
-        is still to come.
+        """Return interval in s and mean voltage in V from the last sample to a stamp to come.
 
         None where torque before that stamp still waits, where the voltage is not known up to it
         (with a negative delay it comes too late), or where no signal history leads there.
@@ -358,17 +351,17 @@ class Pairing:
 
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
-        missed, used = self._joining.missed(motor), self._joining.lost(motor)
-        received_voltage, refused = (
-            self.received_voltage - missed['voltage'],
+        missed_counts, lost_count = self._joining.missed(motor), self._joining.lost(motor)
+        received_voltage, refusal_counts = (
+            self.received_voltage - missed_counts['voltage'],
             self._joining.refused(motor),
         )
         return PairingCounts(
-            refused=refused,
-            received_torque=self.received_torque - missed['torque'],
+            refused=refusal_counts,
+            received_torque=self.received_torque - missed_counts['torque'],
             received_voltage=received_voltage,
-            taken_voltage=received_voltage - refused['voltage'].total(),
-            used=self.used - used,
+            taken_voltage=received_voltage - refusal_counts['voltage'].total(),
+            used=self.used - lost_count,
             waiting=sum(
                 not math.isnan(self._joining.one(torque_nm, motor))
                 for _, torque_nm, _ in self._torques
@@ -379,17 +372,13 @@ class Pairing:
         )
 
     def flush(self) -> list[Sample]:
-        """Complete every torque sample that still waits, the last voltage holding on (end of a
-        bag).
-        """
+        """Complete every waiting torque sample with the last voltage (end of a bag)."""
         return self._complete(self._newest_torque_ns)
 
     def _order(
         self, signal: str, stamp_ns: int, newest_ns: int | None, values: Any
     ) -> list[Sample] | None:
-        """Judge a stamp: None where it is refused, else the samples that a restart has completed
-        (mostly none).
-        """
+        """Judge a stamp: None if refused, else the samples that a restart has completed."""
         if newest_ns is None or stamp_ns > newest_ns:
             return []
         if newest_ns - stamp_ns > self._jump_ns:
@@ -415,9 +404,7 @@ class Pairing:
         return samples
 
     def _pair(self, stamp_ns: int, torque_nm: Any, speed_rad_s: Any) -> Sample | None:
-        """Join a torque sample with the voltage that was held since the one before it, and with the
-        speed then.
-        """
+        """Join a torque sample with the voltage held since the previous one, and the speed."""
         if self._own_speed:
             speed_rad_s = self._speeds.at(stamp_ns, self._gap_ns)
         if self.needs_speed:
@@ -430,7 +417,7 @@ class Pairing:
             if known_ns is None and stamp_ns - start_ns <= self._gap_ns:
                 passed_ns, mean_v = stamp_ns - start_ns, self._voltages.mean(start_ns, stamp_ns)
         first_v = self._voltages.step_to(
-            stamp_ns, lost=known_ns is not None and known_ns >= stamp_ns
+            stamp_ns, is_lost=known_ns is not None and known_ns >= stamp_ns
         )
         sample = self._joining.join(
             stamp_ns, passed_ns, mean_v, first_v, torque_nm, speed_rad_s, self._gap_ns

@@ -56,7 +56,7 @@ class RawSignals:
     voltage_v: Array
 
     def voltage_integral(self, time_s: Array) -> Array:
-        """Integral of the held voltage up to given times, in V s, but for a constant; same shape."""
+        """Integral of the held voltage up to given times, in V s, up to a constant; same shape."""
         areas = self.voltage_v[:-1] * np.diff(self.voltage_time_s)
         total = np.concatenate([[0.0], np.cumsum(areas)])
         at = np.maximum(np.searchsorted(self.voltage_time_s, time_s, side='right') - 1, 0)
@@ -65,8 +65,7 @@ class RawSignals:
 
 
 class _Numbers:
-    """Bounded rows of a stamp in ns and plain numbers, in arrays: read out in one piece, for a
-    sample waits for it.
+    """Bounded rows of a stamp in ns and plain numbers; read out at once, as a sample waits.
 
     The oldest are forgotten, many at once; stamps rise.
     """
@@ -80,10 +79,10 @@ class _Numbers:
     @classmethod
     def of(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
         """Remember rows, values of shape (value, row), in one piece; no more than ``most``."""
-        made = cls(values.shape[0], most)
-        made._stamps.frombytes(stamps.tobytes())
-        made._values.frombytes(values.T.tobytes())
-        return made
+        rows = cls(values.shape[0], most)
+        rows._stamps.frombytes(stamps.tobytes())
+        rows._values.frombytes(values.T.tobytes())
+        return rows
 
     def __len__(self) -> int:
         return min(len(self._stamps), self._most)
@@ -106,9 +105,7 @@ class _Numbers:
         del self._stamps[:], self._values[:]
 
     def until(self, stamp_ns: int, most: int) -> tuple[NDArray[np.int64], Array]:
-        """Return stamps and values, shape (value, row), of the newest rows up to a stamp, at most
-        so many.
-        """
+        """Return stamps and values, (value, row), of the newest rows up to a stamp, bounded."""
         first = len(self._stamps) - len(self)
         end = bisect_right(self._stamps, stamp_ns, first)
         first = max(first, end - most)
@@ -140,9 +137,7 @@ class _Arrays:
         self._rows.clear()
 
     def of(self, motor: int) -> _Numbers:
-        """Rows of one motor, but those whose first value it lacks; in one piece, for a sample waits
-        for it.
-        """
+        """Rows of one motor that have its first value, copied at once, as a sample waits."""
         if not self._rows:
             return _Numbers(self._width, self._most)
         stamps, *columns = zip(*self._rows, strict=True)
@@ -152,15 +147,12 @@ class _Arrays:
 
 
 def _value(value: Any, motor: int) -> float:
-    """Pick a motor's out of a group's; NaN where the group has none, as of speeds that nobody
-    measures.
-    """
+    """Pick a motor's value from a group's; NaN where it has none, as for unmeasured speeds."""
     return float(value.item(motor)) if isinstance(value, np.ndarray) else math.nan
 
 
 class RawHistory:
-    """Bounded memory of the raw measurements that pairing has taken, in the order of stamps; of a
-    group, arrays.
+    """Bounded memory of the paired raw measurements in the order of stamps; groups as arrays.
 
     Args:
         motors: how many they are of.
@@ -207,9 +199,7 @@ class RawHistory:
         self.restarts += 1
 
     def events(self, delay_ns: int) -> Iterator[Event]:
-        """Yield everything remembered in the order of stamps, voltage first and its stamps taken as
-        that much later.
-        """
+        """Yield everything in the order of stamps, voltage first, its stamps moved by a delay."""
         rows: list[tuple[int, int, Event]] = []
         rows += [(at + delay_ns, 0, ('voltage', at, (volt,))) for at, volt in self._voltages.rows()]
         rows += [(at, 1, ('speed', at, (speed,))) for at, speed in self._speeds.rows()]
@@ -220,13 +210,13 @@ class RawHistory:
         return (event for _, _, event in rows)
 
     def of(self, motor: int) -> RawHistory:
-        """Return what is remembered of one motor of a group; what cannot be used of it is left out."""
-        made = RawHistory()
-        made.restarts = self.restarts
+        """Return the remembered rows of one motor of a group, without unusable ones."""
+        history = RawHistory()
+        history.restarts = self.restarts
         if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):
             raise GrayBoxError('a single motor has signals of its own, expected .signals')
-        made._voltages, made._torques = self._voltages.of(motor), self._torques.of(motor)
-        return made
+        history._voltages, history._torques = self._voltages.of(motor), self._torques.of(motor)
+        return history
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
         """Read out what is known for certain once the torque of a stamp is complete under a delay.

@@ -92,9 +92,7 @@ class ReplayBuffer:
         return int(self.remembered().max())
 
     def append(self, sample: Sample, speed_rad_s: Array | None = None) -> None:
-        """Remember one sample, forgetting the oldest where the buffer is full; ``speed_rad_s``
-        replaces its speed.
-        """
+        """Remember one sample, dropping the oldest if full; ``speed_rad_s`` replaces its speed."""
         row = self._rows[self._top + self._staged]
         row[INTERVAL] = sample.interval_s
         row[VOLTAGE] = sample.voltage_v
@@ -161,13 +159,12 @@ class ReplayBuffer:
     def received(self) -> NDArray[np.int_]:
         """Place of every motor's newest sample in its stream, shape (motor,)."""
         self.settle()
-        received: NDArray[np.int_] = self._gone + self._end
-        return received
+        places: NDArray[np.int_] = self._gone + self._end
+        return places
 
     @property
     def streams(self) -> tuple[Array, NDArray[np.int_], NDArray[np.int_], NDArray[np.int_]]:
-        """The storage, shape (signal, motor, column), and what is known of each stream, shape
-        (motor,).
+        """The storage, (signal, motor, column), and each stream's state, shape (motor,).
 
         The place before column 0, the columns that are taken, and the place before the oldest
         sample that has not been told to be forgotten. All stay where they are as long as the buffer
@@ -175,24 +172,22 @@ class ReplayBuffer:
         """
         return self._data, self._gone, self._end, self._begin
 
-    def begin(self, which: Any = slice(None)) -> NDArray[np.int_]:
-        """Return the place before the oldest sample that has not been told to be forgotten, shape
-        (motor,).
-        """
-        begin: NDArray[np.int_] = self._begin[which]
+    def begin(self, motors: Any = slice(None)) -> NDArray[np.int_]:
+        """Return the place before the oldest sample that is not to be forgotten, (motor,)."""
+        begin: NDArray[np.int_] = self._begin[motors]
         return begin
 
     def remembered(
-        self, which: Any = slice(None), until: NDArray[np.int_] | None = None
+        self, motors: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> NDArray[np.int_]:
         """Return how many samples are remembered, shape (motor,).
 
         Args:
-            which: index of the motors.
+            motors: index of the motors.
             until: place in each stream after which nothing counts; None: to the newest.
         """
-        place = self.received[which] if until is None else until
-        remembered: NDArray[np.int_] = np.minimum(place - self._begin[which], self.capacity)
+        place = self.received[motors] if until is None else until
+        remembered: NDArray[np.int_] = np.minimum(place - self._begin[motors], self.capacity)
         return remembered
 
     def stored(self, motor: int) -> int:
@@ -201,76 +196,75 @@ class ReplayBuffer:
         return int(self._end[motor])
 
     def forget(
-        self, keep: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
+        self, keep: int, motors: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> None:
-        """Drop all but the newest ``keep`` samples (after a drift the old ones tell of another
-        motor).
-        """
-        place = self.received[which] if until is None else until
-        self._begin[which] = np.maximum(self._begin[which], place - np.minimum(keep, self.capacity))
+        """Drop all but the newest ``keep`` samples: after a drift the old ones mislead."""
+        place = self.received[motors] if until is None else until
+        self._begin[motors] = np.maximum(
+            self._begin[motors], place - np.minimum(keep, self.capacity)
+        )
 
     def newest(
-        self, count: int, which: Any = slice(None), until: NDArray[np.int_] | None = None
+        self, count: int, chosen_motors: Any = slice(None), until: NDArray[np.int_] | None = None
     ) -> Array:
-        """Return samples of some motors, shape (signal, motor, count): interval, voltage, torque,
-        speed.
+        """Return some motors' samples, (signal, motor, count): interval, voltage, torque, speed.
 
         Args:
             count: how many; all the motors must have as many.
-            which: index of the motors.
+            chosen_motors: index of the motors.
             until: place in each stream of the last one; None: the newest.
         """
         self.settle()
-        ends = self._end[which] if until is None else until - self._gone[which]
+        ends = self._end[chosen_motors] if until is None else until - self._gone[chosen_motors]
         end = int(ends[0])
         if ends.size == 1 or np.all(ends == end):
-            return self._data[:, which, end - count : end]
-        motors = np.arange(self._end.size)[which]
+            return self._data[:, chosen_motors, end - count : end]
+        motors = np.arange(self._end.size)[chosen_motors]
         return self._data[:, motors[:, None], ends[:, None] - count + np.arange(count)]
 
-    def content(self, which: Any = slice(None), more: int = 0) -> Array:
-        """Everything remembered, shape (signal, motor, n), for a checkpoint; n is what every motor
-        has.
+    def content(self, motors: Any = slice(None), more: int = 0) -> Array:
+        """Everything remembered, (signal, motor, n), for a checkpoint; n is what all have.
 
         Args:
-            which: index of the motors.
+            motors: index of the motors.
             more: so many samples before that, as far as there are any: for those who read with
                 ``until``.
         """
-        told = np.minimum(self.received[which] - self._begin[which], self.capacity + more)
-        return self.newest(int(told.min()), which).copy()
+        counts = np.minimum(self.received[motors] - self._begin[motors], self.capacity + more)
+        return self.newest(int(counts.min()), motors).copy()
 
     @classmethod
     def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
-        """Return a buffer that remembers just these samples; a speed that did not come is that of
-        the sample before.
-        """
-        made = cls(samples[0].torque_nm.size, len(samples))
+        """Return a buffer of just these samples; a missing speed repeats the previous one."""
+        buffer = cls(samples[0].torque_nm.size, len(samples))
         speed = samples[0].speed_rad_s
         for sample in samples:
             speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, speed)
-            made.append(sample, speed)
-        return made
+            buffer.append(sample, speed)
+        return buffer
 
     def refill(
-        self, content: Array, which: Any = slice(None), gone: int = 0, begin: int = 0
+        self, content: Array, motors: Any = slice(None), dropped_count: int = 0, begin: int = 0
     ) -> None:
-        """Take back what :meth:`content` gave, as much as fits; the signal history of these motors
-        ends there.
+        """Restore what fits of :meth:`content`; the signal history of these motors ends there.
 
         Args:
             content: the samples.
-            which: index of the motors.
-            gone: how many samples stood before them in each stream.
+            motors: index of the motors.
+            dropped_count: how many samples stood before them in each stream.
             begin: place before the oldest that has not been told to be forgotten.
         """
         self.settle()
         keep = min(content.shape[2], self.capacity + self.capacity // 2)
         cut = content.shape[2] - keep
-        self._data[:, which, :keep] = content[:, :, cut:]
+        self._data[:, motors, :keep] = content[:, :, cut:]
         if not self._speed_measured:
-            self._data[SPEED, which, :keep] = 0.0
-        self._end[which], self._gone[which], self._begin[which] = keep, gone + cut, begin
+            self._data[SPEED, motors, :keep] = 0.0
+        self._end[motors], self._gone[motors], self._begin[motors] = (
+            keep,
+            dropped_count + cut,
+            begin,
+        )
         self._find_top()
         self._make_room()
 

@@ -1,6 +1,4 @@
-"""How regularly samples come, by their stamps: the usual interval, what is missing, where a signal
-paused.
-"""
+"""How regularly samples come by their stamps: usual interval, gaps, and pauses."""
 
 from __future__ import annotations
 
@@ -48,18 +46,16 @@ class Rhythm:
         self._unbroken = 0
 
     def silent(self, interval_s: float) -> bool:
-        """Tell whether an interval in s is one in which the signal, by its own habit, was silent."""
+        """Tell whether an interval in s is a silence by the signal's own habit."""
         return interval_s > self.silence_s
 
     @property
     def regular(self) -> bool:
-        """Whether the signal has long not been silent, so that it is not one that speaks only when
-        it changes.
-        """
+        """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
 
     def take(self, interval_s: float) -> None:
-        """Take one sample's interval since the one before, in s; 0 where a signal history begins."""
+        """Take one sample's interval since the one before, in s; 0 at the start of a history."""
         if interval_s <= 0.0:
             self.pauses += 1
             return

@@ -49,19 +49,15 @@ class Sample(NamedTuple):
     speed_rad_s: Array
     present: NDArray[np.bool_] | None = None
 
-    def beginning(self, which: NDArray[np.bool_] | None = None) -> Sample:
-        """Return the sample as the first of a signal history, of some motors or all: no interval
-        leads to it.
-        """
-        begins = np.ones(self.interval_s.shape, dtype=bool) if which is None else which
+    def beginning(self, motors: NDArray[np.bool_] | None = None) -> Sample:
+        """Return the sample as the first of a history, of some motors or all: interval none."""
+        begins = np.ones(self.interval_s.shape, dtype=bool) if motors is None else motors
         return self._replace(interval_s=np.where(begins, 0.0, self.interval_s))
 
-    def resuming(self, waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
-        """Return the sample as the first of a history of all who wait for one, and who still does;
-        None: nobody.
-        """
-        still = None if self.present is None else waiting & ~self.present
-        return self.beginning(waiting), None if still is None or not np.any(still) else still
+    def resuming(self, is_waiting: NDArray[np.bool_]) -> tuple[Sample, NDArray[np.bool_] | None]:
+        """Return the sample as first for all who wait for one, and who still does; or None."""
+        still = None if self.present is None else is_waiting & ~self.present
+        return self.beginning(is_waiting), None if still is None or not np.any(still) else still
 
     def of(self, index: NDArray[np.intp]) -> Sample:
         """Return the sample of the chosen motors."""

@@ -1,6 +1,4 @@
-"""In the place of the pairing of motors that have stopped: nothing is paired, everything is counted
-as refused.
-"""
+"""Replaces the pairing of stopped motors: pairs nothing, counts everything as refused."""
 
 from __future__ import annotations
 
@@ -48,42 +46,42 @@ class StoppedPairing:
         }
 
     def voltage(
-        self, stamp_ns: int, voltage_v: Any, missing: NDArray[np.bool_] | None = None
+        self, stamp_ns: int, voltage_v: Any, absent: NDArray[np.bool_] | None = None
     ) -> list[Sample]:
         """Count a voltage."""
         self.received_voltage += 1
-        return self._refuse('voltage', missing)
+        return self._refuse('voltage', absent)
 
     def torque(
         self,
         stamp_ns: int,
         torque_nm: Any,
         speed_rad_s: Any = None,
-        missing: NDArray[np.bool_] | None = None,
+        absent: NDArray[np.bool_] | None = None,
     ) -> list[Sample]:
         """Count a torque."""
         self.received_torque += 1
-        return self._refuse('torque', missing)
+        return self._refuse('torque', absent)
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
         """Count a speed."""
         return self._refuse('speed', None)
 
-    def _refuse(self, signal: str, missing: NDArray[np.bool_] | None) -> list[Sample]:
-        self._came[signal] += 1 if missing is None else ~missing
+    def _refuse(self, signal: str, absent: NDArray[np.bool_] | None) -> list[Sample]:
+        self._came[signal] += 1 if absent is None else ~absent
         return []
 
     def of(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         counts = self._counts[motor]
-        refused = {signal: counter.copy() for signal, counter in counts.refused.items()}
+        refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}
         came = {signal: int(count[motor]) for signal, count in self._came.items()}
         for signal, count in came.items():
             if count:
-                refused[signal][Rejection.STOPPED] += count
+                refusal_counts[signal][Rejection.STOPPED] += count
         return replace(
             counts,
-            refused=refused,
+            refused=refusal_counts,
             received_voltage=counts.received_voltage + came['voltage'],
             received_torque=counts.received_torque + came['torque'],
         )
@@ -101,10 +99,12 @@ class StoppedPairing:
 
 def _closed(counts: PairingCounts) -> PairingCounts:
     """Return the counts with what is not accounted for, and what waits, as refused."""
-    refused = {signal: counter.copy() for signal, counter in counts.refused.items()}
-    open_torques = counts.received_torque - counts.used - refused['torque'].total()
-    open_voltages = counts.received_voltage - counts.taken_voltage - refused['voltage'].total()
+    refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}
+    open_torques = counts.received_torque - counts.used - refusal_counts['torque'].total()
+    open_voltages = (
+        counts.received_voltage - counts.taken_voltage - refusal_counts['voltage'].total()
+    )
     for signal, count in (('torque', open_torques), ('voltage', open_voltages)):
         if count > 0:
-            refused[signal][Rejection.STOPPED] += count
-    return replace(counts, refused=refused, waiting=0)
+            refusal_counts[signal][Rejection.STOPPED] += count
+    return replace(counts, refused=refusal_counts, waiting=0)

@@ -1,4 +1,4 @@
-"""Every parameter, declared once, and their values, checked as a set. Read `parameters.py` first."""
+"""Every parameter, declared once, and their checked values. Read `parameters.py` first."""
 
 from gray_box_observer.settings.configuration import Configuration
 

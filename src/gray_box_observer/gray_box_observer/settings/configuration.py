@@ -1,6 +1,4 @@
-"""The values of the parameters, checked one by one and as a set. One YAML file serves the node and
-``identify``.
-"""
+"""Parameter values, checked one by one and as a set; one YAML serves node and ``identify``."""
 
 from __future__ import annotations
 
@@ -60,17 +58,15 @@ class MotorConfiguration:
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
         nodes = tuple(self.values['context_nodes'])
-        known = {
+        constants = {
             name: self.values[parameter]
             for name, parameter in KNOWN_PARAMETERS.items()
             if name not in nodes and self.values[parameter] > 0.0
         }
-        return MotorWhiteBox(nodes, self.values['torque_constant'], known, speed_measured)
+        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, speed_measured)
 
     def is_notable(self, spec: ParameterSpec) -> bool:
-        """Tell whether a value must be known to repeat a run: a constant, or one that was stated or
-        is no default.
-        """
+        """Tell whether a value must be known to repeat a run: constant, stated or no default."""
         differs = self.values[spec.name] != spec.default
         return (
             differs
@@ -119,23 +115,21 @@ class Configuration:
         return self.values[name]
 
     def notable(self) -> dict[str, Any]:
-        """Return what sets this configuration apart, by dotted names: values that are not the
-        default, or stated.
-        """
-        found = {
+        """Return this configuration's stated and non-default values, by dotted names."""
+        notable_values = {
             spec.name: self.values[spec.name]
             for spec in OBSERVER_PARAMETERS
             if self.values[spec.name] != spec.default
         }
         for name, motor in self.motors.items():
-            found.update(
+            notable_values.update(
                 {
                     f'{name}.{spec.name}': motor.values[spec.name]
                     for spec in MOTOR_PARAMETERS
                     if motor.is_notable(spec)
                 }
             )
-        return found
+        return notable_values
 
     def group(self, prefix: str) -> dict[str, Any]:
         """Return the values below a prefix, by the rest of their names."""
@@ -146,15 +140,18 @@ class Configuration:
         }
 
     @classmethod
-    def from_flat(cls, given: Mapping[str, Any]) -> Configuration:
+    def from_flat(cls, flat_values: Mapping[str, Any]) -> Configuration:
         """Build the configuration from dotted names; what is not given has its default.
 
         Raises:
             ConfigurationError: a value out of range, or motors that fit no white box.
         """
-        rest = {name: value for name, value in given.items() if not _is_foreign(name)}
+        unread_values = {
+            name: value for name, value in flat_values.items() if not _is_foreign(name)
+        }
         values = {
-            spec.name: spec.check(rest.pop(spec.name, spec.default)) for spec in OBSERVER_PARAMETERS
+            spec.name: spec.check(unread_values.pop(spec.name, spec.default))
+            for spec in OBSERVER_PARAMETERS
         }
         names = values['motors'] = expanded(values['motors'])
         if (
@@ -195,18 +192,17 @@ class Configuration:
         check_name(values['device'])
         for name in SIGNALS:
             _check_signal(name, values)
-        shared = _stated(DEFAULTS, rest)
+        shared = _stated(DEFAULTS, unread_values)
         common = {
-            spec.name: rest.pop(f'{DEFAULTS}.{spec.name}', spec.default)
+            spec.name: unread_values.pop(f'{DEFAULTS}.{spec.name}', spec.default)
             for spec in MOTOR_PARAMETERS
         }
-        motors = _motors(names, rest, common, shared)
+        motors = _motors(names, unread_values, common, shared)
         _check_rule(values['context_update'], motors)
-        return cls(values, motors, tuple(sorted(rest)))
+        return cls(values, motors, tuple(sorted(unread_values)))
 
-    def changed(self, given: Mapping[str, Any]) -> Configuration:
-        """Return the configuration with some values changed, by their dotted names; others than
-        ours are passed over.
+    def changed(self, new_values: Mapping[str, Any]) -> Configuration:
+        """Return the configuration with values changed by dotted names; unknown ones are ignored.
 
         Raises:
             ConfigurationError: as in :meth:`from_flat`.
@@ -214,13 +210,13 @@ class Configuration:
         flat = dict(self.values)
         for name, motor in self.motors.items():
             flat.update({f'{name}.{key}': value for key, value in motor.values.items()})
-        changes = {name: value for name, value in given.items() if name in flat}
-        made = self.from_flat(flat | changes)
+        changes = {name: value for name, value in new_values.items() if name in flat}
+        configuration = self.from_flat(flat | changes)
         motors = {
             name: replace(motor, stated=self.motors[name].stated | _stated(name, changes))
-            for name, motor in made.motors.items()
+            for name, motor in configuration.motors.items()
         }
-        return replace(made, motors=motors, unknown=self.unknown)
+        return replace(configuration, motors=motors, unknown=self.unknown)
 
     def alike(self, name: str) -> list[str]:
         """Return declared names that an unknown one may have been meant for.
@@ -228,7 +224,7 @@ class Configuration:
         A motor that is not listed may be one of another node; it is taken for a slip of a motor of
         which nothing is stated, and of no other.
         """
-        found = [spec.name for spec in OBSERVER_PARAMETERS]
+        candidates = [spec.name for spec in OBSERVER_PARAMETERS]
         group = name.partition('.')[0]
         if group in self.motors or group == DEFAULTS:
             groups = [group]
@@ -236,7 +232,9 @@ class Configuration:
             groups = [DEFAULTS, *(motor for motor, of in self.motors.items() if not of.stated)][
                 :MOST_ALIKE
             ]
-        return found + [f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS]
+        return candidates + [
+            f'{motor}.{spec.name}' for motor in groups for spec in MOTOR_PARAMETERS
+        ]
 
     @classmethod
     def from_yaml(cls, path: Path) -> Configuration:
@@ -258,7 +256,7 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
         document = read_yaml(path)
     except InputError as error:
         raise ConfigurationError(f'parameter file {error}') from None
-    given: dict[str, Any] = {}
+    flat_values: dict[str, Any] = {}
     for node, content in document.items() if isinstance(document, dict) else ():
         if str(node).strip('/') in ('**', NODE_NAME) or str(node).endswith(f'/{NODE_NAME}'):
             if not isinstance(content, dict) or not isinstance(
@@ -266,14 +264,14 @@ def read_parameter_file(path: Path) -> dict[str, Any]:
             ):
                 raise ConfigurationError(f'{path}: expected ros__parameters below {brief(node)}')
             try:
-                given.update(flatten(content['ros__parameters']))
+                flat_values.update(flatten(content['ros__parameters']))
             except ConfigurationError as error:
                 raise ConfigurationError(f'parameter file {path}: {error}') from None
-    if not given:
+    if not flat_values:
         raise ConfigurationError(
             f'{path} holds no parameters for {NODE_NAME}: expected "/**:" with "ros__parameters:"'
         )
-    return given
+    return flat_values
 
 
 SMALLEST_RELATIVE_STD = 1e-6
@@ -349,18 +347,17 @@ def _check_signal(name: str, values: Mapping[str, Any]) -> None:
 
 def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
     """Refuse to be told what the rule could not make use of."""
-    told = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
-    if rule != 'recursive' and told:
+    informed_motors = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
+    if rule != 'recursive' and informed_motors:
         raise ConfigurationError(
-            f'motor {told[0]}: initial_relative_std needs context_update recursive, got {rule}: '
+            f'motor {informed_motors[0]}: initial_relative_std needs context_update recursive, got '
+            f'{rule}: '
             'the gradient rule has no prior'
         )
 
 
 def expanded(names: Any) -> Any:
-    """Write out ranges of motors: ``m[1..3]`` stands for m1, m2 and m3; what is no list of names
-    stays as it is.
-    """
+    """Write out ranges of motors: ``m[1..3]`` is m1, m2, m3; other values stay as they are."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         return names
     ranges = [RANGE.fullmatch(name) for name in names]
@@ -370,11 +367,13 @@ def expanded(names: Any) -> Any:
             f'motors: {brief(names)} stands for {sum(counts)} motors, expected {MOST_MOTORS} at '
             'most'
         )
-    written: list[str] = []
-    for name, found, count in zip(names, ranges, counts, strict=True):
-        numbers = range(int(found[2]), int(found[3]) + 1) if found else range(0)
-        written += [f'{found[1]}{number}' for number in numbers] if found and count else [name]
-    return written
+    expanded_names: list[str] = []
+    for name, range_match, count in zip(names, ranges, counts, strict=True):
+        numbers = range(int(range_match[2]), int(range_match[3]) + 1) if range_match else range(0)
+        expanded_names += (
+            [f'{range_match[1]}{number}' for number in numbers] if range_match and count else [name]
+        )
+    return expanded_names
 
 
 def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
@@ -383,21 +382,22 @@ def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
 
 
 def _motors(
-    names: Sequence[str], rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+    names: Sequence[str],
+    unread_values: dict[str, Any],
+    common: Mapping[str, Any],
+    shared: frozenset[str],
 ) -> dict[str, MotorConfiguration]:
-    """Configure every motor; those without a group of their own are checked once, for they are
-    alike.
-    """
-    named = {name.partition('.')[0] for name in rest}
+    """Configure every motor; those without a group of their own are alike, checked once."""
+    motors_with_group = {name.partition('.')[0] for name in unread_values}
     motors: dict[str, MotorConfiguration] = {}
     alike: dict[str, Any] = {}
     lists: list[str] = []
     for name in names:
-        if name in named:
-            motors[name] = _motor(name, rest, common, shared)
+        if name in motors_with_group:
+            motors[name] = _motor(name, unread_values, common, shared)
             continue
         if not alike:
-            alike = dict(_motor(name, rest, common, shared).values)
+            alike = dict(_motor(name, unread_values, common, shared).values)
             lists = [key for key, value in alike.items() if isinstance(value, list)]
         motors[name] = MotorConfiguration(
             name, alike | {key: list(alike[key]) for key in lists}, shared
@@ -406,17 +406,17 @@ def _motors(
 
 
 def _motor(
-    name: str, rest: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
+    name: str, unread_values: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
 ) -> MotorConfiguration:
-    """Take one motor's group out of the values that are left; what is not in it is that of all
-    motors.
-    """
-    stated = shared | _stated(name, rest)
+    """Take one motor's group out of the values; what it lacks is that of all motors."""
+    stated_names = shared | _stated(name, unread_values)
     values = {
-        spec.name: spec.check(rest.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.')
+        spec.name: spec.check(
+            unread_values.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.'
+        )
         for spec in MOTOR_PARAMETERS
     }
-    motor = MotorConfiguration(name, values, stated)
+    motor = MotorConfiguration(name, values, stated_names)
     for node in values['context_nodes']:
         if values.get(f'known.{node}', 0.0) > 0.0:
             raise ConfigurationError(

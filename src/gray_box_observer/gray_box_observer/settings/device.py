@@ -1,6 +1,4 @@
-"""Where large groups of motors are computed: by numpy and compiled code, or by torch on a device of
-its own.
-"""
+"""Where large groups are computed: numpy and compiled code, or torch on a device."""
 
 from __future__ import annotations
 
@@ -39,8 +37,7 @@ def check_name(name: str) -> None:
 
 
 def torch_device(name: str) -> str | None:
-    """Return the device of torch that large groups are computed on; None for ``cpu``, which needs
-    no torch.
+    """Return torch's device for large groups; None for ``cpu``, which needs no torch.
 
     Raises:
         ConfigurationError: the name is none, torch is missing, it sees no such device, or that does
@@ -59,13 +56,14 @@ def torch_device(name: str) -> str | None:
         ) from error
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if count == 0:
-        built = (
+        build_note = (
             ''
             if torch.version.cuda or torch.version.hip
             else f' (torch {torch.__version__} is built without CUDA)'
         )
         raise ConfigurationError(
-            f'parameter device is {name}, but torch sees no GPU{built}: install a driver and a '
+            f'parameter device is {name}, but torch sees no GPU{build_note}: install a driver and '
+            'a '
             'torch built for it, or '
             'set device to cpu'
         )
@@ -89,8 +87,7 @@ def torch_device(name: str) -> str | None:
 
 @contextmanager
 def watched(device: str) -> Iterator[None]:
-    """Tell in one line of what fails on a device: out of memory, a GPU that is lost. Decorates
-    functions too.
+    """Report failures of a device in one line: out of memory, lost GPU. Also a decorator.
 
     Raises:
         ConfigurationError: instead of torch's `RuntimeError`.
@@ -105,9 +102,7 @@ def watched(device: str) -> Iterator[None]:
 
 
 def _try_out(device: str) -> None:
-    """Compute something as blocks do, in double precision: a GPU that torch sees may have no
-    kernels in it.
-    """
+    """Compute something in double precision as blocks do: a visible GPU may lack kernels."""
     import torch
 
     square = torch.eye(2, dtype=torch.float64, device=device)

@@ -16,31 +16,33 @@ SUGGESTED = 0.5
 MOST_TOLD = 8
 
 
-def slip_of(name: str, known: Iterable[str]) -> str:
+def slip_of(name: str, valid_names: Iterable[str]) -> str:
     """Return the known name that a name is a slip of: all parts but one are the same, one is alike.
 
     Args:
         name: parts joined by dots.
-        known: likewise.
+        valid_names: likewise.
 
     Returns:
         The name that is most alike; empty where there is none.
     """
     parts = name.split('.')
-    found, alike = '', ALIKE
-    for other in known:
-        others = other.split('.')
-        differing = [pair for pair in zip(parts, others, strict=False) if pair[0] != pair[1]]
-        if len(parts) == len(others) and len(differing) == 1:
+    best_name, alike = '', ALIKE
+    for candidate in valid_names:
+        candidate_parts = candidate.split('.')
+        differing = [
+            pair for pair in zip(parts, candidate_parts, strict=False) if pair[0] != pair[1]
+        ]
+        if len(parts) == len(candidate_parts) and len(differing) == 1:
             ratio = SequenceMatcher(None, *differing[0]).ratio()
-            if ratio >= alike and (not found or ratio > alike):
-                found, alike = other, ratio
-    return found
+            if ratio >= alike and (not best_name or ratio > alike):
+                best_name, alike = candidate, ratio
+    return best_name
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, valid_names: Iterable[str]) -> str:
     """Return the known name that comes nearest to a name; empty where none is anything like it."""
-    names = list(known)
+    names = list(valid_names)
     return slip_of(name, names) or next(iter(get_close_matches(name, names, 1, SUGGESTED)), '')
 
 
@@ -50,12 +52,12 @@ def in_words(names: Mapping[str, str]) -> str:
     Args:
         names: by the unknown name, the known one; empty where there is none.
     """
-    said = [
+    phrases = [
         f'{_short(name)} (did you mean {near}?)' if near else _short(name)
         for name, near in names.items()
     ]
-    more = f' and {len(said) - MOST_TOLD} more' if len(said) > MOST_TOLD else ''
-    return ', '.join(said[:MOST_TOLD]) + more
+    more = f' and {len(phrases) - MOST_TOLD} more' if len(phrases) > MOST_TOLD else ''
+    return ', '.join(phrases[:MOST_TOLD]) + more
 
 
 def _short(name: str) -> str:

@@ -1,5 +1,4 @@
-"""Every parameter of the observer, declared once: node, ``identify``, YAML, documentation and tests
-read this list.
+"""Every parameter of the observer, declared once for node, ``identify``, YAML, docs and tests.
 
 Names are those of ROS parameters; each motor has a group of its own.
 """
@@ -69,16 +68,17 @@ class ParameterSpec:
                 f'{brief(value)}'
             )
         if type(value) is not type(self.default):
-            wanted, got = type(self.default).__name__, type(value).__name__
+            expected_type, actual_type = type(self.default).__name__, type(value).__name__
             raise ConfigurationError(
-                f'parameter {name} must be of type {wanted}, got {brief(value)} ({got})'
+                f'parameter {name} must be of type {expected_type}, got {brief(value)} '
+                f'({actual_type})'
             )
         if isinstance(value, list) and any(
             type(entry) is not type(self.default[0]) for entry in value
         ):
-            wanted = type(self.default[0]).__name__
+            expected_type = type(self.default[0]).__name__
             raise ConfigurationError(
-                f'parameter {name} must be a list of {wanted}, got {brief(value)}'
+                f'parameter {name} must be a list of {expected_type}, got {brief(value)}'
             )
         if self.choices and value not in self.choices:
             raise ConfigurationError(
@@ -118,19 +118,21 @@ def _as_float(value: Any) -> Any:
         return math.inf if value > 0 else -math.inf
 
 
-def _signal(name: str, topic: str, field_path: str, what: str, scale: str) -> list[ParameterSpec]:
+def _signal(
+    name: str, topic: str, field_path: str, quantity_name: str, scale: str
+) -> list[ParameterSpec]:
     """Parameters that say where a signal comes from.
 
     Args:
         name: of the signal.
         topic: default of its topic.
         field_path: default of its field.
-        what: it is, in words.
+        quantity_name: it is, in words.
         scale: its SI unit, and what the factor to it is in a usual case.
     """
     return [
         ParameterSpec(
-            f'{name}.topic', topic, f'Topic that carries {what}; empty: none of its own.'
+            f'{name}.topic', topic, f'Topic that carries {quantity_name}; empty: none of its own.'
         ),
         ParameterSpec(
             f'{name}.type', 'sensor_msgs/msg/JointState', f'Message type of {name}.topic.'
@@ -138,11 +140,18 @@ def _signal(name: str, topic: str, field_path: str, what: str, scale: str) -> li
         ParameterSpec(
             f'{name}.field',
             field_path,
-            f'Field path of {what} in the message, such as data, data[0] or wrench.torque.z.',
+            f'Field path of {quantity_name} in the message, such as data, data[0] or '
+            'wrench.torque.z.',
         ),
-        ParameterSpec(f'{name}.scale', 1.0, f'Factor from the field to {what} in {scale}.'),
         ParameterSpec(
-            f'{name}.offset', 0.0, f'Added to {what} after the scale, in SI units.', -1e9, 1e9
+            f'{name}.scale', 1.0, f'Factor from the field to {quantity_name} in {scale}.'
+        ),
+        ParameterSpec(
+            f'{name}.offset',
+            0.0,
+            f'Added to {quantity_name} after the scale, in SI units.',
+            -1e9,
+            1e9,
         ),
     ]
 
@@ -405,15 +414,16 @@ the inductance."""
 
 
 def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
-    """Yield the parameters that are known unless they are identified: with a place of their own, or
-    the others.
-    """
+    """Yield the parameters known unless identified: those with a place of their own, or others."""
     for term in _EFFECTS:
         parameter = term.parameter
         if bool(term.known_as) is own:
-            what = f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless among context_nodes.'
+            description = (
+                f'{parameter.description.partition(",")[0]} in {parameter.unit}; known unless '
+                'among context_nodes.'
+            )
             name, upper = KNOWN_PARAMETERS[parameter.name], term.known_upper or parameter.upper
-            yield ParameterSpec(name, term.known_value, what, 0.0, upper)
+            yield ParameterSpec(name, term.known_value, description, 0.0, upper)
 
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (

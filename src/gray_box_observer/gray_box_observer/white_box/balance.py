@@ -1,6 +1,4 @@
-"""The balance of a state, and what it is made of: formulas with their derivatives, the unknown and
-the known ones.
-"""
+"""The balance of a state and its parts: formulas with derivatives, known and unknown."""
 
 from __future__ import annotations
 
@@ -11,8 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A formula with its derivatives, elementwise: functions of the signals, for numbers, arrays
-    and tensors alike.
+    """A formula with derivatives, elementwise in the signals: numbers, arrays or tensors.
 
     Attributes:
         value: the formula; of a drive it is a function of the voltage and the signals, as its
@@ -32,9 +29,7 @@ def sign(x: Any) -> Any:
 
 
 def deducted(start: Any, coefficients: Iterable[Any], parts: Iterable[Any]) -> Any:
-    """Return ``start - sum_j coefficient_j part_j``, the one sum that every balance and every
-    derivative of it is.
-    """
+    """Return ``start - sum_j coefficient_j part_j``, the sum behind balances and derivatives."""
     for coefficient, part in zip(coefficients, parts, strict=True):
         start = start - coefficient * part
     return start
@@ -48,8 +43,7 @@ Effects = tuple[tuple[Any, Callable[..., Any]], ...]
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """The balance of one state: ``storage d state / dt = drive - sum of its effects``, all of it
-    elementwise.
+    """One state's balance, elementwise: ``storage d state / dt = drive - sum of its effects``.
 
     Attributes:
         storage: place of the coefficient of the derivative among the parameters.

@@ -1,5 +1,4 @@
-"""The motor, declared here and nowhere else: its states, its signals, and one entry for every
-effect.
+"""The motor, declared only here: its states, its signals, and one entry for every effect.
 
 ``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with
 ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush
@@ -45,8 +44,7 @@ DRIVES = {State.CURRENT: 'voltage'}
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One effect: coefficient times ``formula``, or the storage of a state, coefficient of its
-    derivative.
+    """One effect: coefficient times ``formula``, or the storage of a state.
 
     Attributes:
         parameter: the coefficient.

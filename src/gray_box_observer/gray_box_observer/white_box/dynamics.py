@@ -31,8 +31,7 @@ def rate(white_box: WhiteBox, theta: Any, voltage_v: Any, state: Any, speed_rad_
 def integrated_regressors(
     white_box: WhiteBox, voltage_v: Array, state: Array, speed_rad_s: Array, interval_s: Array
 ) -> tuple[Array, Array]:
-    """Integrate the equation over each interval between samples, instead of differentiating the
-    samples.
+    """Integrate the equation over each interval, instead of differentiating the samples.
 
     ``int drive dt = theta_0 (x_k - x_{k-1}) + sum_j theta_j int phi_j dt``, the integrals by the
     trapezoidal rule.

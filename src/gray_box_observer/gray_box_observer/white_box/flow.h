@@ -1,4 +1,5 @@
-/* The motion of the states over one interval in several steps: flow.py for compiled code, LANES motors at a time. */
+/* The motion of the states over one interval in several steps: flow.py for compiled code, LANES
+ * motors at a time. */
 #ifndef GRAY_BOX_OBSERVER_WHITE_BOX_FLOW_H
 #define GRAY_BOX_OBSERVER_WHITE_BOX_FLOW_H
 
@@ -10,16 +11,19 @@ INLINE Linear chosen_motion(const Terms of, Mask which, const Linear *yes, const
     Linear moved;
     for (int s = 0; s < STATES; s++) {
         moved.value[s] = chosen(which, yes->value[s], no->value[s]);
-        for (int r = 0; r < STATES; r++) moved.by_state[s][r] = chosen(which, yes->by_state[s][r], no->by_state[s][r]);
+        for (int r = 0; r < STATES; r++)
+            moved.by_state[s][r] = chosen(which, yes->by_state[s][r], no->by_state[s][r]);
         for (int j = 0; j < of.coordinates; j++)
-            moved.by_coordinate[s][j] = chosen(which, yes->by_coordinate[s][j], no->by_coordinate[s][j]);
+            moved.by_coordinate[s][j] = chosen(which, yes->by_coordinate[s][j],
+                no->by_coordinate[s][j]);
     }
     return moved;
 }
 
 /* Equal steps, as many as each lane asks for; at most `most` of any lane: flow.py, _in_steps. */
 INLINE Linear in_steps(
-    const Physics *box, const Terms of, const Real *start, const Interval *over, Real steps, int most)
+    const Physics *box, const Terms of, const Real *start, const Interval *over, Real steps,
+    int most)
 {
     const Real slope = (over->end_speed - over->speed) / steps, length = over->length / steps;
     Linear whole = {{{0}}, {{{0}}}, {{{0}}}};
@@ -30,7 +34,8 @@ INLINE Linear in_steps(
         const Real to = chosen(last, over->end_speed, over->speed + (double)(step + 1) * slope);
         const Interval piece = {over->voltage, from, to, length};
         const Linear here = rate_of(box, of, whole.value, over->voltage, from);
-        const Linear part = runge_kutta_step(box, of, whole.value, &here, &piece), both = joined(of, &whole, &part);
+        const Linear part = runge_kutta_step(box, of, whole.value, &here, &piece),
+            both = joined(of, &whole, &part);
         whole = chosen_motion(of, on, &both, &whole);
     }
     return whole;

@@ -1,5 +1,4 @@
-"""The motion of the states over one interval, with its derivatives, in the coordinates in which the
-rate is linear.
+"""Motion of the states over one interval with derivatives, in linear-rate coordinates.
 
 The rate of a white box that is linear in its parameters is linear too in ``p = (1, theta_1, ...) /
 theta_0``, for a motor ``(1/L, R/L, K_HS/L, ...)``: ``dx/dt = p_0 drive - sum_j p_j phi_j``
@@ -73,8 +72,7 @@ def parameter_covariance(theta: Array, relative: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Intervals, or equal parts of them, and what is known of them; every field of shape (motor,
-    k).
+    """Intervals, or equal parts of them, with their signals; fields of shape (motor, k).
 
     Attributes:
         voltage_v: voltage held over it.
@@ -94,9 +92,7 @@ class Interval:
         return Interval(self.voltage_v[index], *speeds, self.length_s[index])
 
     def parts(self, count: int) -> Iterator[Interval]:
-        """Cut into equal parts, the first one first; the last ends where the whole does, to the
-        last bit.
-        """
+        """Cut into equal parts in order; the last ends exactly where the whole does."""
         slope, length = (self.end_speed_rad_s - self.speed_rad_s) / count, self.length_s / count
         for j in range(count):
             end = self.end_speed_rad_s if j + 1 == count else self.speed_rad_s + (j + 1) * slope
@@ -201,8 +197,8 @@ def flow(
 
 
 def is_stiff(
-    white_box: WhiteBox, p: Array, start: Sequence[Array], voltage_v: Array, speed_rad_s: Array, interval_s: Array,
-    ops: Any = np,
+    white_box: WhiteBox, p: Array, start: Sequence[Array], voltage_v: Array, speed_rad_s: Array,
+    interval_s: Array, ops: Any = np,
 ) -> NDArray[np.bool_]:  # fmt: skip
     """Tell for whom :func:`flow` takes exponential steps, shape (motor,); arguments as there."""
     here = _rate_at(ops, white_box, p, voltage_v)(start, speed_rad_s)
@@ -211,9 +207,7 @@ def is_stiff(
 
 
 def _stiffness(ops: Any, here: Linear, interval_s: Array) -> Any:
-    """Largest product of interval and decay rate, shape (motor,); of several states, of a bound of
-    that rate.
-    """
+    """Largest product of interval and decay rate (or its bound for several states), (motor,)."""
     rates = []
     for state, slopes in enumerate(here.by_state):
         coupled = (
@@ -292,8 +286,7 @@ def _ahead(start: Sequence[Any], rate: Linear, ahead_s: Any) -> Linear:
 def _exponential_step(
     ops: Any, rate_at: RateAt, start: Sequence[Array], here: Linear, interval: Interval
 ) -> Linear:
-    """One exponential (Rosenbrock-Euler) step: exact for the rate linearised at the start, and
-    L-stable.
+    """One Rosenbrock-Euler step: exact for the rate linearised at the start, and L-stable.
 
     Of several states each decays by itself.
     """

@@ -5,7 +5,7 @@
 
 #include "white_box/lanes.h"
 
-#define FORMS_FINGERPRINT 465306474820139386
+#define FORMS_FINGERPRINT 403868967632922446
 
 enum { CURRENT, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP };
@@ -20,13 +20,22 @@ static inline int term_known(int64_t code)
 }
 
 /* Speed in rad/s where it follows the current. */
-INLINE Real following_speed(Real current, Real torque_constant) { return torque_constant * current; }
+INLINE Real following_speed(Real current, Real torque_constant)
+{
+    return torque_constant * current;
+}
 
 /* Torque in N m from current. */
-INLINE Real torque_of_current(Real current, Real torque_constant) { return torque_constant * current; }
+INLINE Real torque_of_current(Real current, Real torque_constant)
+{
+    return torque_constant * current;
+}
 
 /* Current in A from torque. */
-INLINE Real current_of_torque(Real torque, Real torque_constant) { return torque / torque_constant; }
+INLINE Real current_of_torque(Real torque, Real torque_constant)
+{
+    return torque / torque_constant;
+}
 
 /* A term for a coefficient of one, and its derivatives. */
 INLINE Term term(int64_t code, int speed_measured, Real current, Real speed, Real torque_constant)

@@ -11,7 +11,7 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 465306474820139386
+FINGERPRINT = 403868967632922446
 """Of the compiled forms that were written with these."""
 
 EFFECTS: dict[str, Form] = {

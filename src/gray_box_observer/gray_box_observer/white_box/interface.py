@@ -51,9 +51,7 @@ class Parameter:
 
 @lru_cache(maxsize=64)
 def bounds(parameters: tuple[Parameter, ...]) -> tuple[Array, Array]:
-    """Smallest and largest plausible values of parameters, each of shape (parameter,); not to be
-    written to.
-    """
+    """Smallest and largest plausible parameters, each of shape (parameter,); read-only."""
     lower, upper = np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters])
     for limits in (lower, upper):
         limits.flags.writeable = False
@@ -92,9 +90,7 @@ class WhiteBox(Protocol):
         """Return the shaft speed the effects use: measured, or that of the thesis. Elementwise."""
 
     def balances(self, signal: Any) -> tuple[Balance, ...]:
-        """Return the balance of every state, in the order of their numbers, for signals of as many
-        axes as this.
-        """
+        """Return each state's balance, in order, for signals with as many axes as this."""
 
     def drive(self, voltage_v: Any, state: Any, speed_rad_s: Any) -> Any:
         """Return the drive of the measured state less every known effect, in V. Elementwise."""

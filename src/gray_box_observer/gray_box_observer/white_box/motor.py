@@ -96,9 +96,7 @@ class MotorWhiteBox:
     def from_dict(
         cls, description: Mapping[str, Any], convert: Callable[[Any], Any] = np.asarray
     ) -> MotorWhiteBox:
-        """Build the white box that :meth:`to_dict` described; ``convert`` makes its constants
-        arrays or tensors.
-        """
+        """Build the white box of :meth:`to_dict`; ``convert`` makes arrays or tensors."""
         return cls(
             tuple(description['context_nodes']),
             convert(description['torque_constant']),
@@ -107,9 +105,7 @@ class MotorWhiteBox:
         )
 
     def of_motors(self, index: Any) -> MotorWhiteBox:
-        """Return the white box of the chosen motors, one for each entry of ``index`` (repetition
-        allowed).
-        """
+        """Return the white box of chosen motors, one per entry of ``index``, repeats allowed."""
         known = {name: _take(value, index) for name, value in self.known.items()}
         return replace(self, torque_constant=_take(self.torque_constant, index), known=known)
 
@@ -134,9 +130,7 @@ class MotorWhiteBox:
 
     @cached_property
     def states(self) -> tuple[State, ...]:
-        """The states that this motor has, in the order of their numbers: those whose storage is a
-        context node.
-        """
+        """The states of this motor in order: those whose storage is a context node."""
         return tuple(
             state for state, name in sorted(STORAGES.items()) if name in self.context_nodes
         )
@@ -146,7 +140,7 @@ class MotorWhiteBox:
         return {}
 
     def balances(self, signal: Any) -> tuple[Balance, ...]:
-        """Return the balance of every state, with constants that are lined up with such a signal."""
+        """Return every state's balance, with constants shaped for such a signal."""
         axes = getattr(signal, 'ndim', 0)
         found = self._lined_up.get(axes)
         if found is None:

@@ -1,6 +1,4 @@
-"""Functions under numpy's names for tensors on a device, so that one formula serves both. Needs
-torch.
-"""
+"""Functions under numpy's names for tensors, so that one formula serves both. Needs torch."""
 
 from __future__ import annotations
 
@@ -11,8 +9,7 @@ import torch
 
 
 class TorchOps:
-    """Torch's functions where they are called and behave like numpy's, and the others in numpy's
-    manner.
+    """Torch's functions where they behave like numpy's, the others in numpy's manner.
 
     Args:
         device: torch's, where tensors are made.
@@ -29,9 +26,7 @@ class TorchOps:
         return torch.tensor(values, device=self.device)
 
     def borrowed(self, array: Any) -> torch.Tensor:
-        """Return an array on the device; not copied where that is the processor, so it must not be
-        written to.
-        """
+        """Return an array on the device; read-only, for on the processor it is not copied."""
         return torch.from_numpy(np.asarray(array)).to(self.device)
 
     def taken(self, signal: Any) -> torch.Tensor:

@@ -1,6 +1,4 @@
-"""A small archive, five bags of two motors over four months and one that is no bag, and the command
-that reads it.
-"""
+"""A small archive: five bags of two motors over four months, one broken, and its command."""
 
 from __future__ import annotations
 
@@ -37,9 +35,7 @@ def archive(
     messages_of: Callable[..., Any],
     write_bag: Callable[..., Path],
 ) -> Path:
-    """A folder with bags at two depths, a bare file and a text that calls itself a bag; motor
-    `right` has 1.5 ohm.
-    """
+    """Bags at two depths, a bare file, and a text posing as a bag; `right` has 1.5 ohm."""
     folder = tmp_path_factory.mktemp('archive')
     for month in range(4):
         recording = record(

@@ -1,6 +1,4 @@
-"""Bags over processes of this machine: the results of a serial run, whatever dies, and no address
-that is opened.
-"""
+"""Bags over processes: the results of a serial run, whatever dies, and no open address."""
 
 from __future__ import annotations
 
@@ -49,15 +47,13 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType
 
 
 def workers() -> list[psutil.Process]:
-    """Every process below this one, but the tracker of multiprocessing, which lives as long as this
-    process.
-    """
+    """Every process below this one, but multiprocessing's tracker, which lives as long."""
     own = psutil.Process().children(recursive=True)
     return [process for process in own if 'resource_tracker' not in ' '.join(process.cmdline())]
 
 
 def doors(kind: str) -> set[tuple[int, object]]:
-    """What this process and all below it listen on or have bound, as pairs of process and address."""
+    """Sockets of this process and all below it, as pairs of process and address."""
     family = [psutil.Process(), *workers()]
     connections = [(process.pid, c) for process in family for c in process.net_connections(kind)]
     return {

@@ -43,9 +43,7 @@ def job_of(samples: list[Sample]) -> dict[str, Any]:
 
 @pytest.fixture(autouse=True)
 def one_thread() -> None:
-    """Several threads cost more than these small networks need in all, and would share a busy
-    machine's cores.
-    """
+    """One thread: more cost these small networks time, and share a busy machine's cores."""
     torch.set_num_threads(1)
 
 

@@ -31,9 +31,7 @@ def told_by(number: Any, voltage_v: Any) -> Any:
 
 
 class Run:
-    """A schedule beside its newest samples; what the physics says of a sample is its torque,
-    negative.
-    """
+    """A schedule beside its newest samples; the physics' value is the negative torque."""
 
     def __init__(self, rules: TrainingRules = RULES) -> None:
         self.replay, self.schedule = (
@@ -171,9 +169,7 @@ def test_more_samples_paired_anew_than_were_counted_are_all_learnt_from(
 
 @pytest.fixture
 def brushes() -> Callable[..., list[Sample]]:
-    """Samples of a motor whose brushes drop half a volt, which the white box of the thesis does not
-    know.
-    """
+    """A motor whose brushes drop half a volt, unknown to the thesis's white box."""
 
     def make(excitation: str, duration_s: float, seed: int) -> list[Sample]:
         plant = PlantParameters(brush_drop=0.5)
@@ -199,7 +195,7 @@ def brushes() -> Callable[..., list[Sample]]:
 
 
 def relative_error(one: Predictor, samples: list[Sample]) -> float:
-    """Mean absolute error over that of the white box, behind the second in which a history begins."""
+    """Mean absolute error over that of the white box, after a history's first second."""
     said = []
     for s in samples:
         prediction = one.predict(s.interval_s, s.voltage_v, TRUTH)

@@ -1,1 +1,1 @@
-"""Records of MCAP files that are cut, damaged or still being written. Read `mcap_layout.py` first."""
+"""Records of MCAP files that are cut, damaged or in progress. Read `mcap_layout.py` first."""

@@ -59,9 +59,7 @@ class Unreadable(Exception):  # noqa: N818 - a value between two modules, never 
 
 
 class TooLarge(Unreadable):
-    """A piece would take more memory than it may; the message says how much, and what would read it
-    all the same.
-    """
+    """A piece would exceed the memory limit; the message names the size and the remedy."""
 
 
 def read_records(stream: BinaryIO, piece: Piece, limits: ReadLimits) -> bytes:
@@ -130,9 +128,9 @@ def _decompress(packed: bytes, compression: str, size: int) -> bytes:
         return packed
     try:
         if compression == 'zstd':
-            held = zstandard.frame_content_size(packed)  # -1: its own head does not tell
-            if held not in (-1, size):
-                raise Unreadable(f'{held} bytes instead of {size}')
+            content_size = zstandard.frame_content_size(packed)  # -1: its own head does not tell
+            if content_size not in (-1, size):
+                raise Unreadable(f'{content_size} bytes instead of {size}')
             return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
         if compression == 'lz4':
             unpacker = lz4.frame.LZ4FrameDecompressor()
@@ -168,12 +166,12 @@ class Survey:
     orphan_count: int = 0
 
 
-def survey_messages(records: bytes, declared: Container[int]) -> Survey:
+def survey_messages(records: bytes, channel_numbers: Container[int]) -> Survey:
     """Count the messages among the records, as `parse_messages` would return them.
 
     Args:
         records: What `read_records` returned.
-        declared: Numbers of the channels whose messages count.
+        channel_numbers: Numbers of the channels whose messages count.
     """
     survey, unpack = Survey(), MESSAGE_HEAD.unpack_from
     counts: dict[int, int] = {}
@@ -184,7 +182,7 @@ def survey_messages(records: bytes, declared: Container[int]) -> Survey:
         following = at + 9 + length
         if following > end or (opcode == MESSAGE and length < 22):
             break
-        if opcode == MESSAGE and number in declared:
+        if opcode == MESSAGE and number in channel_numbers:
             counts[number] = counts.get(number, 0) + 1
             survey.weight += length + MESSAGE_OVERHEAD_BYTES
             start_ns = min(start_ns, log_ns)
@@ -201,21 +199,21 @@ def survey_messages(records: bytes, declared: Container[int]) -> Survey:
 
 
 def parse_messages(
-    records: bytes, channels: Mapping[int, Channel], wanted: Mapping[int, Channel]
+    records: bytes, channels: Mapping[int, Channel], wanted_channels: Mapping[int, Channel]
 ) -> tuple[list[RawMessage], int, int]:
     """The messages of the wanted channels, in the order of the file.
 
     Args:
         records: What `read_records` returned.
         channels: Every channel that the file declares.
-        wanted: The channels whose messages are asked for.
+        wanted_channels: The channels whose messages are asked for.
 
     Returns:
         The messages, the number of bytes at the end that are no whole record, and the number of
         messages whose channel nobody declared.
     """
     messages: list[RawMessage] = []
-    append, select, unpack = messages.append, wanted.get, MESSAGE_HEAD.unpack_from
+    append, select, unpack = messages.append, wanted_channels.get, MESSAGE_HEAD.unpack_from
     at, end, orphans = 0, len(records), 0
     last_head = end - MESSAGE_HEAD.size
     while at <= last_head:

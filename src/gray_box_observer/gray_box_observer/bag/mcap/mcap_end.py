@@ -1,6 +1,4 @@
-"""What the end of an MCAP file tells, if there is one and it can be believed: index, counts and
-declarations.
-"""
+"""The end of an MCAP file, where it is credible: index, counts and declarations."""
 
 from __future__ import annotations
 
@@ -90,10 +88,10 @@ def read_end(stream: BinaryIO, size: int) -> End | None:
 def _checksum(stream: BinaryIO, start: int, footer_at: int) -> int:
     """The checksum from the summary's start to before the footer's own checksum."""
     stream.seek(start)
-    left, value = footer_at + HEAD.size + 16 - start, 0
-    while left and (part := stream.read(min(left, _STEP_BYTES))):
+    remaining_bytes, value = footer_at + HEAD.size + 16 - start, 0
+    while remaining_bytes and (part := stream.read(min(remaining_bytes, _STEP_BYTES))):
         value = zlib.crc32(part, value)
-        left -= len(part)
+        remaining_bytes -= len(part)
     return value
 
 

@@ -1,5 +1,4 @@
-"""Writing one MCAP file in chunks that reach the disk whole, so that a killed recorder leaves a
-readable file.
+"""Writes one MCAP file in whole chunks, so that a killed recorder leaves a readable file.
 
 mcap's own writer ends a chunk only when it is full; a recorder of slow topics would then hold
 minutes of data in memory. Here a chunk ends whenever the owner says so. Declarations stand outside
@@ -89,15 +88,15 @@ class McapFile:
         self, topic: str, type_name: str, schema_text: str, metadata: dict[str, str]
     ) -> int:
         """Declare a topic; the result is the number by which `add_message` knows it."""
-        text, tail, declared = schema_text.encode(), self._tail, b''
+        text, tail, schema_bytes = schema_text.encode(), self._tail, b''
         schema = next((s for s in tail.schemas if s.name == type_name and s.data == text), None)
         if schema is None:
             schema = Schema(id=len(tail.schemas) + 1, data=text, encoding='ros2msg', name=type_name)
-            declared = bytes_of(schema)
+            schema_bytes = bytes_of(schema)
             tail.schemas.append(schema)
         channel = Channel(len(tail.channels) + 1, topic, 'cdr', metadata, schema.id)
         tail.channels.append(channel)
-        self._write(declared + bytes_of(channel))
+        self._write(schema_bytes + bytes_of(channel))
         return int(channel.id)
 
     def add_message(
@@ -124,9 +123,7 @@ class McapFile:
         self._chunk_bytes += MESSAGE_HEAD.size + len(data)
 
     def flush(self) -> None:
-        """End the chunk and hand it to the operating system, which keeps it even if this process is
-        killed.
-        """
+        """End the chunk and hand it to the operating system, which keeps it if we are killed."""
         if self._chunk:
             self._write(self._end_chunk())
 
@@ -198,9 +195,9 @@ class McapFile:
 
     def _put(self, content: bytes) -> None:
         self._stream.seek(self.size)
-        rest = memoryview(content)
-        while rest:
-            rest = rest[self._stream.write(rest) :]
+        remainder = memoryview(content)
+        while remainder:
+            remainder = remainder[self._stream.write(remainder) :]
 
     def _undo(self) -> None:
         with suppress(

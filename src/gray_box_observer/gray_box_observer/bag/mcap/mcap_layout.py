@@ -1,5 +1,4 @@
-"""What stands where in one MCAP file, found by walking its records; finds its way in cut and
-damaged files.
+"""Layout of one MCAP file, found by walking its records, in cut and damaged files too.
 
 The format is specified at https://mcap.dev/spec. Lengths in a damaged file are lies until they have
 been checked against the size of the file, so nothing here reads or allocates more than the file can
@@ -46,8 +45,7 @@ _LONGEST_MARK = 256
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """A part of the file that holds messages: one chunk, or a run of messages that stand outside
-    chunks.
+    """A part of the file with messages: one chunk, or a run of messages outside chunks.
 
     Attributes:
         offset: Byte in the file where its first record starts.
@@ -153,20 +151,32 @@ class _Walk:
             return
         layout = self._layout
         layout.channels |= end.channels
-        found = {p.offset: (p.start_ns, p.end_ns) for p in layout.pieces if p.is_chunk}
+        chunk_times = {p.offset: (p.start_ns, p.end_ns) for p in layout.pieces if p.is_chunk}
         indexed = {offset: _span(*times) for offset, times in end.chunks.items()}
-        expected = end.statistics
-        if not layout.damages and indexed and found != indexed:
+        statistics = end.statistics
+        if not layout.damages and indexed and chunk_times != indexed:
             self._damage(0, 0, 'the chunks of the file are not those of its index')
-        elif not layout.damages and expected is not None and expected.chunk_count != len(found):
-            self._damage(0, 0, f'{expected.chunk_count} chunks should be there, {len(found)} are')
-        elif expected is not None and not found and expected.message_count != self._loose_count:
+        elif (
+            not layout.damages
+            and statistics is not None
+            and statistics.chunk_count != len(chunk_times)
+        ):
             self._damage(
-                0, 0, f'{expected.message_count} messages should be there, {self._loose_count} are'
+                0, 0, f'{statistics.chunk_count} chunks should be there, {len(chunk_times)} are'
+            )
+        elif (
+            statistics is not None
+            and not chunk_times
+            and statistics.message_count != self._loose_count
+        ):
+            self._damage(
+                0,
+                0,
+                f'{statistics.message_count} messages should be there, {self._loose_count} are',
             )
         # Messages beside chunks are allowed and rare: count them, for a changed byte makes other
         # records into such.
-        layout.fits = not layout.damages and not (found and self._loose_count)
+        layout.fits = not layout.damages and not (chunk_times and self._loose_count)
 
     def _step(self, at: int) -> int:
         """Look at the record at ``at``; the result is where the next one starts."""
@@ -207,8 +217,8 @@ class _Walk:
         self._stream.seek(at + HEAD.size)
         return self._stream.read(length)
 
-    def _damage(self, at: int, byte_count: int, what: str) -> None:
-        self._layout.damages.append(Damage(at, byte_count, what))
+    def _damage(self, at: int, byte_count: int, complaint: str) -> None:
+        self._layout.damages.append(Damage(at, byte_count, complaint))
 
     def _message(self, at: int, head: bytes, end: int) -> int:
         """Add a message outside any chunk to the present run of such."""
@@ -263,11 +273,11 @@ class _Walk:
             at, f'the file ends in the middle of a {"chunk" if opcode == CHUNK else "record"}'
         )
 
-    def _give_up(self, at: int, what: str, *, goal: int = 0) -> int:
-        """Go on at the goal, or at the next chunk that the index knows, or at the end of the file."""
+    def _give_up(self, at: int, complaint: str, *, goal: int = 0) -> int:
+        """Go on at the goal, or at the next chunk in the index, or at the end of the file."""
         self._end_run()
         goal = goal or self._next_chunk(at) or self._stop
-        self._damage(at, goal - at, what)
+        self._damage(at, goal - at, complaint)
         return goal
 
     def _next_chunk(self, at: int) -> int:

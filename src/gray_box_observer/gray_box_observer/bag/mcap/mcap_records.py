@@ -1,6 +1,4 @@
-"""The records of an MCAP file that declare and count: schemas, channels, statistics
-(https://mcap.dev/spec).
-"""
+"""The declaring and counting records of an MCAP file (https://mcap.dev/spec)."""
 
 from __future__ import annotations
 
@@ -64,9 +62,7 @@ class Statistics:
 
 
 class Definitions:
-    """Collects schema and channel records, in whatever order and however often they come, but only
-    so many bytes.
-    """
+    """Collects schema and channel records in any order, repeated or not, up to a limit of bytes."""
 
     def __init__(self) -> None:
         self._byte_count = 0
@@ -74,9 +70,7 @@ class Definitions:
         self.channels: dict[int, Channel] = {}
 
     def add(self, opcode: int, content: bytes) -> bool:
-        """Take in one record's content; False if it is malformed or too much. Other opcodes are
-        ignored.
-        """
+        """Add one record's content; False if malformed or too large; other opcodes are ignored."""
         if len(content) > LARGEST_DECLARATION_BYTES:
             return False
         try:
@@ -136,9 +130,7 @@ def metadata_name(content: bytes) -> str:
 
 
 def _text(content: bytes, at: int) -> tuple[str, int]:
-    """Read a length-prefixed text; damaged letters are replaced, a length that lies raises
-    IndexError.
-    """
+    """Read a length-prefixed text; bad letters are replaced, a bad length raises IndexError."""
     (length,) = struct.unpack_from('<I', content, at)
     end = at + 4 + length
     if end > len(content):

@@ -1,5 +1,4 @@
-"""What ends an MCAP file: the summary, with which readers find their way without reading all of it,
-and the footer.
+"""The end of an MCAP file: the summary, by which readers find their way, and the footer.
 
 A file that is still being written carries such an end too, which the next chunk overwrites: when
 its writer is killed, every reader opens what is there, index and all. A metadata record called

@@ -1,1 +1,1 @@
-"""Compiled code for regular blocks and estimates, and its loading. Read `regular_block.py` first."""
+"""Compiled code for regular blocks and estimates. Read `regular_block.py` first."""

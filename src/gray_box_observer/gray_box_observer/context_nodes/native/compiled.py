@@ -1,6 +1,4 @@
-"""The library of compiled code, as setup.py builds it; a workspace may have been built without a C
-compiler.
-"""
+"""The library of compiled code from setup.py; a workspace may lack it (no C compiler)."""
 
 from __future__ import annotations
 
@@ -14,8 +12,7 @@ import numpy as np
 def library(
     size: str, structure: type[ctypes.Structure], kind: type[ctypes.CDLL] = ctypes.CDLL
 ) -> ctypes.CDLL | None:
-    """Load the compiled code; None where there is none, where it is another, or on a processor of
-    32 bits.
+    """Load the compiled code; None if absent, of another version, or on a 32-bit processor.
 
     Whether it is another is told by the size of what the two share: whoever changes the order of
     its entries has to build anew.

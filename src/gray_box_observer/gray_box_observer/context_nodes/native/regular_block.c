@@ -1,8 +1,9 @@
 /* One block of samples learnt in which nothing is out of the ordinary, for LANES motors at a time.
  *
- * What block_step.py, change_test.py, constant_voltage.py and block_updater.py do with numpy arrays for any block, this does for the usual one: no
- * restart, no kick of the state, outliers at most here and there, no doubt about the motor. A motor whose block turns
- * out to be another is left as it was and said to be so; numpy then learns it. Formulas and symbols are those of these
+ * What block_step.py, change_test.py, constant_voltage.py and block_updater.py do with numpy
+ * arrays for any block, this does for the usual one: no restart, no kick of the state, outliers at
+ * most here and there, no doubt about the motor. A motor whose block turns out to be another is
+ * left as it was and said to be so; numpy then learns it. Formulas and symbols are those of these
  * modules and of docs/METHOD.md.
  */
 #include <stddef.h>
@@ -21,7 +22,8 @@ enum { LEARNT = 1, LONG_HOLD = 2, ANCHOR_DUE = 4 };
 /* Places of the signals in a replay buffer: replay_buffer.py. */
 enum { INTERVAL_S, VOLTAGE_V, TORQUE_NM, SPEED_RAD_S };
 
-/* Everything a call needs; regular_block.py holds the same list. Arrays are contiguous, the motor axis first. */
+/* Everything a call needs; regular_block.py holds the same list. Arrays are contiguous, the motor
+ * axis first. */
 typedef struct {
     int64_t coordinates, samples, memories, known_terms, speed_measured;
     /* the physics: codes of the unknown terms without inductance, then of the known ones */
@@ -35,7 +37,8 @@ typedef struct {
     double left_out_memory, left_out_limit, hold_tolerance, hold_settled, long_hold_s;
     double correlation_slack, still;
     int64_t noise_memory, replay_capacity;
-    /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each other */
+    /* samples: interval, voltage, torque, speed; shape (signal, motor, column), motors beside each
+     * other */
     const double *data;
     int64_t signal_stride, column_stride, columns;
     const int64_t *gone, *end, *begin;
@@ -54,30 +57,39 @@ typedef struct {
     uint8_t *plain;
 } Update;
 
-/* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is that before a block. */
+/* Blocks of LANES motors, the first `lanes` of which are meant; the others fill up. Sample 0 is
+ * that before a block. */
 typedef struct {
     int n, k, lanes, most, beside;
     int64_t motor[LANES];
     Mask fine; /* of which nothing is out of the ordinary so far */
     Physics box;
     Real size, noise, gain, least_noise, steps;
-    Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1], speed[MOST_SAMPLES + 1];
+    Real interval[MOST_SAMPLES + 1], voltage[MOST_SAMPLES + 1], measured[MOST_SAMPLES + 1],
+        speed[MOST_SAMPLES + 1];
     Real about[MOST_SAMPLES + 1], factor[MOST_SAMPLES];
-    Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1]; /* samples that tell of the state; that are no outliers */
+    /* samples that tell of the state; that are no outliers */
+    Mask near[MOST_SAMPLES + 1], kept[MOST_SAMPLES + 1];
     Linear here[MOST_SAMPLES]; /* where an interval begins */
     Linear to[MOST_SAMPLES]; /* and where it leads */
-    Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1]; /* predicted current, and the measured one less it */
+    /* predicted current, and the measured one less it */
+    Real path[MOST_SAMPLES + 1], error[MOST_SAMPLES + 1];
     Real covariance[MOST_UNKNOWNS][MOST_UNKNOWNS], sensitivity[MOST_COORDINATES];
-    Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used; /* where the trajectory begins, ends */
+    /* where the trajectory begins, ends */
+    Real state, end, by_start, by_coordinate[MOST_COORDINATES], squares, used;
     Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS];
-    Real scores[MOST_MEMORIES][MOST_COORDINATES], tested[MOST_MEMORIES][MOST_COORDINATES][MOST_COORDINATES];
+    Real scores[MOST_MEMORIES][MOST_COORDINATES],
+        tested[MOST_MEMORIES][MOST_COORDINATES][MOST_COORDINATES];
 } Tile;
 
-/* Solve a system of `size` unknowns with `columns` right-hand sides, with pivots; what was given is overwritten. */
-INLINE void eliminate(const int size, const int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+/* Solve a system of `size` unknowns with `columns` right-hand sides, with pivots; what was given is
+ * overwritten. */
+INLINE void eliminate(const int size, const int columns, Real matrix[][MOST_UNKNOWNS],
+    Real right[][MOST_UNKNOWNS + 1])
 {
     UNROLL for (int c = 0; c < size; c++) {
-        UNROLL for (int r = c + 1; r < size; r++) { /* the largest entry of the column comes up, lane by lane */
+        /* the largest entry of the column comes up, lane by lane */
+        UNROLL for (int r = c + 1; r < size; r++) {
             const Mask over = absolute(matrix[r][c]) > absolute(matrix[c][c]);
             UNROLL for (int j = c; j < size; j++) {
                 const Real low = matrix[r][j], high = matrix[c][j];
@@ -104,13 +116,15 @@ INLINE void eliminate(const int size, const int columns, Real matrix[][MOST_UNKN
         }
 }
 
-CLONES void eliminate_any(int size, int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+CLONES void eliminate_any(int size, int columns, Real matrix[][MOST_UNKNOWNS],
+    Real right[][MOST_UNKNOWNS + 1])
 {
     eliminate(size, columns, matrix, right);
 }
 
 /* The same, without a loop where the compiler knows the size. */
-INLINE void solve(const int size, const int columns, Real matrix[][MOST_UNKNOWNS], Real right[][MOST_UNKNOWNS + 1])
+INLINE void solve(const int size, const int columns, Real matrix[][MOST_UNKNOWNS],
+    Real right[][MOST_UNKNOWNS + 1])
 {
     if (__builtin_constant_p(size))
         eliminate(size, columns, matrix, right);
@@ -135,11 +149,12 @@ INLINE void store(const Tile *t, double *array, Real x)
         if (t->fine[l]) array[t->motor[l]] = x[l];
 }
 
-/* A matrix of every motor, beginning at entry `first` of a row of an array of shape (motor, width); `apart` from row to
- * row here. All of them are brought in before anything is computed: a vector that was stored number by number can be
- * loaded quickly only when these stores are over. */
+/* A matrix of every motor, beginning at entry `first` of a row of an array of shape (motor, width);
+ * `apart` from row to row here. All of them are brought in before anything is computed: a vector
+ * that was stored number by number can be loaded quickly only when these stores are over. */
 INLINE void load_matrix(
-    const Tile *t, const double *array, int64_t width, int64_t first, int rows, int columns, Real *to, int apart)
+    const Tile *t, const double *array, int64_t width, int64_t first, int rows, int columns,
+    Real *to, int apart)
 {
     for (int l = 0; l < LANES; l++) {
         const double *from = array + t->motor[l] * width + first;
@@ -149,7 +164,8 @@ INLINE void load_matrix(
 }
 
 INLINE void store_matrix(
-    const Tile *t, double *array, int64_t width, int64_t first, int rows, int columns, const Real *from, int apart)
+    const Tile *t, double *array, int64_t width, int64_t first, int rows, int columns,
+    const Real *from, int apart)
 {
     for (int l = 0; l < t->lanes; l++) {
         if (!t->fine[l]) continue;
@@ -166,12 +182,14 @@ INLINE void gather(const Update *u, Tile *t, const int n)
     const int64_t stride = u->signal_stride;
     t->fine = everywhere();
     int64_t column[LANES];
-    int beside = 1, even = 1; /* whether one load brings what all lanes have of a motor, and of a sample */
+    /* whether one load brings what all lanes have of a motor, and of a sample */
+    int beside = 1, even = 1;
     for (int l = 0; l < LANES; l++) {
         const int64_t motor = t->motor[l];
         column[l] = u->at[motor] - u->gone[motor] - 1;
         const int there = column[l] >= 0 && column[l] < u->columns - k;
-        if (!there) column[l] = 0; /* nothing is read that is not in memory, whatever is told of places */
+        /* nothing is read that is not in memory, whatever is told of places */
+        if (!there) column[l] = 0;
         if (!there || !u->hold_begun[motor] || u->at[motor] <= u->begin[motor]) t->fine[l] = 0;
         beside &= motor == t->motor[0] + l, even &= column[l] == column[0];
     }
@@ -183,7 +201,8 @@ INLINE void gather(const Update *u, Tile *t, const int n)
                 memcpy(&t->interval[j], first + INTERVAL_S * stride, sizeof(Real));
                 memcpy(&t->voltage[j], first + VOLTAGE_V * stride, sizeof(Real));
                 memcpy(&t->measured[j], first + TORQUE_NM * stride, sizeof(Real));
-                if (u->speed_measured) memcpy(&t->speed[j], first + SPEED_RAD_S * stride, sizeof(Real));
+                if (u->speed_measured)
+                    memcpy(&t->speed[j], first + SPEED_RAD_S * stride, sizeof(Real));
             } else {
                 t->interval[j][l] = first[INTERVAL_S * stride];
                 t->voltage[j][l] = first[VOLTAGE_V * stride];
@@ -202,7 +221,8 @@ INLINE void gather(const Update *u, Tile *t, const int n)
     load_matrix(t, u->covariance, m * m, 0, m, m, (Real *)t->covariance, MOST_UNKNOWNS);
     load_matrix(t, u->score, memories * n, 0, memories, n, (Real *)t->scores, MOST_COORDINATES);
     for (int q = 0; q < memories; q++)
-        load_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q], MOST_COORDINATES);
+        load_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q],
+            MOST_COORDINATES);
 }
 
 CLONES void gather_3(const Update *u, Tile *t) { gather(u, t, 3); }
@@ -240,14 +260,16 @@ INLINE void count_steps(const Update *u, Tile *t, const Terms of)
         }
 }
 
-/* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow; block_step.py, _from. */
+/* The trajectory with its derivatives, and the normal equations: trajectory.py, linearise, follow;
+ * block_step.py, _from. */
 INLINE void follow(const Update *u, Tile *t, const Terms of)
 {
     const int k = t->k, n = of.coordinates, m = n + STATES;
     const Real outlier = (u->outlier * t->noise) * (u->outlier * t->noise);
     Real largest = all(0.0), x = t->state, by_start = all(1.0), by_coordinate[MOST_COORDINATES];
     Real squares = all(0.0), used = all(0.0);
-    Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS], twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
+    Real info[MOST_UNKNOWNS][MOST_UNKNOWNS], right[MOST_UNKNOWNS],
+        twice[MOST_UNKNOWNS][MOST_UNKNOWNS];
     Mask fine = t->fine;
     for (int j = 0; j <= k; j++) largest = larger(largest, absolute(t->measured[j]));
     const Real limit = u->far_away * (largest + 1e-9);
@@ -268,7 +290,8 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
         const Linear to = t->to[j];
         const Real about = t->about[j], end = to.value[CURRENT];
         fine &= absolute(end) <= limit;
-        const Real decay = between(to.by_state[CURRENT][CURRENT], all(-1.0), all(1.0)), gain = chosen(t->near[j], t->gain, all(0.0));
+        const Real decay = between(to.by_state[CURRENT][CURRENT], all(-1.0), all(1.0)),
+            gain = chosen(t->near[j], t->gain, all(0.0));
         const Real factor = decay * (1.0 - gain);
         t->factor[j] = factor;
         t->path[j + 1] = x = factor * x + (end - decay * about + decay * gain * t->measured[j]);
@@ -281,7 +304,8 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
         }
         UNROLL for (int i = 0; i < m; i++)
             UNROLL for (int h = i; h < m; h++) variance += twice[i][h] * (row[i] * row[h]);
-        const Real error = t->measured[j + 1] - x, spread = 1.0 + larger(variance, all(0.0)), square = error * error;
+        const Real error = t->measured[j + 1] - x, spread = 1.0 + larger(variance, all(0.0)),
+            square = error * error;
         const Mask kept = square <= outlier * spread;
         t->error[j + 1] = error, t->kept[j + 1] = kept;
         squares += chosen(kept, square / spread, all(0.0));
@@ -300,10 +324,14 @@ INLINE void follow(const Update *u, Tile *t, const Terms of)
     }
 }
 
-INLINE void follow_of(const Update *u, Tile *t, const Terms of) { count_steps(u, t, of), follow(u, t, of); }
+INLINE void follow_of(const Update *u, Tile *t, const Terms of)
+{
+    count_steps(u, t, of), follow(u, t, of);
+}
 
-/* One for every number of coordinates, so that all that is known of a sample stays in registers; and one each for the
- * physics that nearly every motor has, whose terms the compiler then knows. The numbers are the same. */
+/* One for every number of coordinates, so that all that is known of a sample stays in registers;
+ * and one each for the physics that nearly every motor has, whose terms the compiler then knows.
+ * The numbers are the same. */
 #define FOLLOW(N) \
     CLONES void follow_##N(const Update *u, Tile *t) \
     { \
@@ -314,7 +342,10 @@ FOLLOW(1) FOLLOW(2) FOLLOW(3) FOLLOW(4) FOLLOW(5)
 static const int64_t USUAL[] = {RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT};
 
 CLONES void follow_usual(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 0, USUAL}); }
-CLONES void follow_usual_with_speed(const Update *u, Tile *t) { follow_of(u, t, (Terms){3, 1, 1, USUAL}); }
+CLONES void follow_usual_with_speed(const Update *u, Tile *t)
+{
+    follow_of(u, t, (Terms){3, 1, 1, USUAL});
+}
 
 static void follow_any(const Update *u, Tile *t)
 {
@@ -347,7 +378,8 @@ CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
         large |= change[j] > limit;
     }
     for (int j = 0; j < k; j++) {
-        const Real earlier = j > 1 ? change[j - 2] : all(0.0), before = j > 0 ? change[j - 1] : all(0.0);
+        const Real earlier = j > 1 ? change[j - 2] : all(0.0),
+            before = j > 0 ? change[j - 1] : all(0.0);
         const Real after = j + 1 < k ? change[j + 1] : end, last = j > 0 ? jump[j - 1] : all(0.0);
         const Real both = absolute(jump[j] + t->factor[j] * last);
         kicked |= (change[j] > limit) & (before < 0.5 * change[j]) & (after < 0.5 * change[j]);
@@ -356,12 +388,14 @@ CLONES void look_for_kicks(const Update *u, Tile *t, const Mask *asked)
     t->fine &= ~(*asked & large & kicked);
 }
 
-/* A current that has not moved by more than the step of its readings teaches nothing: block_updater.py, update. */
+/* A current that has not moved by more than the step of its readings teaches nothing:
+ * block_updater.py, update. */
 CLONES void silence(const Update *u, Tile *t)
 {
     Real low = t->measured[0], high = low;
     if (!anywhere(t->least_noise > 0.0)) return;
-    for (int j = 1; j <= t->k; j++) low = smaller(low, t->measured[j]), high = larger(high, t->measured[j]);
+    for (int j = 1; j <= t->k; j++)
+        low = smaller(low, t->measured[j]), high = larger(high, t->measured[j]);
     const Mask still = (t->least_noise > 0.0) & (high - low <= u->still * t->least_noise);
     for (int i = 0; i <= t->n; i++) {
         t->right[i] = chosen(still, all(0.0), t->right[i]);
@@ -378,7 +412,8 @@ CLONES void predict(const Update *u, Tile *t)
     for (int j = 1; j <= t->k; j++) outliers |= ~t->kept[j];
     outliers &= t->fine;
     if (!anywhere(outliers)) return;
-    look_for_kicks(u, t, &outliers); /* whoever has no outlier is asked nothing, as it would be alone */
+    /* whoever has no outlier is asked nothing, as it would be alone */
+    look_for_kicks(u, t, &outliers);
     for (int j = 1; j <= t->k; j++) t->near[j] = t->kept[j];
     follow_any(u, t);
     for (int j = 1; j <= t->k; j++) /* the motor never stood where an outlier says */
@@ -386,7 +421,8 @@ CLONES void predict(const Update *u, Tile *t)
     follow_any(u, t);
 }
 
-/* Have the coordinates always been others? block_step.py, surprise; change_test.py, DriftTest.take. */
+/* Have the coordinates always been others? block_step.py, surprise; change_test.py,
+ * DriftTest.take. */
 INLINE void examine(const Update *u, Tile *t, const int n)
 {
     const int m = n + STATES, memories = (int)u->memories;
@@ -406,13 +442,16 @@ INLINE void examine(const Update *u, Tile *t, const int n)
     for (int q = 0; q < memories; q++) {
         Real trace = all(0.0), statistic = all(0.0), solution[MOST_UNKNOWNS][MOST_UNKNOWNS + 1];
         for (int i = 0; i < n; i++) {
-            const Real share = t->sensitivity[i], turned = share * reached[CURRENT][CURRENT] + reached[i + STATES][CURRENT];
+            const Real share = t->sensitivity[i],
+                turned = share * reached[CURRENT][CURRENT] + reached[i + STATES][CURRENT];
             const Real score = (share * reached[CURRENT][m] + reached[i + STATES][m]) * unit;
             t->scores[q][i] = u->keep[q] * t->scores[q][i] + score;
             for (int j = 0; j < n; j++) {
-                const Real own = share * reached[CURRENT][j + STATES] + reached[i + STATES][j + STATES];
+                const Real own = share * reached[CURRENT][j + STATES] +
+                    reached[i + STATES][j + STATES];
                 const Real told = turned * t->sensitivity[j] + own;
-                matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * t->tested[q][i][j] + told * unit;
+                matrix[i][j] = t->tested[q][i][j] = u->keep[q] * u->keep[q] * t->tested[q][i][j] +
+                    told * unit;
             }
             solution[i][0] = t->scores[q][i];
             trace += t->tested[q][i][i];
@@ -427,10 +466,12 @@ INLINE void examine(const Update *u, Tile *t, const int n)
     t->fine &= (t->used >= 0.5 * samples) & (left_out <= u->left_out_limit);
 }
 
-/* Whether a hold has lasted for long enough, measured by the slowest decay of the block: constant_voltage.py, take.
+/* Whether a hold has lasted for long enough, measured by the slowest decay of the block:
+ * constant_voltage.py, take.
  *
- * What is left over an interval lies between bounds without logarithms, which decide nearly always:
- * (1 - f) 2 / (1 + f) <= -log f <= (1 - f^2) / (2 f) for what every interval leaves, 0 < f <= 1; others are not decided.
+ * What is left over an interval lies between bounds without logarithms, which decide nearly
+ * always: (1 - f) 2 / (1 + f) <= -log f <= (1 - f^2) / (2 f) for what every interval leaves,
+ * 0 < f <= 1; others are not decided.
  */
 INLINE Mask has_settled(const Update *u, const Tile *t, const Mask asked, const Real held)
 {
@@ -440,16 +481,19 @@ INLINE Mask has_settled(const Update *u, const Tile *t, const Mask asked, const 
     for (int j = 1; j < t->k; j++) {
         known &= t->factor[j] > 0.0;
         most = larger(most, t->factor[j]);
-        longest = larger(longest, t->interval[j + 1]), shortest = smaller(shortest, t->interval[j + 1]);
+        longest = larger(longest, t->interval[j + 1]),
+            shortest = smaller(shortest, t->interval[j + 1]);
     }
     const Real least_rate = 2.0 * (1.0 - most) / ((1.0 + most) * longest);
     const Real most_rate = (1.0 - most) * (1.0 + most) / (2.0 * most * shortest);
     Mask settled = asked & known & (held * least_rate > u->hold_settled * (1.0 + ROUNDING));
-    const Mask open = asked & ~settled & ~(known & (held * most_rate < u->hold_settled * (1.0 - ROUNDING)));
+    const Mask open = asked & ~settled &
+        ~(known & (held * most_rate < u->hold_settled * (1.0 - ROUNDING)));
     for (int l = 0; l < t->lanes; l++) {
         if (!open[l]) continue;
         double rate = INFINITY;
-        for (int j = 0; j < t->k && rate == rate; j++) { /* what is not a number stays, and nothing settles */
+        /* what is not a number stays, and nothing settles */
+        for (int j = 0; j < t->k && rate == rate; j++) {
             const double decays = -log(t->factor[j][l]) / t->interval[j + 1][l];
             rate = decays >= rate ? rate : decays;
         }
@@ -458,7 +502,8 @@ INLINE Mask has_settled(const Update *u, const Tile *t, const Mask asked, const 
     return settled;
 }
 
-/* Settle what follows from a motor's block: estimator.py, _reckon; what rarely follows is left to Python and told of. */
+/* Settle what follows from a motor's block: estimator.py, _reckon; what rarely follows is left to
+ * Python and told of. */
 static uint8_t reckon(const Update *u, int64_t motor)
 {
     const int walking = u->walk_rate[motor] != 0.0;
@@ -476,7 +521,8 @@ static uint8_t reckon(const Update *u, int64_t motor)
     return told;
 }
 
-/* Learn, and write down what is believed then: block_step.py, learn; block_updater.py, _follow_noise; constant_voltage.py, take. */
+/* Learn, and write down what is believed then: block_step.py, learn; block_updater.py,
+ * _follow_noise; constant_voltage.py, take. */
 INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
 {
     const int k = t->k, m = n + STATES, memories = (int)u->memories;
@@ -492,7 +538,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
         }
     solve(m, m, matrix, posterior);
     for (int i = 0; i < m; i++)
-        for (int j = 0; j < i; j++) posterior[i][j] = posterior[j][i] = 0.5 * (posterior[i][j] + posterior[j][i]);
+        for (int j = 0; j < i; j++)
+            posterior[i][j] = posterior[j][i] = 0.5 * (posterior[i][j] + posterior[j][i]);
     for (int i = 0; i < m; i++) {
         step[i] = all(0.0);
         for (int j = 0; j < m; j++) step[i] += posterior[i][j] * t->right[j];
@@ -507,10 +554,12 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     }
 
     Real p[MOST_COORDINATES], ratio[MOST_UNKNOWNS], transfer[MOST_UNKNOWNS];
-    const Real first = before[0] * (1.0 + step[STATES]), leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
+    const Real first = before[0] * (1.0 + step[STATES]),
+        leading = between(1.0 / first, all(u->lower[0]), all(u->upper[0]));
     p[0] = 1.0 / leading;
     for (int i = 1; i < n; i++)
-        p[i] = between(before[i] * (1.0 + step[i + STATES]) / first, all(u->lower[i]), all(u->upper[i])) / leading;
+        p[i] = between(before[i] * (1.0 + step[i + STATES]) / first, all(u->lower[i]),
+            all(u->upper[i])) / leading;
     ratio[CURRENT] = all(1.0);
     transfer[CURRENT] = t->by_start;
     for (int i = 0; i < n; i++) {
@@ -530,7 +579,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     for (int h = 0; h < m; h++) corner += moved[CURRENT][h] * transfer[h];
     moved[CURRENT][CURRENT] = corner;
     for (int i = STATES; i < m; i++) {
-        for (int j = 0; j < m; j++) moved[i][j] = j == CURRENT ? moved[CURRENT][i] : posterior[i][j];
+        for (int j = 0; j < m; j++)
+            moved[i][j] = j == CURRENT ? moved[CURRENT][i] : posterior[i][j];
         moved[i][i] += u->heats[i - STATES] * (walk * walk * passed * unit);
     }
     for (int i = 0; i < m; i++)
@@ -547,7 +597,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
         count[l] = (double)(grown < u->noise_memory ? grown : u->noise_memory);
     }
     const Real power = noise * noise + (double)k / count * (t->squares / t->used - noise * noise);
-    const Real followed = larger(larger(square_root(power), u->noise_floor * t->size), t->least_noise);
+    const Real followed = larger(larger(square_root(power), u->noise_floor * t->size),
+        t->least_noise);
     t->fine &= followed < INFINITY;
     for (int j = 2; j <= k; j++)
         low = smaller(low, t->voltage[j]), high = larger(high, t->voltage[j]);
@@ -556,7 +607,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     Mask same = larger(high - level, level - low) <= u->hold_tolerance * largest;
     if (u->speed_measured) { /* then a load excites too */
         Real slow = t->speed[1], fast = slow;
-        for (int j = 2; j <= k; j++) slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
+        for (int j = 2; j <= k; j++)
+            slow = smaller(slow, t->speed[j]), fast = larger(fast, t->speed[j]);
         same &= fast - slow <= u->hold_tolerance * larger(-slow, fast);
     }
     const Real held = chosen(same, load(t, u->hold_held_s) + passed, all(0.0));
@@ -564,7 +616,8 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
 
     Real reached[MOST_COORDINATES];
     for (int i = 0; i < n; i++)
-        reached[i] = (t->by_coordinate[i] * before[i] + t->by_start * (t->sensitivity[i] * t->size)) / t->size;
+        reached[i] = (t->by_coordinate[i] * before[i] +
+            t->by_start * (t->sensitivity[i] * t->size)) / t->size;
     store(t, u->state, state);
     store(t, u->noise, followed);
     store_matrix(t, u->p, n, 0, 1, n, p, n);
@@ -572,8 +625,10 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
     store_matrix(t, u->covariance, m * m, 0, m, m, (Real *)moved, MOST_UNKNOWNS);
     store_matrix(t, u->score, memories * n, 0, memories, n, (Real *)t->scores, MOST_COORDINATES);
     for (int q = 0; q < memories; q++)
-        store_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q], MOST_COORDINATES);
-    store(t, u->left_out, u->left_out_memory * load(t, u->left_out) + ((double)k - t->used) / (double)k);
+        store_matrix(t, u->information, memories * n * n, q * n * n, n, n, (Real *)t->tested[q],
+            MOST_COORDINATES);
+    store(t, u->left_out,
+        u->left_out_memory * load(t, u->left_out) + ((double)k - t->used) / (double)k);
     store(t, u->suspicion, all(0.0));
     store(t, u->hold_level, chosen(same, level, t->voltage[k]));
     store(t, u->hold_largest, largest);
@@ -589,21 +644,30 @@ INLINE void conclude(const Update *u, Tile *t, const int n, uint8_t *told)
             for (int i = 0; i < n; i++) {
                 u->hold_p[motor * n + i] = p[i][l];
                 for (int j = 0; j < n; j++)
-                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + STATES][j + STATES][l] * followed[l] * followed[l];
+                    u->hold_covariance[(motor * n + i) * n + j] = moved[i + STATES][j + STATES][l] *
+                        followed[l] * followed[l];
             }
         u->hold_settled_now[motor] = settled[l] != 0;
         told[l] = reckon(u, motor);
     }
 }
 
-/* A variant for three coordinates, which most motors have: the compiler unrolls their small matrices. */
-CLONES void finish_3(const Update *u, Tile *t, uint8_t *told) { examine(u, t, 3), conclude(u, t, 3, told); }
-CLONES void finish_any(const Update *u, Tile *t, uint8_t *told) { examine(u, t, t->n), conclude(u, t, t->n, told); }
+/* A variant for three coordinates, which most motors have: the compiler unrolls their small
+ * matrices. */
+CLONES void finish_3(const Update *u, Tile *t, uint8_t *told)
+{
+    examine(u, t, 3), conclude(u, t, 3, told);
+}
+CLONES void finish_any(const Update *u, Tile *t, uint8_t *told)
+{
+    examine(u, t, t->n), conclude(u, t, t->n, told);
+}
 
 /* Size of Update, by which Python tells that it speaks of the same. */
 int64_t update_size(void) { return (int64_t)sizeof(Update); }
 
-/* Learn the next blocks of `count` motors, given by their places; tell of each what became of it. */
+/* Learn the next blocks of `count` motors, given by their places; tell of each what became of
+ * it. */
 void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t *told)
 {
     Tile t;
@@ -624,8 +688,9 @@ void learn_blocks(const Update *u, const int64_t *motors, int64_t count, uint8_t
     }
 }
 
-/* A turn: learn the next block of every motor that is due for one, where these are no more than `most`. Tell how many
- * they are, and in `wait` in how many samples somebody is due again; 0 where there is more to do than was done here. */
+/* A turn: learn the next block of every motor that is due for one, where these are no more than
+ * `most`. Tell how many they are, and in `wait` in how many samples somebody is due again; 0 where
+ * there is more to do than was done here. */
 int64_t learn_due(
     const Update *u, int64_t most, int64_t *motors, uint8_t *told, uint8_t *changed, int64_t *wait)
 {
@@ -659,11 +724,14 @@ int64_t learn_due(
 /* By which Python tells that this was built of the forms that it has itself. */
 int64_t forms_fingerprint(void) { return FORMS_FINGERPRINT; }
 
-/* A term for a coefficient of one, and its derivative by the current, of one motor. Returns whether there is such. */
+/* A term for a coefficient of one, and its derivative by the current, of one motor. Returns whether
+ * there is such. */
 int64_t term_values(
-    int64_t code, int64_t speed_measured, double current, double speed, double torque_constant, double *values)
+    int64_t code, int64_t speed_measured, double current, double speed, double torque_constant,
+    double *values)
 {
-    const Term found = term(code, (int)speed_measured, all(current), all(speed), all(torque_constant));
+    const Term found = term(code, (int)speed_measured, all(current), all(speed),
+        all(torque_constant));
     values[0] = found.value[0];
     values[1] = found.slope[CURRENT][0];
     return term_known(code);

@@ -1,5 +1,6 @@
-"""Regular blocks by compiled code, `regular_block.c`; numpy (:mod:`block_step`,
-:mod:`block_updater`) stands behind it.
+"""Regular blocks by compiled code, `regular_block.c`, with the numpy path as a fallback.
+
+The numpy path is :mod:`block_step` and :mod:`block_updater`.
 
 A block is regular where nothing restarts, the state is not kicked, outliers are few and nothing
 speaks for a change of the motor. Nearly all are, and these decide what an update costs. What is not
@@ -115,9 +116,7 @@ class _Update(ctypes.Structure):
 
 
 def library() -> ctypes.CDLL | None:
-    """Load the compiled code; None where the workspace was built without it, or of another
-    ``Update`` or motor.
-    """
+    """Load the compiled code; None if absent, or of another ``Update`` or motor."""
     loaded = compiled.library('update_size', _Update)
     if loaded is None:
         return None
@@ -176,7 +175,7 @@ class RegularBlocks:
 
     @property
     def compiled(self) -> bool:
-        """Whether there is compiled code that knows this physics; else no block counts as regular."""
+        """Whether compiled code knows this physics; else no block counts as regular."""
         return self._library is not None
 
     def _describe(
@@ -297,9 +296,7 @@ class RegularBlocks:
         return known, Turn(done, told[:count].copy(), changed.copy(), self._wait.value)
 
     def _point(self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_]) -> Learnt:
-        """Let the compiled code write where this is known, or where a copy of it is that it may
-        write to.
-        """
+        """Let the compiled code write to the arrays themselves, or to writable copies of them."""
         parts = (*_parts(known), due, plain)
         if self._pointed and all(map(is_, parts, self._pointed)):
             return known

@@ -1,43 +1,52 @@
 /* Values, covariance and verdicts of motors none of whose parameters is known vaguely.
  *
- * The same as estimator.py, estimate, with flow.py, parameter_covariance, and estimate.py, VerdictRules; to the last bit.
- * Where something is known vaguely the spread of its logarithm is not that of its value, which numpy then works out.
+ * The same as estimator.py, estimate, with flow.py, parameter_covariance, and estimate.py,
+ * VerdictRules; to the last bit. Where something is known vaguely the spread of its logarithm is
+ * not that of its value, which numpy then works out.
  */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 
 #define MOST_PARAMETERS 5
-#define SURELY_DEFINITE 1e-8 /* of a factor's square; well above LEAST_EIGENVALUE of normal_equations.py */
+/* of a factor's square; well above LEAST_EIGENVALUE of normal_equations.py */
+#define SURELY_DEFINITE 1e-8
 
 /* In the order of estimate.py. */
 enum { IDENTIFIED, CONVERGING, UNEXCITED, FROZEN, IMPLAUSIBLE, MISFIT, NEGLIGIBLE };
 
-/* What is believed, and when a parameter counts as known; regular_estimate.py holds the same list. */
+/* What is believed, and when a parameter counts as known; regular_estimate.py holds the same
+ * list. */
 typedef struct {
     int64_t parameters;
     double lower[MOST_PARAMETERS], upper[MOST_PARAMETERS];
-    double identified_relative_std, excited_relative_std, bound_tolerance, negligible_share, log_normal;
-    const double *p, *covariance, *noise; /* of motors by coordinate; by state and coordinates, squared; by nothing */
-    const double *share, *reach; /* of motors by parameter: of the voltage, a unit's and what may come on top; or NULL */
+    double identified_relative_std, excited_relative_std, bound_tolerance, negligible_share,
+        log_normal;
+    /* of motors by coordinate; by state and coordinates, squared; by nothing */
+    const double *p, *covariance, *noise;
+    /* of motors by parameter: of the voltage, a unit's and what may come on top; or NULL */
+    const double *share, *reach;
 } Believed;
 
 static uint8_t verdict(const Believed *b, int i, double value, double std)
 {
-    if (value <= b->lower[i] * (1.0 + b->bound_tolerance) || value >= b->upper[i] * (1.0 - b->bound_tolerance))
+    if (value <= b->lower[i] * (1.0 + b->bound_tolerance)
+        || value >= b->upper[i] * (1.0 - b->bound_tolerance))
         return IMPLAUSIBLE;
     if (!(std <= b->excited_relative_std * value)) return UNEXCITED;
     return std <= b->identified_relative_std * value ? IDENTIFIED : CONVERGING;
 }
 
-/* Whether a covariance of positive variances is positive definite by more than rounding: normal_equations.py, definite.
- * It is by Cholesky factors of the correlations, the smallest of whose squares is no less than the least eigenvalue. */
+/* Whether a covariance of positive variances is positive definite by more than rounding:
+ * normal_equations.py, definite. It is by Cholesky factors of the correlations, the smallest of
+ * whose squares is no less than the least eigenvalue. */
 static int definite(int n, const double *covariance)
 {
     double factor[MOST_PARAMETERS][MOST_PARAMETERS];
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
-            double left = covariance[i * n + j] / sqrt(covariance[i * n + i] * covariance[j * n + j]);
+            double left =
+                covariance[i * n + j] / sqrt(covariance[i * n + i] * covariance[j * n + j]);
             for (int h = 0; h < j; h++) left -= factor[i][h] * factor[j][h];
             if (i == j && !(left > SURELY_DEFINITE)) return 0;
             factor[i][j] = i == j ? sqrt(left) : left / factor[j][j];
@@ -48,10 +57,11 @@ static int definite(int n, const double *covariance)
 /* Size of Believed, by which Python tells that it speaks of the same. */
 int64_t believed_size(void) { return (int64_t)sizeof(Believed); }
 
-/* Tell of `count` motors, given by their places, or of the first so many. Return whether all of them are regular;
- * else what is written means nothing. */
+/* Tell of `count` motors, given by their places, or of the first so many. Return whether all of
+ * them are regular; else what is written means nothing. */
 int64_t tell_estimates(
-    const Believed *b, const int64_t *motors, int64_t count, double *values, double *covariances, uint8_t *verdicts)
+    const Believed *b, const int64_t *motors, int64_t count, double *values, double *covariances,
+    uint8_t *verdicts)
 {
     const int n = (int)b->parameters, m = n + 1;
     for (int64_t k = 0; k < count; k++) {

@@ -1,5 +1,4 @@
-"""Regular estimates by compiled code, `regular_estimate.c`; numpy (:mod:`estimate`) stands behind
-it.
+"""Regular estimates by compiled code, `regular_estimate.c`; fallback: :mod:`estimate`.
 
 An estimate is regular where no parameter is known so vaguely that the spread of its logarithm is
 not that of its value. After the first seconds all are, and controllers wait for them.

@@ -1,3 +1,1 @@
-"""The rule that learns block by block, with its batch fits and tests for a change. Read
-`estimator.py` first.
-"""
+"""The rule that learns block by block, with batch fits and change tests. See `estimator.py`."""

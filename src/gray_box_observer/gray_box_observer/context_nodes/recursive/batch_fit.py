@@ -1,5 +1,4 @@
-"""Maximum likelihood over a stretch of samples: Gauss-Newton on the prediction error, robust
-against outliers.
+"""Maximum likelihood over a window of samples: robust Gauss-Newton on the prediction error.
 
 In the coordinates of :mod:`gray_box_observer.white_box.flow` the rate is linear in the unknowns, so
 a few steps from the linear start are enough. With white torque noise the gain comes out as zero,
@@ -189,9 +188,7 @@ class _Search:
         return part
 
     def split(self, which: NDArray[np.bool_]) -> list[tuple[_Search, bool]]:
-        """Return the searches of the motors that a mask marks and of those that it does not, where
-        there are any.
-        """
+        """Return the searches of the motors in a mask and of the others, where there are any."""
         return [
             (self.of(mask), marked)
             for mask, marked in ((which, True), (~which, False))
@@ -223,7 +220,7 @@ class _Search:
         return [*arrived, search]
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:
-        """Return to the best coordinates so far, for some of the motors, and step less from there."""
+        """Return some motors to their best coordinates so far, with smaller steps from there."""
         self._damping = np.where(worse, 0.3 * self._damping, self._damping)
         self._p = np.where(worse[:, None], self._best_p, self._p)
         self._about = np.where(worse[:, None], self._measured_near, self._about)
@@ -263,9 +260,7 @@ class _Search:
         self._scale = np.maximum(robust_std(self._residual, self._valid), self._floor)
 
     def _sharp_scale(self) -> Array:
-        """Noise by how the residual changes between samples: a kick counts there once, however long
-        it stays.
-        """
+        """Noise by the residual's changes between samples, where a lasting kick counts once."""
         change = self._residual[:, 1:] - self._path.factor * self._residual[:, :-1]
         white = change / np.sqrt(1.0 + self._path.factor**2)
         sharp = np.minimum(self._scale, robust_std(white, ~self._stretch.restart))
@@ -319,9 +314,7 @@ class _Search:
         return furthest
 
     def choose_gain(self) -> NDArray[np.bool_]:
-        """Take the gain that explains the stretch best, if the evidence is clear; tell where it is
-        not zero.
-        """
+        """Adopt the gain that explains the window best, on clear evidence; tell where not 0."""
         count = np.sum(self._weights, axis=1)
         trust, taken = self._weights > 0.0, taken_over(self._loose)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
@@ -364,7 +357,7 @@ class _Search:
         return Fit(belief, self._ramp(), left_out.astype(float), linear)
 
     def _ramp(self) -> Array:
-        """Score test of one further unknown: a drift, linear in time, of the coordinates that heat."""
+        """Score test of one further unknown: linear drift in time of the coordinates that heat."""
         heats = np.array([parameter.heats for parameter in self._white_box.parameters])
         if not np.any(heats):
             return np.zeros(self._p.shape[0])

@@ -1,6 +1,4 @@
-"""What is believed of a group of motors at one sample: state, coordinates, their covariance, and
-the noise.
-"""
+"""The belief about a group at one sample: state, coordinates, covariance and noise."""
 
 from __future__ import annotations
 
@@ -60,9 +58,7 @@ class Prior:
         return cls(p, np.einsum('pi,mi,qi->mpq', map_, relative_std**2, map_))
 
     def loosened(self, directions: Array) -> Prior:
-        """Return the prior with further freedom along directions, shape (coordinate, k) or
-        (coordinate,).
-        """
+        """Return the prior with freedom added along directions, shape (coordinate[, k])."""
         spread = directions.reshape(self.p.shape[1], -1)
         return replace(self, covariance=self.covariance + spread @ spread.T)
 
@@ -137,9 +133,7 @@ class Belief:
         return Belief(**mixed)
 
     def loosened(self, directions: Array) -> Belief:
-        """Return the belief with further freedom of the coordinates' logarithms, shape (coordinate,
-        k).
-        """
+        """Return the belief with freedom added to the log-coordinates, shape (coordinate, k)."""
         covariance = self.covariance.copy()
         covariance[:, COORDINATES, COORDINATES] += (
             directions @ directions.T / self.noise[:, None, None] ** 2
@@ -147,9 +141,7 @@ class Belief:
         return replace(self, covariance=covariance)
 
     def restarted_at(self, state: Array) -> Belief:
-        """Return the belief with a state that was just measured, as uncertain as one sample leaves
-        it.
-        """
+        """Return the belief with a state just measured, as uncertain as one sample leaves it."""
         covariance = self.covariance.copy()
         covariance[:, CURRENT, :] = covariance[:, :, CURRENT] = 0.0
         covariance[:, CURRENT, CURRENT] = self.current_a**-2.0

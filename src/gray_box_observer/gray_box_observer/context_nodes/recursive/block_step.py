@@ -42,8 +42,7 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One block of samples, predicted: arrays of shape (motor, k), the Jacobian of (motor, k,
-    unknown).
+    """One predicted block: arrays of shape (motor, k), Jacobian (motor, k, unknown).
 
     Attributes:
         stretch: the samples, restarted where the state was kicked.
@@ -86,9 +85,7 @@ class Block:
         return Block(self.stretch.of(index), self.path.of(index), *signals)
 
     def silenced(self, which: NDArray[np.bool_]) -> Block:
-        """Return the block as telling nothing of some of the motors, shape (motor,); they only move
-        on.
-        """
+        """Return the block without information on some motors, (motor,); they only move on."""
         information = np.where(which[:, None, None], 0.0, self.information)
         return replace(
             self, information=information, right=np.where(which[:, None], 0.0, self.right)
@@ -147,9 +144,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
 
 
 def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]:
-    """States to linearise about, and which samples are near enough to tell of the state, shape
-    (motor, k + 1).
-    """
+    """States to linearise about, and samples near enough to tell of them, (motor, k + 1)."""
     reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
     about = np.clip(stretch.state, -reach, reach)
     about[:, 0] = belief.state
@@ -159,8 +154,7 @@ def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]
 def _from(
     white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
 ) -> tuple[Trajectory, Array, Array, Array, Array]:
-    """Trajectory, residuals, their derivatives by the unknowns, their spread, and the variance that
-    restarts leave.
+    """Trajectory, residuals, derivatives by the unknowns, spread, and variance left by restarts.
 
     Spread and variance are in units of the noise; the state takes nothing over from samples that
     are not near.
@@ -213,8 +207,7 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | Non
 
 
 def surprise(belief: Belief, block: Block) -> tuple[Array, Array]:
-    """Score and information of a block about coordinates that had always been others; zero where
-    nothing can be said.
+    """Score and information of a block about always different coordinates; zero if unknown.
 
     With ``W = (I + J P J')^-1``, which makes innovations white, and sensitivities ``S = J T`` to
     coordinates that were wrong since the sensitivity of the state was last zero, these are ``S'W

@@ -1,5 +1,4 @@
-"""What the recursive rule does to motors when a piece of work is due: fit everything, or learn a
-block.
+"""What the recursive rule does with motors that are due: fit everything, or learn a block.
 
 Every motor of the group goes its own way: which of its samples are read is settled by its place in
 its own stream (``Learnt.at``), and nothing that is decided for one depends on another.
@@ -132,8 +131,7 @@ class Learner:
             put(motors.learnt, index, part.learnt)
 
     def _wait_for_current(self, motors: Motors, stretch: Stretch) -> NDArray[np.bool_]:
-        """Read the step of the current; let motors wait whose current has not moved by more, and
-        tell who waits.
+        """Read the step of the current; hold back and name motors whose current moved no further.
 
         Nothing follows from a current that does not move: noise of the voltage would be taken for
         what moves it not.
@@ -197,7 +195,7 @@ class Learner:
         return Prior.of_parameters(prior.p, np.full(prior.p.shape, self._rules.prior_relative_std))
 
     def _refuted(self, prior: Prior, found: Belief) -> NDArray[np.intp]:
-        """Places of motors whose data lie so far from what was told of them that it cannot be true."""
+        """Places of motors whose data contradict what was stated about them."""
         away = np.log(found.p / prior.p)
         distance = (away * solved(prior.covariance, away[..., None])[..., 0]).sum(axis=1)
         sharp = prior.covariance.diagonal(0, 1, 2) < 0.5 * self._vague(prior).covariance.diagonal(
@@ -206,8 +204,7 @@ class Learner:
         return np.flatnonzero(found.finite & (distance > REFUTED) & sharp.any(axis=1))
 
     def _fit_without(self, motors: Motors, samples: int, fit: Fit, index: NDArray[np.intp]) -> Fit:
-        """Fit some motors anew as if nothing had been told of them, and believe that where it fits
-        better.
+        """Fit some motors anew with a vague prior; adopt the fit where it fits better.
 
         A wrong value that is told as certain bends the others until the search ends where it should
         not.
@@ -229,9 +226,7 @@ class Learner:
 
     @staticmethod
     def _open(found: Belief, prior: Prior, stretch: Stretch) -> Belief:
-        """What could be believed at the beginning of a stretch that has been fitted, were it not
-        for the stretch.
-        """
+        """Belief at the beginning of a fitted window, had the window not been seen."""
         loose = random_walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
         covariance = np.zeros_like(found.covariance)
         covariance[:, COORDINATES, COORDINATES] = (
@@ -242,24 +237,21 @@ class Learner:
     def learn_due(
         self, known: Learnt, due: NDArray[np.int_], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, Turn]:  # fmt: skip
-        """As :meth:`RegularBlocks.learn_due`; where there is a device for very many, all is left to
-        do.
-        """
+        """As :meth:`RegularBlocks.learn_due`; a device for very many motors leaves all to do."""
         if self._on_device is not None:
             return known, Turn.left(due.size)
         return self._ordinary.learn_due(known, due, plain, self.turn)
 
     def learn_ordinary(
-        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_], plain: NDArray[np.bool_]
+        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_],
+        plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
         """As :meth:`RegularBlocks.learn`, of very many on the device."""
         many = None if motors.size < DEVICE_FROM else self._on_device
         return (many or self._ordinary).learn(known, motors, due, plain)
 
     def attend(self, known: Learnt, motors: NDArray[np.intp], told: NDArray[np.uint8]) -> None:
-        """Do what is left of regular blocks; what is due has to be reckoned anew where more is told
-        than LEARNT.
-        """
+        """Finish regular blocks; only those told as LEARNT need no new reckoning of what is due."""
         if not (told > LEARNT).any():
             return
         if (long := motors[told & LONG_HOLD > 0]).size:
@@ -272,7 +264,7 @@ class Learner:
             self._move_anchors(known, far)
 
     def update(self, motors: Motors, samples: int) -> None:
-        """Learn one block of samples; ask for an examination where the motor seems to have changed."""
+        """Learn one block of samples; request an examination where the motor seems changed."""
         known = motors.learnt
         stretch, fresh, expected = motors.newest(samples + 1), ~known.hold.begun, known.belief
         if fresh.any():  # what is vague must not make everything seem possible
@@ -300,9 +292,7 @@ class Learner:
             self._begin_again(motors, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
 
     def _look_at_rest(self, motors: Motors, fresh: NDArray[np.bool_], block: Block) -> None:
-        """Ask of motors that have only been at rest whether they rest elsewhere now, at the same
-        voltage.
-        """
+        """Ask whether motors only ever at rest now rest elsewhere, at the same voltage."""
         known = motors.learnt
         sudden = fresh & (known.suspicion >= SUSPICIOUS_BLOCKS)
         if np.any(elsewhere := sudden & self._holds.same(known.hold, block.stretch)):
@@ -311,8 +301,7 @@ class Learner:
         known.asked = np.where(fresh, 0, known.asked)
 
     def _begin_again(self, motors: Motors, which: NDArray[np.bool_], keep: int, more: int) -> None:
-        """Let some motors start anew from their newest samples, with a fit of these and so many
-        more.
+        """Restart some motors from their newest samples, with a fit of these and so many more.
 
         A motor that has only been at rest is too far from what it will prove to be for the
         recursion to get there.
@@ -327,9 +316,7 @@ class Learner:
         )
 
     def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
-        """How many of the newest samples to examine where the motor seems to have changed; 0
-        elsewhere.
-        """
+        """How many of the newest samples to examine where the motor seems changed; 0 elsewhere."""
         belief = known.belief
         size = belief.current_a[:, None]
         reached = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (
@@ -369,9 +356,7 @@ class Learner:
     def _suspicion(
         known: Learnt, block: Block, lost: NDArray[np.bool_]
     ) -> tuple[Array, NDArray[np.int_]]:
-        """Count blocks in a row of which most does not fit, and the samples since the first of them
-        began not to.
-        """
+        """Count blocks in a row that mostly misfit, and the samples since the first of them."""
         if not lost.any():
             return 0.0 * known.suspicion, 0 * known.since
         suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
@@ -396,9 +381,7 @@ class Learner:
         self._move_anchors(known, slice(None))
 
     def _move_anchors(self, known: Learnt, which: Any) -> None:
-        """Where the anchor of a motor is about to be forgotten, ask whether it drifts, or drop a
-        new one.
-        """
+        """Where a motor's anchor is about to be forgotten, test for drift or drop a new anchor."""
         walking = known.walk_rate[which] > 0.0
         due = known.at[which] - known.anchored[which] >= self._rules.replay_capacity // np.where(
             walking, 2, 1

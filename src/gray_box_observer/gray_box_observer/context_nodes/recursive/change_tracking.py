@@ -41,9 +41,7 @@ LONGEST_PATIENCE = 256
 
 
 def patience(in_vain: NDArray[np.int_], block: int) -> NDArray[np.int_]:
-    """How many samples after an examination the next is put off, the longer the more of them have
-    settled nothing.
-    """
+    """Samples until the next examination: more after each one that has settled nothing."""
     blocks = np.minimum(GROWTH ** np.clip(in_vain - FREE_EXAMINATIONS, 0, 8), LONGEST_PATIENCE)
     return np.where(in_vain > FREE_EXAMINATIONS, block * blocks, 0)
 
@@ -62,9 +60,7 @@ class Following:
         self._heats = random_walk.heating(parameters)
 
     def examine(self, motors: Motors, samples: int) -> None:
-        """Fit the newest samples under every kind of change, and follow the likeliest, if any is
-        likely enough.
-        """
+        """Fit the newest samples under every kind of change; adopt the likeliest if clear."""
         known, belief = motors.learnt, motors.learnt.belief
         stretch = motors.newest(samples)
         before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
@@ -111,8 +107,7 @@ class Following:
     def drifting(
         self, motors: Motors, which: NDArray[np.bool_], jumped_before: int | None = None
     ) -> NDArray[np.bool_]:
-        """Find which motors drift, by the samples since the anchor; these go on as is likeliest,
-        and walk.
+        """Find the motors that drift by the samples since the anchor; these follow a random walk.
 
         Args:
             motors: those motors.
@@ -161,9 +156,7 @@ class Following:
 
     @staticmethod
     def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
-        """Go on with unchanged parameters from the state that a fit under them has found, for some
-        of the motors.
-        """
+        """Go on with unchanged parameters from the state of a fit under them, for some motors."""
         usable = which & held.finite
         units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
         covariance = belief.covariance.copy()

@@ -1,5 +1,4 @@
-"""Voltage held for long: the level is news of the winding that warms, not of the parameters that do
-not.
+"""Voltage held for long: it informs of the warming winding, not of the other parameters.
 
 In a long hold the torque tells one combination of the parameters, the static one, again and again.
 Counted as so many independent samples it would make the observer sure of parameters that nothing
@@ -137,8 +136,7 @@ class Holds:
     def take(
         self, held: HoldState, belief: Belief, stretch: Stretch, decay: Array
     ) -> tuple[HoldState, Belief]:
-        """Take one block of samples that the belief has learnt; return where we stand and what may
-        be believed.
+        """Follow one block of samples that the belief has learnt; return what may be believed.
 
         Args:
             held: where we stood.
@@ -188,8 +186,7 @@ class Holds:
     def without_excitation(
         self, held: HoldState, belief: Belief, prior: Prior, stretch: Stretch
     ) -> Belief:
-        """Give back what was believed before the data where the voltage has never moved; return
-        what may be believed.
+        """Restore the first belief where the voltage has never moved; return what may be believed.
 
         What tells of L then is how the current comes to its level from a beginning that nobody has
         seen. A motor that is switched on as the record begins tells it; where the current falls, a
@@ -241,9 +238,7 @@ class Holds:
     def _same(
         self, level: Array, largest: Array, stretch: Stretch
     ) -> tuple[NDArray[np.bool_], Array]:
-        """Whether a stretch lies at a level, and the largest voltage so far, each of shape
-        (motor,).
-        """
+        """Whether a window lies at a level, and the largest voltage so far, each (motor,)."""
         moving = ~stretch.restart
         low, high = _range(stretch.voltage_v, moving)
         largest = np.fmax(largest, np.fmax(-low, high))
@@ -254,8 +249,7 @@ class Holds:
         return same, largest
 
     def cut(self, held: HoldState, belief: Belief) -> Belief:
-        """Give what does not heat back what was believed of it when the hold had settled, in long
-        holds only.
+        """In long holds, give what does not heat back the belief of when the hold had settled.
 
         The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c +
         A (k - m_k)`` and ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is
@@ -267,9 +261,7 @@ class Holds:
     def _given(
         self, belief: Belief, p: Array, posterior: Array, which: NDArray[np.bool_]
     ) -> Belief:
-        """Give what does not heat back values and covariance of their logarithms, for some of the
-        motors.
-        """
+        """Restore log-values and covariance of what does not heat, for some of the motors."""
         if not np.any(which) or np.all(self._free):
             return belief
         f = int(np.sum(self._free))
@@ -304,9 +296,7 @@ def _beside(covariance: Array, coordinates: Array) -> Array:
 
 
 def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Smallest and largest value of every motor, each of shape (motor,); of nothing, what no level
-    is near.
-    """
+    """Smallest and largest value of every motor, each (motor,); without values, far from any."""
     low, high = (
         np.where(moving, signal, np.inf).min(axis=1),
         np.where(moving, signal, -np.inf).max(axis=1),

@@ -43,8 +43,10 @@ from gray_box_observer.white_box.interface import bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 from gray_box_observer.white_box.torch_ops import TorchOps
 
-_SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out', 'noise_count',
-         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'least_noise', 'walk_rate')  # fmt: skip
+_SENT = ('p', 'state', 'covariance', 'noise', 'sensitivity', 'score', 'information', 'left_out',
+    'noise_count',
+         'hold_level', 'hold_largest', 'hold_held_s', 'current_a', 'gain', 'least_noise',
+         'walk_rate')  # fmt: skip
 _OF_LEARNT = {name: attrgetter(path) for name, path in {**READ, **WRITTEN}.items()}
 
 
@@ -63,8 +65,7 @@ class _Found:
 
 
 class DeviceBlocks:
-    """Learns regular blocks as
-    :class:`~gray_box_observer.context_nodes.native.regular_block.RegularBlocks` does.
+    """Learns regular blocks as `RegularBlocks` of `native.regular_block` does.
 
     Bits may depend on the company that a motor is in, for libraries of a device choose their way by
     how much there is.
@@ -105,8 +106,7 @@ class DeviceBlocks:
         due: NDArray[np.int64],
         plain: NDArray[np.bool_],
     ) -> tuple[Learnt, NDArray[np.uint8]]:
-        """Learn the next block of some motors where it is an regular one: as
-        :meth:`RegularBlocks.learn`.
+        """Learn the next block of motors where it is regular, as :meth:`RegularBlocks.learn`.
 
         Everything is found out before any of it is written down: a device that fails leaves nothing
         half learnt.
@@ -172,9 +172,7 @@ class DeviceBlocks:
     def _examine(
         self, given: Given, path: Predicted, before: dict[str, Tensor], fine: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:  # fmt: skip
-        """Have the coordinates always been others? block_step.py, surprise; change_test.py,
-        DriftTest.take; block_updater.py.
-        """
+        """Test for ever-changing coordinates: block_step.py, change_test.py, block_updater.py."""
         unit, shares, n = given.noise[:, None] ** -2, before['sensitivity'], given.p.shape[1]
         reached = _solved(
             _plus_unit(path.info @ given.covariance),
@@ -245,8 +243,9 @@ class DeviceBlocks:
         return {**after, 'noise': noise, 'noise_count': count}
 
     def _hold(self, given: Given, path: Predicted, before: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Where motors stand in a hold of the voltage: constant_voltage.py, take; and whether the
-        transition to it is over.
+        """Where motors stand in a hold of the voltage, and whether its transition is over.
+
+        See constant_voltage.py, take.
         """
         level, voltage, speed = before['hold_level'], given.voltage[:, 1:], given.speed[:, 1:]
         low, high = voltage.amin(dim=1), voltage.amax(dim=1)
@@ -266,11 +265,10 @@ class DeviceBlocks:
         return {**now, 'settled': same & (held_s * rate > SETTLED)}
 
     def _write(
-        self, known: Learnt, motors: NDArray[np.int64], found: _Found, due: NDArray[np.int64], plain: NDArray[np.bool_]
+        self, known: Learnt, motors: NDArray[np.int64], found: _Found, due: NDArray[np.int64],
+        plain: NDArray[np.bool_]
     ) -> NDArray[np.uint8]:  # fmt: skip
-        """Write down what was found and what follows from it, and tell of it: `regular_block.c`,
-        reckon.
-        """
+        """Write down results and consequences, and report them: `regular_block.c`, reckon."""
         rules, hold, settled, into = self._rules, known.hold, found.settled, _neighbours(motors)
         for name, value in found.believed.items():
             _OF_LEARNT[name](known)[into] = value
@@ -296,9 +294,7 @@ class DeviceBlocks:
 
 
 def _silent(path: Predicted, given: Given, least_noise: Tensor) -> Predicted:
-    """Let currents that have not moved by more than the step of their readings teach nothing:
-    block_updater.py, update.
-    """
+    """Skip currents that have not moved by a step of their readings: block_updater.py, update."""
     moved = given.measured.amax(dim=1) - given.measured.amin(dim=1) > STILL * least_noise
     tells = (moved | (least_noise <= 0.0)).to(path.right.dtype)
     return replace(path, info=path.info * tells[:, None, None], right=path.right * tells[:, None])
@@ -309,16 +305,14 @@ def _plus_unit(matrix: Tensor) -> Tensor:
 
 
 def _solved(matrix: Tensor, right: Tensor, fine: Tensor) -> Tensor:
-    """Solve one system a motor, or several; a motor of which one is singular has no regular block."""
+    """Solve one or several systems per motor; any singular one makes its block irregular."""
     found, failed = torch.linalg.solve_ex(matrix, right)
     fine &= (failed == 0).reshape(fine.shape[0], -1).all(dim=1)
     return found  # type: ignore[no-any-return]
 
 
 def _neighbours(motors: NDArray[np.int64]) -> Any:
-    """Places in order as a slice where they are neighbours, which is not copied; as they are
-    otherwise.
-    """
+    """Neighbouring places as a slice, which is not copied; other places as they are."""
     if motors.size and motors[-1] - motors[0] + 1 == motors.size:
         return slice(int(motors[0]), int(motors[-1]) + 1)
     return motors

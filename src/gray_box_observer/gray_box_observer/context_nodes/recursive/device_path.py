@@ -1,5 +1,4 @@
-"""Blocks of very many motors predicted by torch: what :mod:`block_step` and `regular_block.c` call
-so.
+"""Blocks of very many motors predicted by torch, as in :mod:`block_step` and C.
 
 The motion over an interval is :mod:`~gray_box_observer.white_box.flow` itself, called with tensors.
 """
@@ -30,9 +29,7 @@ Tensor = torch.Tensor
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """Blocks, signals of shape (motor, k + 1), and what is believed at their sample 0: see
-    :class:`Belief`.
-    """
+    """Blocks, signals of shape (motor, k + 1), and the :class:`Belief` at their sample 0."""
 
     box: MotorWhiteBox
     interval: Tensor
@@ -88,9 +85,7 @@ class Predicted:
 
 
 def predict(ops: TorchOps, given: Given) -> tuple[Predicted, Tensor]:
-    """Predict blocks, and tell their good samples from the others; and who has an regular one so
-    far.
-    """
+    """Predict blocks, part good samples from bad ones; tell whose block is regular so far."""
     reach = CREDIBLE * given.current_a[:, None]
     about = given.measured.clamp(-reach, reach)
     about[:, 0] = given.state
@@ -108,8 +103,7 @@ def predict(ops: TorchOps, given: Given) -> tuple[Predicted, Tensor]:
 
 
 def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> Predicted:
-    """The trajectory with its derivatives, and the normal equations; all samples tell of the state,
-    or those near.
+    """The trajectory with derivatives, and the normal equations over all or the near samples.
 
     Sources: trajectory.py, linearise and follow; block_step.py, _from.
     """
@@ -147,9 +141,7 @@ def _follow(ops: TorchOps, given: Given, about: Tensor, near: Tensor | None) -> 
 
 
 def _recurrence(factor: Tensor, offset: Tensor, by_coordinate: Tensor, state: Tensor) -> Tensor:
-    """States and their derivatives by the start and the coordinates, samples 1 ... k: shape (row,
-    motor, k).
-    """
+    """States and their derivatives by start and coordinates, samples 1 ... k: (row, motor, k)."""
     inputs = torch.cat([offset[None], torch.zeros_like(offset)[None], by_coordinate])
     value = torch.zeros_like(inputs[..., 0])
     value[STATE_ROW], value[START_ROW] = state, 1.0

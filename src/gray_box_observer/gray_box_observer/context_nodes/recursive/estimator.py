@@ -1,5 +1,4 @@
-"""The default rule: recursive maximum likelihood, statistically efficient, with an honest
-covariance.
+"""The default rule: efficient recursive maximum likelihood with an honest covariance.
 
 Route (docs/METHOD.md): a linear start on the integrated equation; Gauss-Newton on the prediction
 error over everything remembered, repeated each time the data have doubled; in between, block by
@@ -151,9 +150,7 @@ class RecursiveUpdate:
         return int(self._learnt.alarms.sum())
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
-        """Samples left out, kicks of the state, changes of the motor, and whether it drifts; of one
-        motor or of all.
-        """
+        """Samples left out, state kicks, changes, and drift, of one motor or of all."""
         which, known = slice(None) if motor is None else slice(motor, motor + 1), self._learnt
         return {
             'torque outliers': int(known.outliers[which].sum()),
@@ -167,15 +164,11 @@ class RecursiveUpdate:
         return bool(self._learnt.walk_rate[motor] > 0.0)
 
     def voltage_shares(self, motor: int) -> tuple[Array, Array]:
-        """Return of one motor the share of the voltage that a unit of each parameter takes, and its
-        3-sigma bound.
-        """
+        """Return one motor's voltage shares per unit of parameter, and their 3-sigma bound."""
         return self._learnt.share[motor], self._learnt.reach[motor]
 
     def freeze(self, frozen: bool) -> None:
-        """Stop or resume learning; what comes while frozen is not remembered, a new signal history
-        follows it.
-        """
+        """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
         if frozen == self._frozen:
             return
         self._frozen = frozen
@@ -212,9 +205,7 @@ class RecursiveUpdate:
         return self._ordinary.of(known.belief, motors, self.verdict_rules, known.share, known.reach)
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample and do what is due. Tell whether an estimate has changed; ``changed``
-        says whose.
-        """
+        """Take one sample and do what is due. Tell whether an estimate changed; see ``changed``."""
         if (
             self._white_box.speed_measured
         ):  # a torque that came without its speed: the speed before holds on
@@ -276,9 +267,7 @@ class RecursiveUpdate:
         return np.sort(motors[np.argsort(-waited, kind='stable')[:most]])
 
     def _heavy(self, received: NDArray[np.int_]) -> int:
-        """Fit or examine the motors that have waited longest; return for how many samples others
-        wait on.
-        """
+        """Fit or examine the motors that waited longest; return the remaining wait in samples."""
         motors = ((received >= self._due) & ~self._plain).nonzero()[0]
         if motors.size == 0:
             return 0
@@ -300,7 +289,7 @@ class RecursiveUpdate:
         self._following.walk_again(motors)
 
     def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
-        """Do a piece of work for some motors, in order, those with equally many samples together."""
+        """Do a piece of work for some motors, in order, by equal numbers of samples."""
         self._learnt.at[motors] = self._due[motors]
         counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
         for count in counts.tolist():
@@ -318,9 +307,7 @@ class RecursiveUpdate:
         self._reckon(which)
 
     def _reckon(self, which: Any) -> None:
-        """Reckon at which place in its stream the next work on some motors is due, and whether that
-        is a block.
-        """
+        """Reckon where in its stream each motor's next work is due, and whether it is a block."""
         known = self._learnt
         at, started = known.at[which], known.started[which]
         still = known.walk_rate[which] == 0.0  # a fit takes the parameters for constant

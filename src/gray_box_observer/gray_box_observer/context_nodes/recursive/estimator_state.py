@@ -1,6 +1,4 @@
-"""Everything that the recursive rule has learnt of a group of motors, as arrays with the motor axis
-first.
-"""
+"""All that the recursive rule has learnt of a group, as arrays with the motor axis first."""
 
 from __future__ import annotations
 
@@ -86,9 +84,11 @@ class Learnt:
         started, next_fit = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
         made = cls(
             belief, prior, belief, anchored, at, started, next_fit, asked, noise_count,
-            np.zeros(motors), np.zeros(motors), since, np.zeros(motors), np.zeros((motors, memories, n)),
+            np.zeros(motors), np.zeros(motors), since, np.zeros(motors),
+            np.zeros((motors, memories, n)),
             np.zeros((motors, memories, n, n)), HoldState.none(motors, n), np.zeros(motors),
-            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks, alarms,
+            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks,
+            alarms,
         )  # fmt: skip
         return copied(made)  # entries are written to: no two may share an array
 

@@ -20,8 +20,7 @@ SIGMAS = 3.0
 
 
 def voltage_shares(white_box: WhiteBox, stretch: Stretch) -> Array:
-    """How much of the voltage one unit of every parameter takes, root mean square over root mean
-    square.
+    """Share of the voltage that one unit of every parameter takes, RMS over RMS.
 
     Args:
         white_box: the physics.
@@ -44,8 +43,7 @@ def voltage_shares(white_box: WhiteBox, stretch: Stretch) -> Array:
 
 
 def linear_std(p: Array, information: Array, noise: Array) -> Array:
-    """Standard deviations of the parameters themselves by the data alone, no logarithm and no
-    prior.
+    """Standard deviations of the parameters themselves by the data alone, without a prior.
 
     Args:
         p: shape (motor, coordinate): where the data were linearised.

@@ -1,4 +1,4 @@
-"""Least squares in the units of the problem: residuals in A, unknowns relative to where they stand."""
+"""Least squares in the problem's units: residuals in A, unknowns relative to their values."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ LEAST_EIGENVALUE = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """Units of the unknowns: the first state in ``current_a``, every coordinate in its own present
-    value.
+    """Units of the unknowns: ``current_a`` for the first state, present values for the rest.
 
     Attributes:
         current_a: shape (motor,): size of the current.
@@ -56,8 +55,9 @@ class Frame:
         return jacobian
 
     def transfer(self, path: Trajectory) -> Array:
-        """How unknowns (first state, coordinates) become (last state, coordinates), shape (motor,
-        unknown, unknown).
+        """Map from (first state, coordinates) to (last state, coordinates), per motor.
+
+        Shape (motor, unknown, unknown).
         """
         unknowns = STATES + self.p.shape[1]
         matrix = np.zeros((self.p.shape[0], unknowns, unknowns))
@@ -77,9 +77,7 @@ class Frame:
 
 
 def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
-    """Standard deviation from the median absolute deviation, shape (motor,); outliers hardly move
-    it.
-    """
+    """Standard deviation from the median absolute deviation, shape (motor,); robust."""
     sizes = np.sort(np.where(valid, np.abs(residual), np.inf), axis=1)
     middle = np.maximum(np.sum(valid, axis=1) - 1, 0) // 2
     median = sizes[np.arange(sizes.shape[0]), middle]
@@ -88,17 +86,13 @@ def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
 
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:
-    """Information, shape (motor, unknown, unknown), and its right-hand side, shape (motor,
-    unknown).
-    """
+    """Information, (motor, unknown, unknown), and its right-hand side, (motor, unknown)."""
     turned = (jacobian * weights[..., None]).swapaxes(1, 2)
     return turned @ jacobian, (turned @ residual[..., None])[..., 0]
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """Solve one system a motor; NaN for a motor whose matrix is singular, which must not end the
-    others.
-    """
+    """Solve one system per motor; NaN for a singular one, so that the others go on."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=float)
     except np.linalg.LinAlgError:
@@ -122,9 +116,7 @@ def semidefinite(matrix: Array) -> Array:
 
 
 def is_sound(covariance: Array) -> NDArray[np.bool_]:
-    """Whether variances are positive and no correlation is beyond one, shape (motor,); cheap, and
-    no proof.
-    """
+    """Whether variances are positive and correlations within one, shape (motor,); no proof."""
     variance = covariance.diagonal(0, 1, 2)
     most = variance[:, :, None] * variance[:, None, :] * (1.0 + CORRELATION_SLACK)
     sound: NDArray[np.bool_] = np.all(variance > 0.0, axis=1) & np.all(
@@ -134,8 +126,7 @@ def is_sound(covariance: Array) -> NDArray[np.bool_]:
 
 
 def definite(covariance: Array, unit: Array) -> Array:
-    """Covariances that are positive definite: those that are stay as they are, rounding in others
-    is mended minimally.
+    """Covariances made positive definite: good ones unchanged, rounding mended minimally.
 
     Args:
         covariance: shape (motor, unknown, unknown), of finite numbers.

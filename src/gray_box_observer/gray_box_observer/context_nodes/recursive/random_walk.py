@@ -1,5 +1,4 @@
-"""A parameter that drifts: how fast its logarithm walks, by the likelihood of the samples
-remembered.
+"""A drifting parameter: the rate of its random walk, by likelihood of remembered samples.
 
 A winding that heats changes all the time; a constant would be fitted to it at the cost of the other
 parameters. What heats may therefore walk at random (variance proportional to time), at the rate
@@ -36,8 +35,7 @@ def heating(parameters: tuple[Parameter, ...]) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Freedom to drift: variance per second of the coordinates' logarithms, zero for a motor that
-    keeps still.
+    """Freedom to drift: log-variance per second of the coordinates, zero without drift.
 
     Attributes:
         direction: shape (coordinate,): one where the coordinate belongs to a parameter that heats.
@@ -153,7 +151,7 @@ def _run(
     block: int,
     jump: Jump | None = None,
 ) -> tuple[Belief, _Fitted]:
-    """Learn a stretch block by block; return what is believed then, and how well it was predicted."""
+    """Learn a window block by block; return the belief and the quality of its predictions."""
     told = []
     for begin in range(0, stretch.restart.shape[1], block):
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))

@@ -35,7 +35,7 @@ class Motors:
     def of(
         cls, white_box: WhiteBox, replay: ReplayBuffer, learnt: Learnt, index: NDArray[np.intp]
     ) -> Motors:
-        """Return some of all motors, by their places in order; a run of neighbours is not copied."""
+        """Return the motors at given places in order; neighbours are not copied."""
         run = bool(index[-1] - index[0] + 1 == index.size)
         which: Any = slice(int(index[0]), int(index[-1]) + 1) if run else index
         return cls(white_box.of_motors(which), replay, which, chosen(learnt, which))
@@ -71,9 +71,7 @@ class Motors:
         self.replay.forget(keep, self._places[index], self.learnt.at[index])
 
     def take(self, found: Belief, which: NDArray[np.bool_]) -> None:
-        """Go on from a fit of everything remembered, for some of the motors; never from one that is
-        not finite.
-        """
+        """Go on from a fit of all that is remembered, for some motors, where it is finite."""
         known = self.learnt
         known.belief = known.belief.overwritten(found, which & found.finite)
         known.noise_count = np.where(which, self.remembered, known.noise_count)

@@ -1,6 +1,4 @@
-"""What an error of the known constants does to the estimate: the constants are changed and the
-samples fitted again.
-"""
+"""Effect of an error in known constants on the estimate: change each, and fit again."""
 
 from __future__ import annotations
 
@@ -26,8 +24,7 @@ FEWEST = 100
 def sensitivity(
     white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array
 ) -> dict[str, dict[str, float]] | None:
-    """Return the change of every parameter, in %, that goes with one per cent more of each known
-    constant.
+    """Return the change of every parameter, in %, per one per cent of each known constant.
 
     Args:
         white_box: the physics with its constants.

@@ -260,9 +260,7 @@ def find_kicks(
 
 
 def _shifted(values: Array, by: int) -> Array:
-    """Values of shape (motor, k) as many samples earlier, or later; 0 before the first, infinite
-    after the last.
-    """
+    """Values (motor, k) shifted in time; 0 before the first, infinite after the last."""
     k = values.shape[1]
     if by < 0:
         return np.pad(values[:, -by:], ((0, 0), (0, min(-by, k))), constant_values=np.inf)
@@ -270,8 +268,7 @@ def _shifted(values: Array, by: int) -> Array:
 
 
 def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
-    """Variance of the predicted state that restarts leave, in units of the noise's, shape (motor, k
-    + 1).
+    """Variance of the predicted state after restarts, in noise variances, (motor, k + 1).
 
     A restart begins at one measured sample, whose noise decays with the motion while the samples
     that follow tell the state better and better: a Kalman filter of the state alone, ``P' = decay^2
@@ -305,8 +302,7 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
 
 
 def taken_over(variance: Array) -> Array:
-    """Share of a sample's error that a state of this variance, in units of the noise's, takes over:
-    ``P / (1 + P)``.
+    """Share of a sample's error that a state takes over: ``P / (1 + P)``, P in noise variances.
 
     It is also the variance that the state is left with by the sample.
     """
@@ -339,9 +335,7 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array:
 
 
 def _in_parts(factor: Array, inputs: Array, start: Array) -> Array:
-    """The same for long stretches: every part from zero side by side, then the carries from part to
-    part.
-    """
+    """The same for long windows: parts from zero side by side, then carries between them."""
     rows, motors, k = inputs.shape
     length = max(2, int(np.sqrt(k)))
     parts = -(-k // length)

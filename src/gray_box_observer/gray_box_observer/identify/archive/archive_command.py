@@ -37,12 +37,12 @@ from gray_box_observer.settings.device import torch_device
 _INTERRUPTED = 'interrupted before it was read'
 
 
-def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
+def run(options: argparse.Namespace, parameter_values: Mapping[str, Any]) -> int:
     """Identify every bag by itself and write what was asked for; the result is the exit code.
 
     Args:
         options: of the command line.
-        given: parameters by their dotted names, as the parameter file gives them.
+        parameter_values: parameters by their dotted names, as the parameter file gives them.
 
     Raises:
         GrayBoxError: input that cannot be used at all: no bag, no engine, no such device, a result
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
         )
     engine = _engine(options)
     if options.scheduler is None:  # else others compute, and what they have nobody knows here
-        torch_device(Configuration.from_flat(given)['device'])
+        torch_device(Configuration.from_flat(parameter_values)['device'])
     for target, makes_folders in (
         (options.table, True),
         (options.report, True),
@@ -64,23 +64,26 @@ def run(options: argparse.Namespace, given: Mapping[str, Any]) -> int:
             refuse_unwritable(target, makes_folders=makes_folders)
     bags = find_bags(options.bags)
     training = None if options.skip_predictor else InlineTraining
-    found: dict[int, BagResult] = {}
+    results_by_place: dict[int, BagResult] = {}
     is_interrupted = False
     with _progress(len(bags)) as count:
         try:
-            for index, result in engine.run(BagWork(given, training, read_limits(options)), bags):
-                found[index] = result
+            for index, result in engine.run(
+                BagWork(parameter_values, training, read_limits(options)), bags
+            ):
+                results_by_place[index] = result
                 count(result)
         except KeyboardInterrupt:
-            if not found:
+            if not results_by_place:
                 raise
             is_interrupted = True
     results = [
-        found.get(k) or BagResult(str(bag), error=_INTERRUPTED) for k, bag in enumerate(bags)
+        results_by_place.get(k) or BagResult(str(bag), error=_INTERRUPTED)
+        for k, bag in enumerate(bags)
     ]
     _tell(options, results)
     if is_interrupted:
-        _say(f'interrupted; {len(found)} of {len(bags)} bags were read')
+        _say(f'interrupted; {len(results_by_place)} of {len(bags)} bags were read')
         return EXIT_INTERRUPTED
     return EXIT_SOME_FAILED if any(result.error is not None for result in results) else 0
 
@@ -147,7 +150,7 @@ def _history(
     motors: tuple[MotorTrend, ...],
     digest: str,
 ) -> ArchiveHistory:
-    failed = {result.bag: result.error for result in results if result.error is not None}
+    failures = {result.bag: result.error for result in results if result.error is not None}
     places = [str(place) for place in options.bags]
     samples = sum(motor['samples'] for result in results for motor in result.motors.values())
     hours = (
@@ -161,10 +164,10 @@ def _history(
         source=places,
         created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
         motors=motors,
-        failed=failed,
+        failed=failures,
         summary={
             'bags': len(results),
-            'without result': len(failed),
+            'without result': len(failures),
             'samples': samples,
             'hours': round(hours, 2),
         },
@@ -178,14 +181,17 @@ def _history(
 def _print_trends(
     results: Sequence[BagResult], motors: Sequence[MotorTrend], stream: TextIO
 ) -> None:
-    failed = sum(result.error is not None for result in results)
-    print(f'{len(results)} bags, {failed} without result', file=stream)
+    failure_count = sum(result.error is not None for result in results)
+    print(f'{len(results)} bags, {failure_count} without result', file=stream)
     for motor in motors:
         print(f'{printable(motor.name)}: {len(motor.parameters[0].value)} bags', file=stream)
         for trend in motor.parameters:
             value, std = trend.value[-1], trend.std[-1]
-            told = f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} in the last'
-            print(f'  {told}; change: {drift_words(trend.drift())}', file=stream)
+            trend_text = (
+                f'{trend.name:<18} {value:.6g} +- {std:.2g} {trend.unit:<14} {trend.verdict[-1]} '
+                'in the last'
+            )
+            print(f'  {trend_text}; change: {drift_words(trend.drift())}', file=stream)
 
 
 @contextmanager
@@ -197,13 +203,13 @@ def _progress(total: int) -> Iterator[Callable[[BagResult], object]]:
     from tqdm import tqdm
 
     with tqdm(total=total, unit=' bags', file=sys.stderr, leave=False) as bar:
-        failed = 0
+        failure_count = 0
 
         def count(result: BagResult) -> None:
-            nonlocal failed
+            nonlocal failure_count
             if result.error is not None:
-                failed += 1
-                bar.set_postfix_str(f'{failed} without result', refresh=False)
+                failure_count += 1
+                bar.set_postfix_str(f'{failure_count} without result', refresh=False)
             bar.update()
 
         yield count

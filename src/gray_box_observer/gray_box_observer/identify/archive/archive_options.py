@@ -35,7 +35,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--engine',
         choices=('serial', 'processes', 'dask'),
-        help='--each, one bag after another (default), over processes of this machine, or over the Dask cluster of '
+        help='--each, one bag after another (default), over processes of this machine, or over the '
+        'Dask cluster of '
         '--scheduler; dask without --scheduler means processes',
     )
     group.add_argument(
@@ -47,7 +48,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         '--scheduler',
         metavar='ADDRESS',
-        help='a Dask cluster that is there, such as tcp://host:8786: whoever may connect to it may run code in it',
+        help='a Dask cluster that is there, such as tcp://host:8786: whoever may connect to it may '
+        'run code in it',
     )
     group.add_argument(
         '--retries',

@@ -24,7 +24,7 @@ def find_bags(places: Iterable[Path]) -> list[Path]:
     Raises:
         BagError: a place is not there or cannot be read, or no bag is at it.
     """
-    found: dict[Path, None] = {}
+    unique_bags: dict[Path, None] = {}
     for place in places:
         if not place.exists():
             raise BagError(f'{place}: no such bag or folder of bags')
@@ -33,8 +33,8 @@ def find_bags(places: Iterable[Path]) -> list[Path]:
             raise BagError(
                 f'{place}: no bag in this folder: neither a {METADATA_NAME} nor an .mcap file'
             )
-        found.update(dict.fromkeys(bags))
-    return list(found)
+        unique_bags.update(dict.fromkeys(bags))
+    return list(unique_bags)
 
 
 def _bags_at(place: Path) -> Iterator[Path]:

@@ -73,13 +73,11 @@ class BagWork:
     limits: ReadLimits = field(default_factory=ReadLimits)
 
     def __call__(self, bag: Path) -> BagResult:
-        """Identify one bag; never raises what a bag can cause, nor what a defect of ours makes of a
-        bag.
-        """
+        """Identify one bag; never raises what a bag or a defect of this package can cause."""
         try:
             configuration = configure(self.given, carried_by([bag]), 'the bag')
             outcome = offline_run.run([bag], configuration, self.training, limits=self.limits)
-            found = describe(outcome)
+            description = describe(outcome)
         except GrayBoxError as error:
             return BagResult(str(bag), error=' '.join(str(error).split()))
         except Exception as error:  # one bag must not cost the results of thousands
@@ -89,8 +87,8 @@ class BagWork:
         return BagResult(
             str(bag),
             warnings=tuple(warnings_of(outcome)),
-            digest=found['digest'],
-            motors=found['motors'],
+            digest=description['digest'],
+            motors=description['motors'],
             start_ns={name: course.first_ns for name, course in outcome.courses.items()},
         )
 
@@ -101,8 +99,10 @@ def _as_text(text: str) -> str:
 
 def _place_of(error: Exception) -> str:
     """Say what went wrong and where, in one line."""
-    said = ' '.join(f'{type(error).__name__}: {error}'.split())
+    error_text = ' '.join(f'{type(error).__name__}: {error}'.split())
     frames = traceback.extract_tb(error.__traceback__)
     return (
-        f'{said} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})' if frames else said
+        f'{error_text} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})'
+        if frames
+        else error_text
     )

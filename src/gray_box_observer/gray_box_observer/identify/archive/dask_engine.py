@@ -48,8 +48,7 @@ def require_dask() -> None:
 
 @dataclass(frozen=True, slots=True)
 class DaskEngine:
-    """Spreads bags over a Dask cluster, which says itself how often a bag is taken up again after
-    its worker died.
+    """Spreads bags over a Dask cluster, which limits how often a bag is retried.
 
     Attributes:
         scheduler: address of its scheduler, such as ``tcp://host:8786``.
@@ -110,14 +109,14 @@ _LOST = 'the connection to the Dask scheduler was lost before it was read'
 
 
 def _spread(
-    client: Client, work: Work, bags: Sequence[Path], chosen: Sequence[int]
+    client: Client, work: Work, bags: Sequence[Path], indices: Sequence[int]
 ) -> Iterator[tuple[int, BagResult | None]]:
     """Let the workers read the chosen bags; None for one whose worker died too often."""
     from distributed import as_completed
     from distributed.scheduler import KilledWorker
 
-    futures = client.map(work, [bags[index] for index in chosen], pure=False)
-    places: dict[Future[BagResult], int] = dict(zip(futures, chosen, strict=True))
+    futures = client.map(work, [bags[index] for index in indices], pure=False)
+    places: dict[Future[BagResult], int] = dict(zip(futures, indices, strict=True))
     del futures  # what is done may be forgotten
     for future in as_completed(list(places), loop=client.loop):
         index = places.pop(future)
@@ -139,9 +138,7 @@ def _spread(
 
 
 def program() -> tuple[str, str, str]:
-    """Return what decides the bits of a result: digest of the sources, numpy's version, compiled
-    code or none.
-    """
+    """Return what decides a result's bits: source digest, numpy version, compiled code or not."""
     root = Path(gray_box_observer.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(path for path in root.rglob('*.*') if path.suffix in {'.py', '.c', '.h'}):
@@ -162,13 +159,13 @@ def _check_workers(client: Client) -> None:
     """
     own = program()
     try:
-        found = client.run(program)
+        programs = client.run(program)
     except Exception as error:  # whatever a foreign environment makes of it
         reason = ' '.join(f'{type(error).__name__}: {error}'.split())
         raise GrayBoxError(
             f'the Dask workers cannot run this program: {reason}; install gray_box_observer there'
         ) from error
-    for worker, theirs in found.items():
+    for worker, theirs in programs.items():
         if theirs != own:
             raise GrayBoxError(
                 f'the Dask worker {worker} runs gray_box_observer {theirs[0]} with numpy '

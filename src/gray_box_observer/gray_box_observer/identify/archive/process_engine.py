@@ -1,5 +1,4 @@
-"""Bags spread over processes of this machine: children that talk with this process through pipes,
-and with nobody else.
+"""Bags spread over child processes of this machine, which talk with this one by pipes alone.
 
 A worker holds one bag at a time, and only a few chunks of that. No address is opened that anybody
 could connect to.
@@ -62,15 +61,13 @@ class ProcessEngine:
                 yield index, result or BagResult(str(bags[index]), error=DIED)
 
     def _spread(
-        self, work: Work, bags: Sequence[Path], chosen: Sequence[int], count: int
+        self, work: Work, bags: Sequence[Path], places: Sequence[int], count: int
     ) -> Iterator[tuple[int, BagResult | None]]:
-        """Let workers read the chosen bags; None for one that was in hand too often when one of
-        them died.
-        """
-        waiting, deaths = deque(chosen), Counter[int]()
-        while waiting:
+        """Let workers read the chosen bags; None for one held too often by a dying worker."""
+        queue, deaths = deque(places), Counter[int]()
+        while queue:
             with _pool(count) as pool:
-                for index, result in _read(pool, work, bags, waiting, 2 * count):
+                for index, result in _read(pool, work, bags, queue, 2 * count):
                     if result is not None:
                         yield index, result
                         continue
@@ -78,44 +75,43 @@ class ProcessEngine:
                     if deaths[index] > self.retries:
                         yield index, None
                     else:
-                        waiting.append(index)
+                        queue.append(index)
 
 
 @contextmanager
 def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
     """Have workers, and end them, whatever they are doing."""
-    others = set(multiprocessing.active_children())
+    older_processes = set(multiprocessing.active_children())
     # A new interpreter each: a fork would share threads and locks of libraries.
     context = multiprocessing.get_context('spawn')
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=worker_setup.set_up)
     try:
         yield pool
     finally:
-        for process in set(multiprocessing.active_children()) - others:
+        for process in set(multiprocessing.active_children()) - older_processes:
             process.terminate()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _read(
-    pool: ProcessPoolExecutor, work: Work, bags: Sequence[Path], waiting: deque[int], most: int
+    pool: ProcessPoolExecutor, work: Work, bags: Sequence[Path], queue: deque[int], most: int
 ) -> Iterator[tuple[int, BagResult | None]]:
-    """Let the pool read what is waiting, so many at a time; None for what was in hand when a worker
-    died.
+    """Let the pool read waiting bags, so many at a time; None for a dead worker's bags.
 
     Ends when nothing is waiting, or when a worker has died: then the pool is of no use any more.
     """
     in_hand: dict[Future[BagResult], int] = {}
     is_broken = False
-    while in_hand or (waiting and not is_broken):
-        while waiting and len(in_hand) < most and not is_broken:
+    while in_hand or (queue and not is_broken):
+        while queue and len(in_hand) < most and not is_broken:
             try:
                 with worker_setup.starting():
-                    in_hand[pool.submit(work, bags[waiting[0]])] = waiting[0]
-                waiting.popleft()
+                    in_hand[pool.submit(work, bags[queue[0]])] = queue[0]
+                queue.popleft()
             except BrokenProcessPool:
                 is_broken = True
-        done, _ = wait(in_hand, return_when=FIRST_COMPLETED)
-        for future in done:
+        done_futures, _ = wait(in_hand, return_when=FIRST_COMPLETED)
+        for future in done_futures:
             index = in_hand.pop(future)
             error = future.exception()
             if error is None:

@@ -44,9 +44,7 @@ def require_pyarrow() -> None:
 
 
 def rows(results: Iterable[BagResult]) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table; a bag that gave nothing has one row, without motor and
-    parameter.
-    """
+    """Yield the rows of the table; a failed bag has one row without motor and parameter."""
     for result in results:
         common = dict.fromkeys(COLUMNS) | {
             'bag': result.bag,
@@ -65,8 +63,8 @@ def rows(results: Iterable[BagResult]) -> Iterator[dict[str, Any]]:
                 'samples': motor['samples'],
                 'alarms': None if alarms is None else alarms['raised'],
             }
-            for parameter, found in motor['parameters'].items():
-                yield of_motor | {'parameter': parameter, **found}
+            for parameter, figures in motor['parameters'].items():
+                yield of_motor | {'parameter': parameter, **figures}
 
 
 def write_table(results: Iterable[BagResult], path: Path) -> None:

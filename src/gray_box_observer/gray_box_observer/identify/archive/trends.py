@@ -14,16 +14,14 @@ from gray_box_observer.report.trend.trend import MotorTrend, ParameterTrend
 
 
 def gather(results: Iterable[BagResult]) -> tuple[MotorTrend, ...]:
-    """Sort the estimates of all bags by motor, parameter and time; motors and parameters in the
-    order they came.
-    """
-    found: dict[str, dict[tuple[str, str], list[tuple[int, str, Any]]]] = defaultdict(
+    """Sort all estimates by motor, parameter and time; names in the order of appearance."""
+    estimates: dict[str, dict[tuple[str, str], list[tuple[int, str, Any]]]] = defaultdict(
         lambda: defaultdict(list)
     )
     for result in results:
-        for motor, told in result.motors.items():
-            for name, parameter in told['parameters'].items():
-                found[motor][name, parameter['unit']].append(
+        for motor, motor_result in result.motors.items():
+            for name, parameter in motor_result['parameters'].items():
+                estimates[motor][name, parameter['unit']].append(
                     (result.start_ns[motor], result.bag, parameter)
                 )
     return tuple(
@@ -31,7 +29,7 @@ def gather(results: Iterable[BagResult]) -> tuple[MotorTrend, ...]:
             motor,
             tuple(_trend(name, unit, entries) for (name, unit), entries in parameters.items()),
         )
-        for motor, parameters in found.items()
+        for motor, parameters in estimates.items()
     )
 
 
@@ -49,9 +47,7 @@ def _trend(name: str, unit: str, entries: list[tuple[int, str, Any]]) -> Paramet
 
 
 def digest_of(results: Iterable[BagResult]) -> str:
-    """Return a SHA-256 over the digests of the bags in order; a bag that gave nothing counts as
-    such.
-    """
+    """Return a SHA-256 over the digests of the bags in order; failed bags count as such."""
     digest = hashlib.sha256()
     for result in results:
         digest.update((result.digest or '-').encode() + b'\n')

@@ -18,9 +18,7 @@ time."""
 
 @contextmanager
 def starting() -> Iterator[None]:
-    """Let processes that are started meanwhile have `ENVIRONMENT`, and never hear of Ctrl-C, from
-    their birth on.
-    """
+    """Give processes started in this block `ENVIRONMENT`, and make them ignore Ctrl-C."""
     resource_tracker.ensure_running()  # it would unblock the signal when it starts
     before = {name: os.environ.get(name) for name in ENVIRONMENT}
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -1,6 +1,4 @@
-"""Stage 2: the losses of the four variants (thesis 4.2.3, 4.2.4 and 5.1). Torch; imported by the
-trainer only.
-"""
+"""Stage 2: losses of the four variants (thesis 4.2.3, 4.2.4, 5.1); torch, trainer only."""
 
 from __future__ import annotations
 
@@ -67,9 +65,7 @@ def stage_two_loss(
 
 
 def torque_rate(white_box: WhiteBox, windows: Windows, torque_nm: torch.Tensor) -> torch.Tensor:
-    """``dT/dt`` of the white box at the middle of every interval of a torque sequence, shape
-    (window, time - 1).
-    """
+    """``dT/dt`` of the white box in the middle of each torque interval, (window, time - 1)."""
     middle = white_box.state(0.5 * (torque_nm[:, 1:] + torque_nm[:, :-1]))  # type: ignore[arg-type]
     speed = 0.5 * (windows.speed_rad_s[:, 1:] + windows.speed_rad_s[:, :-1])
     slope = rate(white_box, windows.theta[:, None, :], windows.voltage_v[:, 1:], middle, speed)

@@ -1,6 +1,4 @@
-"""The thesis's network in streaming: torque is what it says, from voltages and context nodes on
-0..1 (thesis 4.3).
-"""
+"""The thesis's network in streaming: torque from voltages and context nodes (thesis 4.3)."""
 
 from __future__ import annotations
 
@@ -18,8 +16,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 class WindowForecaster:
-    """See :class:`~gray_box_observer.predictor.forecaster.Forecaster`. Silent until trained and
-    warm.
+    """See `forecaster.Forecaster`. Silent until trained and warm.
 
     Args:
         motors: number of motors.
@@ -55,9 +52,7 @@ class WindowForecaster:
         memory: Memory | None,
         present: Mask | None = None,
     ) -> None:
-        """Keep the memory, or begin to warm up again; all motors of this network are sampled
-        together.
-        """
+        """Keep the memory, or warm up again; this network's motors are sampled together."""
         if memory is not None:
             self._memory = memory.cleared(anew)
         elif self._memory is not None:

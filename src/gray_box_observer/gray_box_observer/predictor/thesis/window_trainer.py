@@ -1,6 +1,4 @@
-"""Training of the thesis's variants: each job a few Adam steps on windows of the replay buffer.
-Needs torch.
-"""
+"""Training of the thesis's variants: a job is a few Adam steps on windows. Needs torch."""
 
 from __future__ import annotations
 
@@ -79,8 +77,8 @@ class WindowTrainer:
         """
         if 'start_ranges' in job:
             self._restore(job)
-        told = self._teach(job)
-        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
+        answer = self._teach(job)
+        return {**answer, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _state(self) -> dict[str, Array]:
         """Everything but the network and its ranges that the next job depends on."""
@@ -95,23 +93,23 @@ class WindowTrainer:
         return {**state, **moments_of(self._optimiser), 'random': random_state.pack(self._random)}
 
     def _restore(self, job: Message) -> None:
-        """Go on from a saved network, and from what :meth:`_state` gave where that was saved too."""
+        """Go on from a saved network, and from :meth:`_state` where that was saved too."""
         self._begin()
         self._network.load(
             Weights.of({name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
         )
         self._normalisation = Normalisation.from_dict(job['start_ranges'])
-        learnt = {
+        arrays = {
             name[15:]: array for name, array in job.items() if name.startswith('start_learning_')
         }
-        if 'random' not in learnt:
+        if 'random' not in arrays:
             return
-        give_moments(self._optimiser, learnt)
-        self._optimiser.param_groups[0]['lr'] = float(learnt['rate'])
+        give_moments(self._optimiser, arrays)
+        self._optimiser.param_groups[0]['lr'] = float(arrays['rate'])
         plateau = self._plateau
-        plateau.best, plateau.num_bad_epochs = float(learnt['best']), int(learnt['bad'])
-        plateau.last_epoch = int(learnt['jobs'])
-        self._random = random_state.unpack(learnt['random'])
+        plateau.best, plateau.num_bad_epochs = float(arrays['best']), int(arrays['bad'])
+        plateau.last_epoch = int(arrays['jobs'])
+        self._random = random_state.unpack(arrays['random'])
 
     def _teach(self, job: Message) -> Message:
         starts = self._window_starts(job['interval_s'])
@@ -122,9 +120,9 @@ class WindowTrainer:
         loss = float(np.mean(losses))
         self._plateau.step(loss)
         assert self._normalisation is not None
-        seen = self._rules.steps * self._rules.minibatch
+        window_count = self._rules.steps * self._rules.minibatch
         return {
-            'windows': seen,
+            'windows': window_count,
             'loss': loss,
             'ranges': self._normalisation.to_dict(),
             **self._network.export().arrays(),
@@ -155,8 +153,8 @@ class WindowTrainer:
             self._normalisation = new
 
     def _step(self, job: Message, starts: Array) -> float:
-        chosen = self._random.choice(starts, self._rules.minibatch)
-        motor, start = np.divmod(chosen, job['interval_s'].shape[1])
+        window_starts = self._random.choice(starts, self._rules.minibatch)
+        motor, start = np.divmod(window_starts, job['interval_s'].shape[1])
         index = (motor[:, None], start[:, None] + np.arange(self._rules.length))
         signals = {
             name: job[name][index]
@@ -175,12 +173,12 @@ class WindowTrainer:
         windows = Windows(
             **{name: single(value) for name, value in signals.items()}, theta=single(theta)
         )
-        predicted = self._normalisation.torque.denormalise(self._network(inputs))
+        predicted_nm = self._normalisation.torque.denormalise(self._network(inputs))
         loss = stage_two_loss(
             self._rules.variant,
             self._white_box.of_motors(torch.as_tensor(motor, device=inputs.device)),
             windows,
-            predicted,
+            predicted_nm,
             self._rules.context,
             self._normalisation.torque.span,
             self._rules.weight_floor,

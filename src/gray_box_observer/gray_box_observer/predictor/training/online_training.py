@@ -1,6 +1,4 @@
-"""Training while the motors run: which samples a network and a correction are taught, when, and
-what comes of it.
-"""
+"""Training while motors run: what network and correction are taught, when, with what result."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 class OnlineTraining:
-    """Remembers samples, hands them over as jobs, one at a time, and lets run what the jobs have
-    made.
+    """Remembers samples, hands them over as jobs, one at a time, and runs the results.
 
     Nothing of a motor is learnt twice: what is settled rests until the motor or its range moves.
 
@@ -115,18 +112,15 @@ class OnlineTraining:
         """Whether a job may start or finish with the next sample."""
         return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
 
-    def freeze(self, frozen: bool) -> None:
-        """Stop or resume; what comes while frozen is not remembered, a new signal history follows
-        it.
-        """
-        if frozen == self._frozen:
+    def freeze(self, is_frozen: bool) -> None:
+        """Stop or resume; frozen samples are not kept, and a new signal history follows."""
+        if is_frozen == self._frozen:
             return
-        self._frozen = frozen
-        self._resumes = None if frozen else np.ones(self._motors, dtype=bool)
+        self._frozen = is_frozen
+        self._resumes = None if is_frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
-        """Remember these samples instead, which were paired anew; what the others taught beside the
-        physics is void.
+        """Remember these samples instead, paired anew; drops what was learnt beside the physics.
 
         Args:
             content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
@@ -151,8 +145,7 @@ class OnlineTraining:
         return self._training.failure
 
     def state(self, motor: int = 0) -> dict[str, Array]:
-        """Where the motors have run and everything that training one of them depends on but what
-        runs, as arrays.
+        """Operating ranges and all that one motor's training depends on but the running network.
 
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
@@ -162,8 +155,8 @@ class OnlineTraining:
             'total': np.array(self.replay.total),
         }
         if motor in self._settled:
-            theta, seen = self._settled[motor]
-            common |= {'settled_theta': theta, **_named('settled_seen', seen.to_dict())}
+            theta, range_seen = self._settled[motor]
+            common |= {'settled_theta': theta, **_named('settled_seen', range_seen.to_dict())}
         if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
             return common
         return {
@@ -179,8 +172,7 @@ class OnlineTraining:
         }
 
     def restore(self, arrays: Mapping[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave of one motor, after what runs; training goes on from
-        there.
+        """Restore one motor's part of :meth:`state`, after its network; training goes on.
 
         Raises:
             CheckpointError: it is no state that could have been.
@@ -213,9 +205,13 @@ class OnlineTraining:
         }
         job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
         if job:
-            kept = {name: array for name, array in job.items() if not name.startswith('seen_')}
+            job_arrays = {
+                name: array for name, array in job.items() if not name.startswith('seen_')
+            }
             residual = bool(job['residual'])
-            self._submit({**kept, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()})
+            self._submit(
+                {**job_arrays, 'residual': residual, 'seen': saved_range(job, 'seen').to_dict()}
+            )
 
     def _check(self, arrays: Mapping[str, Array]) -> None:
         """Refuse a saved state that could not have been.
@@ -242,9 +238,7 @@ class OnlineTraining:
                 )
 
     def _train(self, theta: Array, covariance: Array) -> None:
-        """Adopt the finished job's network and hand the next one over; a job that is late is waited
-        for next time.
-        """
+        """Adopt the finished job's network and hand over the next; never wait for a late job."""
         signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
         self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
         if self._training.busy:
@@ -258,20 +252,25 @@ class OnlineTraining:
         ):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
         residual = self._schedule.due(self.replay)
-        turn, which = self._turn, slice(self._turn, self._turn + 1)
+        turn, motor_slice = self._turn, slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
-        idle = self._nothing_to_gain(turn, theta[which], covariance[which]) and not residual
-        remembered = int(self.replay.remembered(which)[0])
+        idle = (
+            self._nothing_to_gain(turn, theta[motor_slice], covariance[motor_slice])
+            and not residual
+        )
+        remembered = int(self.replay.remembered(motor_slice)[0])
         if self._training.resting or idle or remembered < self._rules.length:
             return
         anew = residual and self._schedule.anew
         count = min(remembered, self._rules.job_samples)
-        samples = self._schedule.job(self.replay) if residual else newest(self.replay, count, which)
+        samples = (
+            self._schedule.job(self.replay) if residual else newest(self.replay, count, motor_slice)
+        )
         self._submit(
             {
                 **samples,
-                'theta': theta[which].copy(),
-                'covariance': covariance[which].copy(),
+                'theta': theta[motor_slice].copy(),
+                'covariance': covariance[motor_slice].copy(),
                 'seen': self._seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
@@ -291,8 +290,8 @@ class OnlineTraining:
     def _nothing_to_gain(self, motor: int, theta: Array, covariance: Array) -> bool:
         if motor not in self._settled:
             return False
-        settled, seen = self._settled[motor]
-        return seen == self._seen and not have_moved(theta, settled, covariance)
+        settled_theta, settled_range = self._settled[motor]
+        return settled_range == self._seen and not have_moved(theta, settled_theta, covariance)
 
     def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1

@@ -1,5 +1,4 @@
-"""The physics as a teacher: what the white box does along the network's own prediction (thesis
-4.2.4, variant 1).
+"""The physics as a teacher: the white box along the network's prediction (thesis 4.2.4).
 
 Measured torque has no part in it.
 """
@@ -50,10 +49,10 @@ class Lesson:
                 for f in fields(Relaxation)
             }
         )
-        inputs, moved = (
+        inputs, targets = (
             np.concatenate([getattr(p, name) for p in parts]) for name in ('inputs', 'moved')
         )
-        return cls(inputs, intervals, moved)
+        return cls(inputs, intervals, targets)
 
 
 def free_run(weights: Weights, sequences: Sequences) -> tuple[Array, list[Relaxation]]:
@@ -65,15 +64,15 @@ def free_run(weights: Weights, sequences: Sequences) -> tuple[Array, list[Relaxa
     """
     way = _courses(sequences)
     state, memory = sequences.start_a, Memory.blank(sequences.start_a.size, weights.hidden)
-    predicted, intervals = np.empty_like(sequences.voltage_v), []
-    for k in range(predicted.shape[1]):
+    predicted_a, intervals = np.empty_like(sequences.voltage_v), []
+    for k in range(predicted_a.shape[1]):
         interval = relaxation(
             np, sequences.white_box, _at(way, k), state, sequences.interval_s[:, k]
         )
         readout, memory = step(weights, memory, np.stack(interval.inputs(np), axis=-1))
-        state = predicted[:, k] = after(np, interval, readout)
+        state = predicted_a[:, k] = after(np, interval, readout)
         intervals.append(interval)
-    return predicted, intervals
+    return predicted_a, intervals
 
 
 def exact_run(sequences: Sequences) -> Array:
@@ -89,9 +88,7 @@ def exact_run(sequences: Sequences) -> Array:
 
 
 def spread(sequences: Sequences, current_a: Array) -> Array:
-    """Spread of the current that a sequence's voltages ask for, in A, shape (sequence,): the
-    measure of errors.
-    """
+    """Spread of the current that the voltages ask for, in A, (sequence,): the scale of errors."""
     levels = np.concatenate(
         [sequences.start_a[:, None], current_a, _courses(sequences).steady_a], axis=1
     )
@@ -106,24 +103,24 @@ def free_run_error(weights: Weights, sequences: Sequences, exact_a: Array) -> fl
 
 
 def lesson(weights: Weights, sequences: Sequences) -> Lesson:
-    """Run the network freely and ask the white box where each of its intervals should have ended."""
-    predicted, parts = free_run(weights, sequences)
-    size = spread(sequences, predicted)[:, None]
+    """Run the network freely; ask the white box where each interval should have ended."""
+    predicted_a, parts = free_run(weights, sequences)
+    size = spread(sequences, predicted_a)[:, None]
     intervals = Relaxation(
         **{f.name: np.stack([getattr(p, f.name) for p in parts], 1) for f in fields(Relaxation)}
     )
     end = flow(
         np, sequences.white_box, _courses(sequences), intervals.state, sequences.interval_s, EXACT
     )
-    moved = (end - intervals.state) / size
+    targets = (end - intervals.state) / size
     inputs = np.stack(intervals.inputs(np), axis=-1)
-    scaled = Relaxation(
+    scaled_intervals = Relaxation(
         **{
             f.name: getattr(intervals, f.name) / (size if f.name in ('state', 'distance') else 1.0)
             for f in fields(Relaxation)
         }
     )
-    return Lesson(inputs, scaled, moved)
+    return Lesson(inputs, scaled_intervals, targets)
 
 
 def steady_currents(sequences: Sequences) -> Array:
@@ -133,9 +130,7 @@ def steady_currents(sequences: Sequences) -> Array:
 
 
 def _courses(sequences: Sequences) -> Course:
-    """Where every interval leads; fields of shape (sequence, time), the parameters of shape
-    (sequence, 1).
-    """
+    """Where every interval leads; fields are (sequence, time), parameters (sequence, 1)."""
     theta = [column[:, None] for column in sequences.columns]
     guess = np.zeros_like(sequences.voltage_v)
     return course(np, sequences.white_box, theta, sequences.voltage_v, sequences.speed_rad_s, guess)

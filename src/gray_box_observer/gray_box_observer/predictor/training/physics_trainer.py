@@ -1,5 +1,4 @@
-"""Training of variant ``physics``: teaches on drawn sequences, and lets a new network run only
-where it is better.
+"""Training of variant ``physics`` on drawn sequences; a network runs only if it is better.
 
 The physics needs no recorded torque, so recorded samples are all held out: they judge, they never
 teach.
@@ -86,12 +85,12 @@ class PhysicsTrainer:
         if 'motor' in job:
             motor = int(job['motor'])
             self._white_box = self._group.of_motors(slice(motor, motor + 1))
-        told = self._teach(job)
+        answer = self._teach(job)
         if job.get('residual_anew'):
             self._residual = ResidualTrainer(self._seed, self._rules.device)
         if job.get('residual'):
-            told |= self._residual.learn(self._running, histories(self._white_box, job))
-        return {**told, **{f'learning_{name}': array for name, array in self._state().items()}}
+            answer |= self._residual.learn(self._running, histories(self._white_box, job))
+        return {**answer, **{f'learning_{name}': array for name, array in self._state().items()}}
 
     def _teach(self, job: Message) -> Message:
         """Teach the physics; say what came of it."""
@@ -106,30 +105,34 @@ class PhysicsTrainer:
                     if name.startswith('start_learning_')
                 }
             )
-        seen = OperatingRange.from_dict(job['seen'])
-        if not seen.tells(self._white_box.speed_measured):
+        range_seen = OperatingRange.from_dict(job['seen'])
+        if not range_seen.tells(self._white_box.speed_measured):
             return {'windows': 0, 'settled': False}
-        own = _HeldOut(self._draw(np.random.default_rng([self._seed, 3]), job, seen, HELD_OUT))
+        own = _HeldOut(
+            self._draw(np.random.default_rng([self._seed, 3]), job, range_seen, HELD_OUT)
+        )
         now = own.error(self._running)
         if now <= ENOUGH:
             return {'windows': 0, 'settled': True, 'error': now}
         if self._pupil is None:
             self._pupil = self._enrol()
-        losses = [self._pupil.learn(self._lesson(job, seen)) for _ in range(self._rules.steps)]
-        told: Message = {
+        losses = [
+            self._pupil.learn(self._lesson(job, range_seen)) for _ in range(self._rules.steps)
+        ]
+        answer: Message = {
             'windows': 2 * self._rules.steps * self._rules.minibatch,
             'loss': float(np.mean(losses)),
         }
         candidate = self._pupil.weights
         if self._better(candidate, own, now, job):
             self._running, self._refused = candidate, 0
-            told |= self._running.arrays()
+            answer |= self._running.arrays()
         else:
             self._refused += 1
-        settled = self._refused >= self._rules.patience
-        if settled:
+        is_settled = self._refused >= self._rules.patience
+        if is_settled:
             self._pupil, self._refused = None, 0
-        return {**told, 'settled': settled, 'error': own.error(self._running)}
+        return {**answer, 'settled': is_settled, 'error': own.error(self._running)}
 
     def _state(self) -> dict[str, Array]:
         """Everything but the running network that the next job depends on."""
@@ -168,46 +171,44 @@ class PhysicsTrainer:
         return Pupil(self._running, rules.learning_rate, rules.gradient_clip, rules.device)
 
     def _draw(
-        self, random: np.random.Generator, job: Message, seen: OperatingRange, count: int
+        self, random: np.random.Generator, job: Message, range_seen: OperatingRange, count: int
     ) -> Sequences:
-        limits_v = seen.voltages(self._rules.voltage_limits_v)
+        limits_v = range_seen.voltages(self._rules.voltage_limits_v)
         return draw_around(
             random,
             self._white_box,
             job['theta'],
             job['covariance'],
-            seen,
+            range_seen,
             limits_v,
             self._rules.horizon_s,
             count,
             LENGTH,
         )
 
-    def _lesson(self, job: Message, seen: OperatingRange) -> Lesson:
-        """Half of what is taught is of these motors, half of all the family: other regimes are not
-        forgotten.
-        """
+    def _lesson(self, job: Message, range_seen: OperatingRange) -> Lesson:
+        """Half of the lessons are of these motors, half of all: no regime is forgotten."""
         assert self._pupil is not None
         weights, count = self._pupil.weights, self._rules.minibatch
-        drawn = [
-            self._draw(self._random, job, seen, count),
+        sequence_sets = [
+            self._draw(self._random, job, range_seen, count),
             draw_family(self._random, count, LENGTH),
         ]
-        return Lesson.joined([lesson(weights, sequences) for sequences in drawn])
+        return Lesson.joined([lesson(weights, sequences) for sequences in sequence_sets])
 
     def _better(self, candidate: Weights, own: _HeldOut, now: float, job: Message) -> bool:
-        """Whether a network beats the running one on drawn sequences and does no worse on what was
-        measured.
-        """
+        """Whether a network beats the running one on drawn data and is no worse on measured."""
         if not own.error(candidate) <= BETTER * now:
             return False
         if not self._family.error(candidate) <= FORGETS * self._family.error(self._running):
             return False
-        measured = newest_history(self._white_box, job)
-        if measured is None:
+        history = newest_history(self._white_box, job)
+        if history is None:
             return True
-        said = [free_run(weights, measured.sequences)[0] for weights in (candidate, self._running)]
-        errors = [np.abs(predicted - measured.current_a) for predicted in said]
+        predictions = [
+            free_run(weights, history.sequences)[0] for weights in (candidate, self._running)
+        ]
+        errors = [np.abs(predicted_a - history.current_a) for predicted_a in predictions]
         worse = errors[0] - errors[1]
         return bool(worse.mean() <= worse.std() / np.sqrt(worse.size))
 

@@ -1,5 +1,6 @@
-"""Make the network that variant ``physics`` begins with: ``python -m
-gray_box_observer.predictor.training.pretrain``.
+"""Makes the network that variant ``physics`` begins with.
+
+Run it by ``python -m gray_box_observer.predictor.training.pretrain``.
 """
 
 from __future__ import annotations
@@ -41,20 +42,22 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
 
     random = np.random.default_rng([seed, 1])
     pupil = Pupil(fresh(hidden, seed), FIRST_RATE, TrainingRules().gradient_clip)
-    for done in progress:
-        rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (1.0 + math.cos(math.pi * done))
+    for progress_share in progress:
+        rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (
+            1.0 + math.cos(math.pi * progress_share)
+        )
         pupil.optimiser.param_groups[0]['lr'] = rate
         pupil.learn(lesson(pupil.weights, draw_family(random, SEQUENCES, LENGTH)))
     return pupil.weights
 
 
 def held_out_errors(weights: Weights, seed: int) -> Array:
-    """Mean error of the free run on motors that never taught, in units of each one's spread, shape
-    (motor,).
-    """
-    drawn = draw_family(np.random.default_rng([seed, 4]), HELD_OUT, LENGTH)
-    exact = exact_run(drawn)
-    errors: Array = np.abs(free_run(weights, drawn)[0] - exact).mean(axis=1) / spread(drawn, exact)
+    """Mean free-run error on motors that never taught, in units of each spread, (motor,)."""
+    sequences = draw_family(np.random.default_rng([seed, 4]), HELD_OUT, LENGTH)
+    exact = exact_run(sequences)
+    errors: Array = np.abs(free_run(weights, sequences)[0] - exact).mean(axis=1) / spread(
+        sequences, exact
+    )
     return errors
 
 
@@ -62,7 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     parser = argparse.ArgumentParser(
         prog='python -m gray_box_observer.predictor.training.pretrain',
-        description='Teach a fresh network on drawn motors of every kind and write it as the start of variant physics.',
+        description='Teach a fresh network on drawn motors of every kind and write it as the start '
+        'of variant physics.',
     )
     parser.add_argument(
         '--seed', type=int, default=0, help='of weights and drawn motors (default: 0)'

@@ -1,6 +1,4 @@
-"""The state of a random generator as one array, for a checkpoint: plain numbers, nothing that could
-run.
-"""
+"""The state of a random generator as one array for a checkpoint: numbers, nothing that runs."""
 
 from __future__ import annotations
 
@@ -25,12 +23,12 @@ def pack(random: np.random.Generator) -> Words:
 
 def unpack(words: Words) -> np.random.Generator:
     """Return a generator that goes on from what :func:`pack` gave."""
-    low, high, step_low, step_high, left, rest = (int(word) for word in words)
+    low, high, step_low, step_high, has_uint32, uinteger = (int(word) for word in words)
     generator = np.random.PCG64()
     generator.state = {
         'bit_generator': 'PCG64',
         'state': {'state': high << 64 | low, 'inc': step_high << 64 | step_low},
-        'has_uint32': left,
-        'uinteger': rest,
+        'has_uint32': has_uint32,
+        'uinteger': uinteger,
     }
     return np.random.Generator(generator)

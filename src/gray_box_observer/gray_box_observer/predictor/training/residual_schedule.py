@@ -1,6 +1,4 @@
-"""When there is enough to learn a residual from, and what it is learnt from: the newest samples,
-and kept segments.
-"""
+"""When and from what a residual is learnt: the newest samples, and kept segments."""
 
 from __future__ import annotations
 
@@ -68,8 +66,7 @@ class ResidualSchedule:
         self._starts = np.full((max(1, self._capacity // SEGMENT), motors), np.nan)
 
     def follow(self, replay: ReplayBuffer, physics_nm: Array) -> None:
-        """Take note of the newest sample, and keep a segment that is about to leave the newest
-        ones.
+        """Take note of the newest sample, and keep a segment before it leaves the newest.
 
         Args:
             replay: the newest samples, this one among them.
@@ -83,9 +80,7 @@ class ResidualSchedule:
             self._keep(replay)
 
     def _keep(self, replay: ReplayBuffer) -> None:
-        """Keep the oldest whole segment: before the next one is whole, its first samples will have
-        left.
-        """
+        """Keep the oldest whole segment; by the next one, its first samples would be gone."""
         back = self._capacity // SEGMENT
         first = replay.total - back * SEGMENT
         if first < self._from:
@@ -94,9 +89,7 @@ class ResidualSchedule:
         self._store.add(Segment(first, signals, self._starts[-back]))
 
     def moved(self, theta: Array, covariance: Array) -> bool:
-        """Whether the parameters have moved since the residual began anew: older samples are of
-        another motor then.
-        """
+        """Whether the parameters moved since the restart: older samples are another motor's."""
         before = self._theta
         if before.shape == theta.shape and not have_moved(theta, before, covariance):
             return False
@@ -116,9 +109,7 @@ class ResidualSchedule:
         return self._learns and replay.total - self._asked >= max(PERIOD, samples // 3)
 
     def job(self, replay: ReplayBuffer) -> dict[str, Any]:
-        """Return the samples of a round: segments, then the newest samples of which no segment
-        tells.
-        """
+        """Return a round's samples: segments, then newest samples outside all segments."""
         self._asked, self.anew = replay.total, False
         parts, end = [], min(0, self._from)  # more may have been paired anew than had been counted
         for segment in self._store.segments:
@@ -167,18 +158,17 @@ class ResidualSchedule:
         self._store.restore(arrays)
 
 
-def newest(replay: ReplayBuffer, count: int, which: slice = slice(None)) -> dict[str, Any]:
-    """Copy the newest samples, as many of ``count`` as there are: each of SIGNALS, and ``number``,
-    which they are.
+def newest(replay: ReplayBuffer, count: int, motor_slice: slice = slice(None)) -> dict[str, Any]:
+    """Copy up to ``count`` of the newest samples: each of SIGNALS, and their ``number``.
 
     Args:
         replay: remembers them.
         count: how many.
-        which: of which motors; where it is not all, they have to remember as many.
+        motor_slice: of which motors; where it is not all, they have to remember as many.
     """
     count = min(count, len(replay))
     interval_s, voltage_v, torque_nm, speed_rad_s = (
-        signal.copy() for signal in replay.newest(count, which)
+        signal.copy() for signal in replay.newest(count, motor_slice)
     )
     signals = {
         'interval_s': interval_s,

@@ -70,8 +70,7 @@ STEPS = 150
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """Signal histories one after another, with what the physics says of them; arrays of shape
-    (motor, time).
+    """Signal histories in a row with what the physics says of them; arrays of (motor, time).
 
     ``number``, ``anew``, ``cut`` and ``heard`` have shape (time,): which sample it is, counted
     since the beginning, where a history begins, where it goes on from samples that are lost, and
@@ -108,13 +107,13 @@ class ResidualTrainer:
         self._best: list[Correction] = []
 
     def learn(
-        self, weights: Weights, measured: Sequence[History], steps: int = STEPS
+        self, weights: Weights, histories: Sequence[History], steps: int = STEPS
     ) -> dict[str, Any]:
         """Run one round.
 
         Args:
             weights: of the network that knows the physics.
-            measured: signal histories; the numbers of their samples settle for good which of them
+            histories: signal histories; the numbers of their samples settle for good which of them
                 judge.
             steps: training steps.
 
@@ -124,23 +123,23 @@ class ResidualTrainer:
         Raises:
             ImportError: there is something to learn, and no torch to learn it with.
         """
-        told = [history for history in measured if history.number.size >= SHORTEST]
-        if sum(history.number.size for history in told) < FEWEST:
+        long_histories = [history for history in histories if history.number.size >= SHORTEST]
+        if sum(history.number.size for history in long_histories) < FEWEST:
             return {}
-        run = _against_physics(weights, told)
+        run = _against_physics(weights, long_histories)
         if self._pupil is None and not worth_learning(
             run.residual_a[:, run.heard], run.predicted_a[:, run.heard]
         ):
             return {}
-        taught = self._taught(run, steps)
-        weights = taught.weights
+        taught_model = self._taught(run, steps)
+        weights = taught_model.weights
         silent = replace(
             weights,
             output=np.zeros_like(weights.output),
             output_bias=np.zeros_like(weights.output_bias),
         )
-        linear_alone = replace(taught, weights=silent)
-        judged = [_judge(candidate, run) for candidate in (linear_alone, taught, *self._best)]
+        linear_alone = replace(taught_model, weights=silent)
+        judged = [_judge(candidate, run) for candidate in (linear_alone, taught_model, *self._best)]
         self._best = [min(judged, key=lambda pair: pair[1])[0]]
         return self._best[0].arrays()
 
@@ -189,11 +188,11 @@ class ResidualTrainer:
             cells(run.voltage_v / size[0])[:, teaching],
         )
         np.add.at(support, at, 1.0)
-        seen, wanted = _features(run, pace_s), run.residual_a / limit_a
-        linear = LinearPart.learnt(seen[:, teaching], wanted[:, teaching])
+        columns, targets = _features(run, pace_s), run.residual_a / limit_a
+        linear = LinearPart.learnt(columns[:, teaching], targets[:, teaching])
         inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
         self._pupil.learn(
-            self._random, inputs, wanted - linear.say(seen), teaching, run.anew, steps
+            self._random, inputs, targets - linear.say(columns), teaching, run.anew, steps
         )
         return replace(blank, weights=self._pupil.weights, linear=linear)
 
@@ -201,31 +200,29 @@ class ResidualTrainer:
 def _sizes(run: _Run) -> tuple[Array, float]:
     """Sizes of voltage, current and speed, and the largest correction in A."""
     signals = run.voltage_v, run.predicted_a, run.speed_rad_s, run.current_a, run.residual_a
-    volt, ampere, speed, measured, missed = (
+    volt, ampere, speed, measured_a, missed_a = (
         max(float(np.quantile(np.abs(signal), 0.95)), 1e-9) for signal in signals
     )
     limit_a = min(
-        LIMIT * max(measured, missed), OWN_LIMIT * float(np.sqrt(np.mean(run.residual_a**2)))
+        LIMIT * max(measured_a, missed_a), OWN_LIMIT * float(np.sqrt(np.mean(run.residual_a**2)))
     )
     return np.array([volt, ampere, speed]), max(limit_a, 1e-9)
 
 
 def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
-    """Whether what was recorded since is of another size, as after a first step at the end of a
-    long rest.
-    """
+    """Whether samples since are of another size, as after a first step after a long rest."""
     return bool(np.any(new[0] > OUTGROWN * old[0]) or new[1] > OUTGROWN * old[1])
 
 
 def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
-    """Return the correction with the share of it that the judging blocks bear out, and the error
-    they are left with.
-    """
-    said = _said(replace(correction, share=1.0), run)
+    """Return the correction with the share that judging blocks support, and its error."""
+    output = _said(replace(correction, share=1.0), run)
     judges = judging(run.number) & run.heard
-    residual, said = run.residual_a[:, judges], said[:, judges]
-    share = float(np.clip(np.sum(residual * said) / max(float(np.sum(said**2)), 1e-300), 0.0, 1.0))
-    before, after = np.abs(residual), np.abs(residual - share * said)
+    residual, output = run.residual_a[:, judges], output[:, judges]
+    share = float(
+        np.clip(np.sum(residual * output) / max(float(np.sum(output**2)), 1e-300), 0.0, 1.0)
+    )
+    before, after = np.abs(residual), np.abs(residual - share * output)
     had, gains = (
         np.array([p.mean() for p in np.array_split(a, PARTS, axis=1)])
         for a in (before, before - after)
@@ -236,15 +233,14 @@ def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
     )
 
 
-def worth_learning(residual: Array, predicted: Array) -> bool:
-    """Whether residuals are not small, and hang together in time, as all does that voltage and
-    motion cause.
+def worth_learning(residual: Array, predicted_a: Array) -> bool:
+    """Whether residuals are large and correlated in time, as voltage and motion cause them.
 
     Args:
         residual: shape (motor, time).
-        predicted: shape (motor, time): what they are small against.
+        predicted_a: shape (motor, time): what they are small against.
     """
-    if np.all(residual.std(axis=1) < SMALL * predicted.std(axis=1)):
+    if np.all(residual.std(axis=1) < SMALL * predicted_a.std(axis=1)):
         return False
     centred = residual - residual.mean(axis=1, keepdims=True)
     n, power = residual.shape[1], np.sum(centred**2, axis=1)
@@ -258,32 +254,30 @@ def worth_learning(residual: Array, predicted: Array) -> bool:
 
 
 def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which samples judge, shape (time,), by their number since the beginning: no sample ever does
-    both.
-    """
+    """Which samples judge, shape (time,), by their number; none ever judges and teaches."""
     judges: NDArray[np.bool_] = (number // BLOCK) % EVERY == EVERY - 1
     return judges
 
 
-def _against_physics(weights: Weights, measured: Sequence[History]) -> _Run:
+def _against_physics(weights: Weights, histories: Sequence[History]) -> _Run:
     parts = []
-    for history in measured:
+    for history in histories:
         sequences, current_a, number = history.sequences, history.current_a, history.number
-        predicted, _ = free_run(weights, sequences)
+        predicted_a, _ = free_run(weights, sequences)
         anew = number == number[0]
         cut = anew & history.cut
-        heard = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
+        is_warm = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
         speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
         signals = (
             sequences.interval_s,
             sequences.voltage_v,
             speed,
             current_a,
-            predicted,
+            predicted_a,
             steady,
-            current_a - predicted,
+            current_a - predicted_a,
         )
-        parts.append((number, anew, cut, heard, *signals))
+        parts.append((number, anew, cut, is_warm, *signals))
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
 
@@ -300,8 +294,8 @@ def _features(run: _Run, pace_s: float) -> Array:
             else lag_features.blank(voltage_v.shape[0])
         )
         parts.append(lag_features.along(voltage_v, speed, interval_s / pace_s, start))
-    passed = np.concatenate(parts, axis=1)
-    return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, passed)
+    traces = np.concatenate(parts, axis=1)
+    return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, traces)
 
 
 def _said(correction: Correction, run: _Run) -> Array:

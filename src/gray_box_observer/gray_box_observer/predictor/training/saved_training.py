@@ -1,6 +1,4 @@
-"""What a training leaves behind for the next to go on from, as it must be before anything goes on
-from it.
-"""
+"""What one training leaves for the next to go on from, and its checks before that."""
 
 from __future__ import annotations
 
@@ -78,10 +76,10 @@ def _check_residual(arrays: Arrays, prefix: str) -> None:
 
 def _check_pupil(arrays: Arrays, prefix: str, inputs: int | None) -> bool:
     """Refuse what is no network under training; tell whether there is one."""
-    there = any(name.startswith(prefix) for name in arrays)
-    if there:
+    has_network = any(name.startswith(prefix) for name in arrays)
+    if has_network:
         check_moments(arrays, *check_weights(arrays, inputs, prefix), prefix=prefix)
-    return there
+    return has_network
 
 
 def check_job(arrays: Arrays) -> None:

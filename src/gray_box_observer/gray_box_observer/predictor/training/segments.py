@@ -55,9 +55,7 @@ class Segment:
         return np.arange(self.first, self.first + self.signals.shape[2])
 
     def begun(self) -> dict[str, Array]:
-        """Every signal by its name, from where the physics had come to, so that it runs on as it
-        did.
-        """
+        """Every signal by its name, from the physics' present state, so that it runs on."""
         signals = dict(zip(SIGNALS, self.signals.copy(), strict=True))
         torque_nm = signals['torque_nm']
         torque_nm[:, 0] = np.where(np.isfinite(self.start_nm), self.start_nm, torque_nm[:, 0])
@@ -142,8 +140,7 @@ def _check(arrays: Mapping[str, Array]) -> None:
 
 
 def maps(segments: list[Array]) -> Array:
-    """Count every segment's samples in the cells of the map of voltage and torque, shape (segment,
-    motor, cell).
+    """Count each segment's samples in the voltage-torque map, (segment, motor, cell).
 
     Args:
         segments: signals, each of shape (signal, motor, time).
@@ -159,15 +156,15 @@ def maps(segments: list[Array]) -> Array:
     )  # shapes: (segment, motor, time)
     count, motors, _ = volt.shape
     place = np.arange(count * motors).reshape(count, motors, 1) * BINS**2 + volt * BINS + torque
-    counted: Array = np.bincount(place.ravel(), minlength=count * motors * BINS**2).astype(float)
-    return counted.reshape(count, motors, BINS**2)
+    counts: Array = np.bincount(place.ravel(), minlength=count * motors * BINS**2).astype(float)
+    return counts.reshape(count, motors, BINS**2)
 
 
-def most_represented(counted: Array) -> int:
+def most_represented(counts: Array) -> int:
     """Return the segment without which the others cover most, the oldest of equals.
 
     Args:
-        counted: shape (segment, motor, cell): samples.
+        counts: shape (segment, motor, cell): samples.
     """
-    others = counted.sum(axis=0) - counted
-    return int(np.argmax(np.log1p(others / WORTH).sum(axis=(1, 2))))
+    rest_counts = counts.sum(axis=0) - counts
+    return int(np.argmax(np.log1p(rest_counts / WORTH).sum(axis=(1, 2))))

@@ -1,5 +1,4 @@
-"""Sequences that nobody recorded: drawn over all that a motor may meet, for the physics to teach
-on.
+"""Drawn sequences over all that a motor may meet, for the physics to teach on.
 
 What the network is taught on is drawn, not recorded, so nothing ties it to the voltages that
 happened to be seen.
@@ -59,8 +58,7 @@ class Sequences:
 
 
 def draw_family(random: np.random.Generator, count: int, length: int) -> Sequences:
-    """Draw motors of every kind in dimensionless form: the resistance is 1 ohm, the time constant
-    L/R is 1 s.
+    """Draw motors of every kind, dimensionless: resistance 1 ohm, time constant L/R 1 s.
 
     What else sets a motor apart is drawn over decades: how much of the voltage hysteresis takes
     (0.01 to 30 times the resistance), whether there are brushes and what they take (0.01 to 3
@@ -96,7 +94,7 @@ def draw_around(
     white_box: MotorWhiteBox,
     theta: Array,
     covariance: Array,
-    seen: OperatingRange,
+    range_seen: OperatingRange,
     limits_v: tuple[float, float],
     horizon_s: float,
     count: int,
@@ -112,7 +110,7 @@ def draw_around(
         white_box: the physics of the motors.
         theta: shape (motor, parameter): the estimate.
         covariance: shape (motor, parameter, parameter): how uncertain it is.
-        seen: where the motors have run.
+        range_seen: where the motors have run.
         limits_v: lowest and highest voltage to be ready for.
         horizon_s: longest forecast wanted, in s; 0: no longer than a sample interval.
         count: number of sequences.
@@ -124,19 +122,21 @@ def draw_around(
     lower, upper = (
         np.array([getattr(p, side) for p in white_box.parameters]) for side in ('lower', 'upper')
     )
-    drawn = theta[motor] * np.exp(spread[motor] * random.standard_normal((count, theta.shape[1])))
-    drawn = np.clip(drawn, lower, upper)
+    parameters = theta[motor] * np.exp(
+        spread[motor] * random.standard_normal((count, theta.shape[1]))
+    )
+    parameters = np.clip(parameters, lower, upper)
     low_v, top_v = np.full(count, limits_v[0]), np.full(count, limits_v[1])
     voltage_v = _levels(random, low_v, top_v, length)
     speed = np.zeros((count, length))
     if white_box.speed_measured:
-        ends = random.uniform(*seen.speed_rad_s, (2, count, 1))
+        ends = random.uniform(*range_seen.speed_rad_s, (2, count, 1))
         speed = ends[0] + (ends[1] - ends[0]) * np.linspace(0.0, 1.0, length)
     own = white_box.of_motors(motor)
-    way = course(np, own, list(drawn.T), voltage_v[:, 0], speed[:, 0], np.zeros(count))
-    interval_s = _intervals(random, way.settling, seen.interval_s, horizon_s, length)
-    start_a = _somewhere(random, own, drawn, speed, low_v, top_v)
-    return Sequences(own, drawn, voltage_v, interval_s, speed, start_a)
+    way = course(np, own, list(parameters.T), voltage_v[:, 0], speed[:, 0], np.zeros(count))
+    interval_s = _intervals(random, way.settling, range_seen.interval_s, horizon_s, length)
+    start_a = _somewhere(random, own, parameters, speed, low_v, top_v)
+    return Sequences(own, parameters, voltage_v, interval_s, speed, start_a)
 
 
 def _log_uniform(
@@ -145,8 +145,8 @@ def _log_uniform(
     high: float | Array,
     shape: int | tuple[int, ...],
 ) -> Array:
-    drawn: Array = np.exp(random.uniform(np.log(low), np.log(high), shape))
-    return drawn
+    values: Array = np.exp(random.uniform(np.log(low), np.log(high), shape))
+    return values
 
 
 def _intervals(
@@ -156,7 +156,7 @@ def _intervals(
     horizon_s: float,
     length: int,
 ) -> Array:
-    """Half like those seen, uneven where those were; half of any length up to the longest forecast."""
+    """Half like those seen, equally uneven; half of any length up to the longest forecast."""
     count = settling.size
     shortest, longest = seen_s
     constant_s = np.minimum(1.0 / np.maximum(settling, 1e-12), 1e4 * longest)
@@ -173,16 +173,16 @@ def _intervals(
 
 
 def _levels(random: np.random.Generator, low_v: Array, top_v: Array, length: int) -> Array:
-    """Voltages held for times of every scale, some with ripple on them, shape (sequence, length)."""
+    """Voltages held for times of every scale, some with ripple, shape (sequence, length)."""
     count = low_v.size
     changes = (
         random.random((count, length)) < _log_uniform(random, 1.0 / length, 1.0, count)[:, None]
     )
     changes[:, 0] = True
-    drawn = random.uniform(low_v[:, None], top_v[:, None], (count, length))
+    levels = random.uniform(low_v[:, None], top_v[:, None], (count, length))
     newest = np.maximum.accumulate(np.where(changes, np.arange(length), 0), axis=1)
     ripple = np.where(random.random(count) < 0.3, 0.05, 0.0) * (top_v - low_v)
-    noisy: Array = np.take_along_axis(drawn, newest, axis=1) + ripple[
+    noisy: Array = np.take_along_axis(levels, newest, axis=1) + ripple[
         :, None
     ] * random.standard_normal((count, length))
     return noisy

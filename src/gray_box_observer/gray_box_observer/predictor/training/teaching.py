@@ -1,6 +1,4 @@
-"""One step of teaching: the defect of the physics along the network's own prediction, and what Adam
-makes of it.
-"""
+"""One step of teaching: the physics' defect along the network's prediction, and Adam."""
 
 from __future__ import annotations
 
@@ -25,8 +23,9 @@ SHORTEST = 1e-3
 
 
 def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
-    """Mean of ``|i1 - Phi_h(i0)|``, the defect of the ODE in its exact-time form (thesis 4.2.4), in
-    spreads.
+    """Mean of ``|i1 - Phi_h(i0)|``, the ODE's defect in exact-time form (thesis 4.2.4).
+
+    It is in units of each sequence's spread.
 
     Defects of a free run die down at the pace of the motor, so a steady defect ``e`` adds up to
     ``e / (1 - exp(-h c))``: that is what is minimised, and short intervals weigh as much as long
@@ -40,8 +39,8 @@ def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
     interval = Relaxation(
         **{f.name: _like(readout, getattr(lesson.intervals, f.name)) for f in fields(Relaxation)}
     )
-    moved = interval.distance * torch.expm1(-exponent(torch, interval, readout))
-    defect = moved - _like(readout, lesson.moved)
+    movement = interval.distance * torch.expm1(-exponent(torch, interval, readout))
+    defect = movement - _like(readout, lesson.moved)
     adds_up = -torch.expm1(-interval.duration.clamp_min(SHORTEST))
     loss: torch.Tensor = (defect.abs() / adds_up).mean()
     return loss
@@ -81,7 +80,8 @@ class Pupil:
 
     @classmethod
     def of(
-        cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float, device: str = CPU
+        cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float,
+        device: str = CPU
     ) -> Pupil:  # fmt: skip
         """Return the pupil that goes on from what :meth:`state` gave."""
         pupil = cls(Weights.of(arrays), learning_rate, gradient_clip, device)

@@ -59,9 +59,7 @@ class TorchNetwork(torch.nn.Module):
         return network
 
     def forward(self, inputs: torch.Tensor) -> torch.Tensor:
-        """Outputs of shape (sequence, time) for inputs of shape (sequence, time, input), each from
-        a blank memory.
-        """
+        """Outputs (sequence, time) for inputs (sequence, time, input), each from blank memory."""
         return self.readout(self.lstm(inputs)[0])[..., 0]  # type: ignore[no-any-return]
 
     def load(self, weights: Weights) -> None:

@@ -93,9 +93,11 @@ class ResidualPupil:
             motor = torch.as_tensor(
                 random.integers(inputs.shape[0], size=WINDOWS)[:, None], device=x.device
             )
-            at, heard = (torch.as_tensor(array, device=x.device) for array in windows(random, anew))
+            at, is_warm = (
+                torch.as_tensor(array, device=x.device) for array in windows(random, anew)
+            )
             error = (torch.tanh(self._network(x[motor, at])) - y[motor, at]) / size
-            weight = counts[at] * heard
+            weight = counts[at] * is_warm
             zero = torch.zeros_like(error)
             loss = (
                 torch.nn.functional.smooth_l1_loss(error, zero, reduction='none', beta=ROBUST)
@@ -124,13 +126,13 @@ def windows(
     """
     first = np.flatnonzero(anew)
     end = np.append(first[1:], anew.size)
-    drawn = random.integers(anew.size, size=WINDOWS)
-    own = np.searchsorted(first, drawn, side='right') - 1
+    places = random.integers(anew.size, size=WINDOWS)
+    own = np.searchsorted(first, places, side='right') - 1
     length = min(LENGTH, int(np.max(end - first)))
     start = np.maximum(
-        first[own], np.minimum(drawn - random.integers(length, size=WINDOWS), end[own] - length)
+        first[own], np.minimum(places - random.integers(length, size=WINDOWS), end[own] - length)
     )
     offset = np.arange(length)
     at = start[:, None] + offset
-    heard = (at < end[own, None]) & ((offset >= WARM) | (start == first[own])[:, None])
-    return np.minimum(at, anew.size - 1), heard
+    is_warm = (at < end[own, None]) & ((offset >= WARM) | (start == first[own])[:, None])
+    return np.minimum(at, anew.size - 1), is_warm

@@ -33,9 +33,7 @@ class Training(Protocol):
 
     @property
     def resting(self) -> bool:
-        """Whether no job should be submitted yet, for the share of a core that training may use is
-        used up.
-        """
+        """Whether the training's share of a core is used up, so that no job should be submitted."""
 
     @property
     def failure(self) -> str | None:
@@ -83,9 +81,7 @@ class InlineTraining:
 
 
 class ProcessTraining:
-    """Trains in a child process, so that neither torch's import nor its work ever holds up a
-    sample.
-    """
+    """Trains in a child process, so that neither torch's import nor its work delays a sample."""
 
     def __init__(self, configuration: dict[str, Any]) -> None:
         command = [sys.executable, '-m', 'gray_box_observer.predictor.training.worker']
@@ -113,9 +109,7 @@ class ProcessTraining:
         return self._busy
 
     def submit(self, job: dict[str, Any]) -> None:
-        """Hand a job over; returns at once. Its arrays are copied, for the caller's buffer moves
-        on.
-        """
+        """Hand a job over without waiting; its arrays are copied, for the buffer moves on."""
         if self.failure is None:
             self._busy = True
             self._jobs.put({k: v.copy() if hasattr(v, 'copy') else v for k, v in job.items()})

@@ -1,6 +1,4 @@
-"""The training process: reads jobs from standard input, writes results to standard output, ends
-with its parent.
-"""
+"""The training process: jobs on standard input, results on output; ends with its parent."""
 
 from __future__ import annotations
 
@@ -34,9 +32,7 @@ def main() -> int:
 
 
 def _give_way() -> None:
-    """Sampling comes first: run when nobody else wants to, and never at the real-time priority of
-    the parent.
-    """
+    """Give sampling precedence: lowest priority, never the real-time one of the parent."""
     if hasattr(os, 'SCHED_BATCH'):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     os.nice(10)

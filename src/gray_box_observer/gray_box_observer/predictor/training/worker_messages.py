@@ -1,4 +1,4 @@
-"""Messages between the observer and its training process: arrays and plain values, never pickles."""
+"""Messages between observer and training process: arrays and plain values, never pickles."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def encode(message: dict[str, Any]) -> bytes:
     if any(array.dtype.hasobject for array in arrays.values()):
         raise ValueError('Object arrays cannot be saved: they would have to be pickled')
     stream = io.BytesIO()
-    named: dict[str, Any] = {**arrays, _PLAIN: np.array(json.dumps(plain))}
-    np.savez(stream, **named)
+    members: dict[str, Any] = {**arrays, _PLAIN: np.array(json.dumps(plain))}
+    np.savez(stream, **members)
     return stream.getvalue()
 
 

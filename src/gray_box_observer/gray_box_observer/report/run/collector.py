@@ -84,25 +84,29 @@ class Collector:
     def histories(
         self,
         observer: Observer,
-        rejected: Mapping[str, Mapping[str, int]],
+        rejections: Mapping[str, Mapping[str, int]],
         changes_s: Mapping[str, Sequence[float]] | None = None,
     ) -> tuple[MotorHistory, ...]:
         """Return the history of every motor that has not stopped.
 
         Args:
             observer: at the end of the run.
-            rejected: counts by motor and reason.
+            rejections: counts by motor and reason.
             changes_s: when each motor was found changed, in s of the time that its samples cover.
         """
         changes = changes_s or {}
         return tuple(
-            self._history(name, observer, rejected.get(name, {}), changes.get(name, ()))
+            self._history(name, observer, rejections.get(name, {}), changes.get(name, ()))
             for name in self._courses
             if name in observer.motors
         )
 
     def _history(
-        self, name: str, observer: Observer, rejected: Mapping[str, int], changes_s: Sequence[float]
+        self,
+        name: str,
+        observer: Observer,
+        rejections: Mapping[str, int],
+        changes_s: Sequence[float],
     ) -> MotorHistory:
         course = self._courses[name]
         columns = np.array(course.samples).T
@@ -127,7 +131,7 @@ class Collector:
             white_box_torque_nm=columns[4],
             parameters=self._parameters(name, course),
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
-            rejected=dict(rejected),
+            rejected=dict(rejections),
             scores={
                 key: float(v) for key, v in scores.items() if v is not None and key != 'samples'
             },
@@ -160,18 +164,18 @@ class Collector:
 
 
 def _fit(motor: MotorView, torque_nm: FloatArray, run_nm: FloatArray) -> FitHistory:
-    """Return whether the white box explains the data, with the correlation of the newest residual."""
+    """Return whether the white box explains the data, with the newest residual correlation."""
     correlated = autocorrelation(torque_nm - run_nm)
-    found, band = (None, 0.0) if correlated is None else correlated
-    return FitHistory(motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), found, band)
+    lag_values, band = (None, 0.0) if correlated is None else correlated
+    return FitHistory(
+        motor.fit.verdict.value, motor.fit.sentence, motor.fit_percent(), lag_values, band
+    )
 
 
 def _on_axis(
     covered_s: Sequence[float], interval_s: FloatArray, time_s: FloatArray
 ) -> tuple[float, ...]:
-    """Return where on the axis of the report something is, of which it is known after how much
-    covered time it was.
-    """
+    """Return the position on the report's axis of what happened at a covered time."""
     covered = np.cumsum(interval_s)
     at = np.minimum(np.searchsorted(covered, covered_s), len(time_s) - 1)
     return tuple(float(time_s[place]) for place in at)
@@ -210,52 +214,60 @@ def notes(name: str, observer: Observer) -> list[str]:
     """Say in plain words what a reader of one motor's result has to keep in mind."""
     values = observer.configuration.motors[name].values
     motor = observer.motors[name]
-    others = [term for term in motor.white_box.known if term != 'back_emf_constant']
+    other_constants = [term for term in motor.white_box.known if term != 'back_emf_constant']
     scaling = (
-        '' if others else ': every parameter scales with it (1 % more of it, 1 % more of each)'
+        ''
+        if other_constants
+        else ': every parameter scales with it (1 % more of it, 1 % more of each)'
     )
-    said = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
+    sentences = [f'Kt = {values["torque_constant"]:g} N m/A is taken as known{scaling}.']
     if 'back_emf_constant' not in values['context_nodes']:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
         where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
-        said.append(
+        sentences.append(
             f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its '
             f'error goes into {where}.'
         )
-    for term in others:
-        what = f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} {TERMS[term].parameter.unit}'
-        said.append(f'{what} is taken as known: its error goes into the estimates.')
-    taken = assumptions(observer.configuration.motors[name], motor.white_box)
-    said += [f'{text[0].upper()}{text[1:]}.' for text in taken.values()]
+    for term in other_constants:
+        constant_text = (
+            f'{term.replace("_", " ")} = {float(motor.white_box.known[term]):g} '
+            f'{TERMS[term].parameter.unit}'
+        )
+        sentences.append(f'{constant_text} is taken as known: its error goes into the estimates.')
+    assumed = assumptions(observer.configuration.motors[name], motor.white_box)
+    sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumed.values()]
     delay = motor.delay
     complaint = delay.complaint(name)
     if complaint is not None:
-        said.append(f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.')
+        sentences.append(
+            f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.'
+        )
     elif delay.asked:
-        found = (
+        delay_text = (
             'the data do not tell it'
             if math.isnan(delay.value_s)
             else (f'{1e3 * delay.value_s:.4g} ms ± {1e3 * delay.std_s:.2g} ms in the newest data')
         )
-        said.append(
-            f'The delay from voltage to torque is estimated: {found}; {1e3 * delay.applied_s:.4g} '
+        sentences.append(
+            f'The delay from voltage to torque is estimated: {delay_text}; '
+            f'{1e3 * delay.applied_s:.4g} '
             'ms are taken off.'
         )
     elif delay.applied_s:
-        said.append(
+        sentences.append(
             f'Voltage is taken to act on torque {1e3 * delay.applied_s:.4g} ms later than it is '
             'stamped.'
         )
     pairing = observer.counts(name)
     if pairing.restarts:
-        said.append(
+        sentences.append(
             f'The clock jumped back {pairing.restarts} times; the signal history started anew, '
             'estimates stayed.'
         )
     training = motor.training
     if training is not None and training.jobs_late:
-        said.append(
+        sentences.append(
             f'{training.jobs_late} training jobs were late; the running network stayed in service '
             'meanwhile.'
         )
-    return said
+    return sentences

@@ -48,9 +48,9 @@ class ParameterHistory:
     truth: Truth | None = None
 
     def __post_init__(self) -> None:
-        what = f'history of parameter {self.name!r}'
-        _check_times(what, self.time_s)
-        _check_length(what, len(self.time_s), value=self.value, std=self.std, verdict=self.verdict)
+        label = f'history of parameter {self.name!r}'
+        _check_times(label, self.time_s)
+        _check_length(label, len(self.time_s), value=self.value, std=self.std, verdict=self.verdict)
         if isinstance(self.truth, tuple):
             times, values = self.truth
             _check_times(f'truth of parameter {self.name!r}', times)
@@ -60,8 +60,8 @@ class ParameterHistory:
         """Return the true value that held when the run ended, None where it is not known."""
         if isinstance(self.truth, tuple):
             times, values = self.truth
-            held = values[times <= self.time_s[-1]] if len(self.time_s) else values
-            return float(held[-1]) if len(held) else None
+            past_values = values[times <= self.time_s[-1]] if len(self.time_s) else values
+            return float(past_values[-1]) if len(past_values) else None
         return None if self.truth is None else float(self.truth)
 
 
@@ -139,10 +139,10 @@ class MotorHistory:
     validation: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        what = f'history of motor {self.name!r}'
-        _check_times(what, self.time_s)
+        label = f'history of motor {self.name!r}'
+        _check_times(label, self.time_s)
         _check_length(
-            what,
+            label,
             len(self.time_s),
             voltage_v=self.voltage_v,
             torque_nm=self.torque_nm,
@@ -152,7 +152,7 @@ class MotorHistory:
         for name in ('speed_rad_s', 'current_a', 'free_run_torque_nm'):
             signal = getattr(self, name)
             if signal is not None:
-                _check_length(what, len(self.time_s), **{name: signal})
+                _check_length(label, len(self.time_s), **{name: signal})
 
     def span_s(self) -> tuple[float, float]:
         """Return the first and the last time of samples, estimates and rejected samples, in s."""
@@ -189,22 +189,22 @@ class RunHistory:
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
 
-def _check_times(what: str, time_s: FloatArray) -> None:
+def _check_times(label: str, time_s: FloatArray) -> None:
     times = np.asarray(time_s)
     if times.ndim != 1:
-        raise ReportError(f'{what}: time_s has {times.ndim} axes, expected one')
+        raise ReportError(f'{label}: time_s has {times.ndim} axes, expected one')
     if not np.all(np.isfinite(times)):
-        raise ReportError(f'{what}: {np.count_nonzero(~np.isfinite(times))} times are not finite')
+        raise ReportError(f'{label}: {np.count_nonzero(~np.isfinite(times))} times are not finite')
     if np.any(np.diff(times) < 0.0):
         at = int(np.argmax(np.diff(times) < 0.0)) + 1
         raise ReportError(
-            f'{what}: time_s runs backwards at index {at}; sort or split the run first'
+            f'{label}: time_s runs backwards at index {at}; sort or split the run first'
         )
 
 
-def _check_length(what: str, expected: int, **arrays: Sequence[str] | FloatArray) -> None:
+def _check_length(label: str, length: int, **arrays: Sequence[str] | FloatArray) -> None:
     for name, array in arrays.items():
-        if len(array) != expected:
+        if len(array) != length:
             raise ReportError(
-                f'{what}: {name} has {len(array)} entries, expected {expected} as in time_s'
+                f'{label}: {name} has {len(array)} entries, expected {length} as in time_s'
             )

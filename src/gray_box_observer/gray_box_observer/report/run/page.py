@@ -30,7 +30,10 @@ from gray_box_observer.report.run.signal_figure import signal_figure
 from gray_box_observer.report.trend.trend import ArchiveHistory
 from gray_box_observer.safe_io.atomic_write import atomic_write
 
-_PLOTLY_MISSING = 'the HTML report needs plotly, which is not installed: pip install plotly, or leave out --report'
+_PLOTLY_MISSING = (
+    'the HTML report needs plotly, which is not installed: pip install plotly, or leave out '
+    '--report'
+)
 
 
 def require_plotly() -> None:
@@ -44,8 +47,7 @@ def require_plotly() -> None:
 
 
 def write_report(history: RunHistory, path: Path) -> None:
-    """Write the report of a run to `path`, as a whole or not at all: a reader never sees half a
-    page.
+    """Write the report of a run to `path`, whole or not at all: a reader never sees half.
 
     Args:
         history: what to report.
@@ -90,8 +92,7 @@ def render(history: RunHistory) -> str:
 def assembled(
     history: RunHistory | ArchiveHistory, headline: str, content: str, figures: Mapping[str, Figure]
 ) -> str:
-    """Return a page of what the report of a run and that of an archive share, and of what is their
-    own.
+    """Return a page from what all reports share and what is this report's own.
 
     Args:
         history: what the page is about.
@@ -152,29 +153,28 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
     residual = residual_figure(motor.fit)
     if residual is not None:
         figures[f'motor-{index}-residual'] = residual
-        drawn = framed(
+        frame = framed(
             f'motor-{index}-residual', residual, 'residual of the free run', motor.name, timed=False
         )
-        parts.append('<h3>Does the white box explain the data?</h3>' + drawn)
+        parts.append('<h3>Does the white box explain the data?</h3>' + frame)
     parts.append(sections.validation_table(motor.validation))
     parts.append(
         '<h3>Predictor</h3><div class="scroll">' + sections.scores_table(motor.scores) + '</div>'
     )
     parts.append('<h3>Rejected samples</h3>')
-    rejected = rejection_figure(motor)
-    if rejected is None:
+    rejections = rejection_figure(motor)
+    if rejections is None:
         checks = ', '.join(sections.words(reason) for reason in motor.rejected)
-        checked = f' Checked: {checks}.' if checks else ''
-        parts.append(f'<p class="empty">No sample was rejected.{checked}</p>')
+        checks_note = f' Checked: {checks}.' if checks else ''
+        parts.append(f'<p class="empty">No sample was rejected.{checks_note}</p>')
     else:
-        parts.append(figure('rejected', rejected, 'by reason, and when'))
+        parts.append(figure('rejected', rejections, 'by reason, and when'))
     parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
     return ''.join(parts) + '</section>'
 
 
 def framed(key: str, drawing: Figure, title: str, motor: str, *, timed: bool = True) -> str:
-    """Return the frame that the page's script draws a figure of a motor in; `title` is HTML,
-    `motor` is not.
+    """Return the frame for a motor's figure, drawn by script; `title` is HTML, `motor` is not.
 
     A figure that is not `timed` does not share the motor's time axis.
     """
@@ -200,11 +200,11 @@ def _plotly() -> tuple[str, dict[str, str]]:
     except ImportError as error:
         raise ReportError(_PLOTLY_MISSING) from error
     text = str(get_plotlyjs())
-    found = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
+    match = re.search(r'plotly\.js v(\d[\w.-]*)', text[:2000])
     versions = {
         'Python': platform.python_version(),
         'NumPy': np.__version__,
         'plotly': str(plotly.__version__),
-        'plotly.js': found.group(1) if found else 'of unknown version',
+        'plotly.js': match.group(1) if match else 'of unknown version',
     }
     return text, versions

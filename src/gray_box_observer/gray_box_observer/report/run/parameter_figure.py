@@ -35,9 +35,7 @@ _MOST_SEGMENTS = 2_000
 
 
 def parameter_scale(parameter: ParameterHistory) -> Scale:
-    """Return the unit in which a parameter is written everywhere on the page: that of its last
-    estimate.
-    """
+    """Return the unit of a parameter for the whole page: that of its last estimate."""
     finite = parameter.value[np.isfinite(parameter.value)]
     return scale_for(float(finite[-1]) if finite.size else math.nan, parameter.unit)
 
@@ -61,16 +59,15 @@ def rate_of_change(
         if step_s > 0.0
         else np.zeros(len(time_s))
     )
-    chosen = np.flatnonzero(np.concatenate(([True], np.diff(cell) > 0.0)))
-    finite = np.where(np.isfinite(value), value, np.nan)[chosen]
-    return time_s[chosen][1:], np.diff(finite) / np.diff(time_s[chosen])
+    places = np.flatnonzero(np.concatenate(([True], np.diff(cell) > 0.0)))
+    finite = np.where(np.isfinite(value), value, np.nan)[places]
+    return time_s[places][1:], np.diff(finite) / np.diff(time_s[places])
 
 
 def parameter_figure(
     parameter: ParameterHistory, span_s: tuple[float, float], changes_s: Sequence[float] = ()
 ) -> Figure:
-    """Draw the estimate with its one-sigma band and the truth, the verdicts as a strip, the rate of
-    change.
+    """Draw estimate, one-sigma band and truth, the verdicts as a strip, the rate of change.
 
     Args:
         parameter: what to draw.
@@ -78,7 +75,7 @@ def parameter_figure(
         changes_s: when the motor was found changed.
     """
     scale = parameter_scale(parameter)
-    data, drawn = _value_traces(parameter, scale)
+    data, counts = _value_traces(parameter, scale)
     truth = _truth_trace(parameter, scale, span_s)
     data.extend([truth] if truth else [])
     rate_time_s, rate = rate_of_change(parameter.time_s, parameter.value)
@@ -106,23 +103,23 @@ def parameter_figure(
     layout = _layout(scale, span_s, value_range, rate_range)
     layout['shapes'] = change_marks(changes_s)
     views = [_views(data, parameter, scale, value_range, rate_range)]
-    return Figure(data, layout, views, ' '.join(filter(None, [thinning_note(drawn), strip_note])))
+    return Figure(data, layout, views, ' '.join(filter(None, [thinning_note(counts), strip_note])))
 
 
 def _value_traces(
     parameter: ParameterHistory, scale: Scale
 ) -> tuple[list[Trace], dict[str, tuple[int, int]]]:
-    kept = thinned(parameter.time_s, parameter.value)
-    value, std = parameter.value[kept] * scale.factor, parameter.std[kept] * scale.factor
-    times = numbers(parameter.time_s[kept], TIME_DIGITS)
-    known = np.isfinite(value) & np.isfinite(std)
-    std = np.where(known, std, 0.0)
+    places = thinned(parameter.time_s, parameter.value)
+    value, std = parameter.value[places] * scale.factor, parameter.std[places] * scale.factor
+    times = numbers(parameter.time_s[places], TIME_DIGITS)
+    is_finite = np.isfinite(value) & np.isfinite(std)
+    std = np.where(is_finite, std, 0.0)
     low, high = value - std, value + std
-    shown_std = numbers(np.where(known, std, np.nan), 3)
+    shown_std = numbers(np.where(is_finite, std, np.nan), 3)
     edge = {'line': {'width': 0}, 'hoverinfo': 'skip'}
     about = [
         [deviation, plain(parameter.verdict[k])]
-        for deviation, k in zip(shown_std, kept, strict=True)
+        for deviation, k in zip(shown_std, places, strict=True)
     ]
     traces = [
         line(times, numbers(low), 'lower edge', '@band', showlegend=False, **edge),
@@ -136,10 +133,11 @@ def _value_traces(
             '@estimate',
             line={'width': 2},
             customdata=about,
-            hovertemplate=f'%{{y:.6~g}} ± %{{customdata[0]}} {plain(scale.label)}, %{{customdata[1]}}',
+            hovertemplate=f'%{{y:.6~g}} ± %{{customdata[0]}} {plain(scale.label)}, '
+            f'%{{customdata[1]}}',
         ),
     ]
-    return traces, {'estimate': (len(kept), len(parameter.value))}
+    return traces, {'estimate': (len(places), len(parameter.value))}
 
 
 def _truth_trace(
@@ -202,10 +200,10 @@ def _settled_range(parameter: ParameterHistory, span_s: tuple[float, float]) -> 
     room = 2.5 * min(room, 0.5 * abs(high)) if math.isfinite(room) else 0.0
     low, high = low - room, high + room
     truth = parameter.truth
-    for known in np.atleast_1d(
+    for bound in np.atleast_1d(
         truth[1] if isinstance(truth, tuple) else truth if truth is not None else []
     ):
-        low, high = min(low, float(known)), max(high, float(known))
+        low, high = min(low, float(bound)), max(high, float(bound))
     floor = 1e-4 * max(abs(low), abs(high))
     if high - low < floor:
         low, high = low - floor, high + floor

@@ -21,8 +21,7 @@ _DRAWN_WHOLE = 4_000
 
 
 def rejection_figure(motor: MotorHistory) -> Figure | None:
-    """Draw a bar for every reason that rejected a sample, and a mark at the time of each rejected
-    one.
+    """Draw a bar for every reason of rejection, and a mark at the time of each rejection.
 
     Returns:
         None where nothing was rejected.
@@ -37,14 +36,14 @@ def rejection_figure(motor: MotorHistory) -> Figure | None:
     counts = [_count(motor, reason) for reason in reasons]
     marked_x: list[float | None] = []
     marked_y: list[str] = []
-    drawn: dict[str, tuple[int, int]] = {}
+    drawn_counts: dict[str, tuple[int, int]] = {}
     for reason, label in zip(reasons, labels, strict=True):
         times = np.sort(np.asarray(motor.rejected_time_s.get(reason, ()), dtype=np.float64))
         times = times[np.isfinite(times)]
-        kept = thinned(times, np.zeros(len(times)), _DRAWN_WHOLE)
-        drawn[reason] = (len(kept), len(times))
-        marked_x += numbers(times[kept], TIME_DIGITS)
-        marked_y += [label] * len(kept)
+        places = thinned(times, np.zeros(len(times)), _DRAWN_WHOLE)
+        drawn_counts[reason] = (len(places), len(times))
+        marked_x += numbers(times[places], TIME_DIGITS)
+        marked_y += [label] * len(places)
     bars = {
         'type': 'bar',
         'orientation': 'h',
@@ -81,10 +80,10 @@ def rejection_figure(motor: MotorHistory) -> Figure | None:
         type='category', categoryarray=labels, automargin=True, ticks='', anchor='x2'
     )
     untimed = sum(_count(motor, reason) for reason in reasons) - sum(
-        every for _, every in drawn.values()
+        every for _, every in drawn_counts.values()
     )
     caption = f'{untimed:,} rejected samples have no time and no mark. ' if untimed > 0 else ''
-    return Figure([bars, marks], layout, [], (caption + thinning_note(drawn)).strip())
+    return Figure([bars, marks], layout, [], (caption + thinning_note(drawn_counts)).strip())
 
 
 def _count(motor: MotorHistory, reason: str) -> int:

@@ -43,7 +43,8 @@ def residual_figure(fit: FitHistory) -> Figure | None:
     )
     layout = base_layout(_HEIGHT, hovermode='closest', bargap=0.4)
     layout['xaxis'] = axis('lag (samples)', range=ends)
-    layout['yaxis'] = axis('autocorrelation', range=[min(-0.25, 1.1 * float(fit.autocorrelation.min())), 1.05],
+    layout['yaxis'] = axis('autocorrelation',
+        range=[min(-0.25, 1.1 * float(fit.autocorrelation.min())), 1.05],
                            zeroline=True, zerolinecolor='@rule')  # fmt: skip
     outside = int(np.count_nonzero(np.abs(fit.autocorrelation) > fit.band))
     caption = (

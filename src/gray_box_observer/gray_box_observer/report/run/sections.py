@@ -65,7 +65,7 @@ def words(name: str) -> str:
 
 
 def facts(summary: Mapping[str, str | float | int]) -> str:
-    """Return the facts of the run as a definition list; a unit suffix of the key becomes the unit."""
+    """Return the facts of the run as a definition list; units come from key suffixes."""
     items = []
     for key, value in summary.items():
         suffix, unit = next(((end, unit) for end, unit in _SUFFIXES if key.endswith(end)), ('', ''))
@@ -112,7 +112,10 @@ def fit_banner(motor: MotorHistory) -> str:
             '% (NRMSE; 100 is perfect, 0 no better than the mean)</span>'
         )
     sign = f'<span class="sign" aria-hidden="true">{look.sign}</span>'
-    return f'<p class="fit {look.style}" role="status">{sign} {escape(motor.fit.sentence)}{percent_text}</p>'
+    return (
+        f'<p class="fit {look.style}" role="status">{sign} '
+        f'{escape(motor.fit.sentence)}{percent_text}</p>'
+    )
 
 
 def card_rows(
@@ -121,8 +124,7 @@ def card_rows(
     empty: str,
     banner_of: Callable[[Any], str] | None = None,
 ) -> str:
-    """Return one row of cards for every motor, one for each of its ``parameters``; where there is
-    none, say so.
+    """Return a row of cards per motor, one for each of ``parameters``; or say that none is.
 
     Args:
         motors: with ``name`` and ``parameters``.
@@ -146,9 +148,7 @@ def card_rows(
 
 
 def badge(verdict: str, fit: str = 'untested') -> str:
-    """Return a verdict as a coloured sign and word, its meaning under a verdict of the fit test on
-    hovering.
-    """
+    """Return a verdict as coloured sign and word; a fit test's meaning shows on hovering."""
     look = look_of(verdict, fit)
     return (
         f'<span class="badge {look.style}" title="{escape(look.meaning)}">'
@@ -157,9 +157,7 @@ def badge(verdict: str, fit: str = 'untested') -> str:
 
 
 def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
-    """Return the last estimate of a parameter: value, deviation, verdict, and error where truth is
-    known.
-    """
+    """Return a parameter's last estimate: value, deviation, verdict, and error if known."""
     name = words(parameter.name)
     if not len(parameter.time_s):
         empty = '<p class="empty">No estimate was made.</p>'
@@ -192,10 +190,10 @@ def card(parameter: ParameterHistory, fit: str = 'untested') -> str:
 
 def verdict_key(motor: MotorHistory) -> str:
     """Explain the colours of the verdict strips, for the verdicts that occur."""
-    seen = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
+    words = dict.fromkeys(word for parameter in motor.parameters for word in parameter.verdict)
     fit = motor.fit.verdict
     entries = ''.join(
-        f'<li>{badge(word, fit)} {escape(look_of(word, fit).meaning)}</li>' for word in seen
+        f'<li>{badge(word, fit)} {escape(look_of(word, fit).meaning)}</li>' for word in words
     )
     return f'<ul class="key" aria-label="Verdicts">{entries}</ul>' if entries else ''
 
@@ -207,10 +205,10 @@ def scores_table(scores: Mapping[str, float]) -> str:
     rows = []
     for name, value in scores.items():
         label, meaning = _SCORES.get(name, (words(name), ''))
-        shown = percent(value) if name == 'nmae' else _score(value)
+        value_text = percent(value) if name == 'nmae' else _score(value)
         rows.append(
             f'<tr><th scope="row">{label}</th><td '
-            f'class="number">{shown}</td><td>{meaning}</td></tr>'
+            f'class="number">{value_text}</td><td>{meaning}</td></tr>'
         )
     head = (
         '<tr><th scope="col">score</th><th scope="col">value</th><th scope="col">meaning</th></tr>'
@@ -219,7 +217,7 @@ def scores_table(scores: Mapping[str, float]) -> str:
 
 
 def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> str:
-    """Return how an error of each constant goes into each parameter; nothing where it is not known."""
+    """Return the effect of each constant's error on each parameter; nothing if unknown."""
     if not sensitivity:
         return ''
     parameters = list(dict.fromkeys(name for changes in sensitivity.values() for name in changes))
@@ -248,16 +246,16 @@ def _sensitivity_cell(change: float) -> str:
 
 def _strongest(sensitivity: Mapping[str, Mapping[str, float]]) -> str:
     """Name the constants on which estimates lean strongly; nothing where there is none."""
-    found = [
+    warnings = [
         f'{words(name)} moves by {percent(change / 100.0, signed=True)} with 1 % more of '
         f'{words(constant)}'
         for constant, changes in sensitivity.items()
         for name, change in changes.items()
         if abs(change) > STRONG
     ]
-    if not found:
+    if not warnings:
         return ''
-    return f'<p class="fit misfit">Measure before you lean on it: {"; ".join(found)}.</p>'
+    return f'<p class="fit misfit">Measure before you lean on it: {"; ".join(warnings)}.</p>'
 
 
 def validation_table(validation: Mapping[str, Any] | None) -> str:
@@ -283,8 +281,13 @@ def validation_table(validation: Mapping[str, Any] | None) -> str:
     )
     head = ''.join(f'<th scope="col">{title}</th>' for title in titles)
     fit = validation['fit']
-    tested = f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
-    where = f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. {tested}'
+    fit_text = (
+        f'Fit test there: {escape(fit["verdict"])}, ratio {_number_or_unknown(fit["ratio"])}. '
+    )
+    where = (
+        f'{escape(validation["bag"])}: {validation["samples"]} samples, nothing learnt from them. '
+        f'{fit_text}'
+    )
     return (
         f'<h3>Validation</h3><p class="caption">{where}</p><div '
         f'class="scroll"><table><thead><tr>{head}</tr></thead>'
@@ -323,8 +326,10 @@ def footer(history: RunHistory | ArchiveHistory, versions: Mapping[str, str]) ->
             for name, value in parameters.items()
         )
         parts.append(f'<dt>parameters</dt><dd><ul class="parameters">{entries}</ul></dd>')
-    made = ', '.join(f'{escape(name)} {escape(version)}' for name, version in versions.items())
-    parts.append(f'<dt>versions</dt><dd>{made}</dd>')
+    version_text = ', '.join(
+        f'{escape(name)} {escape(version)}' for name, version in versions.items()
+    )
+    parts.append(f'<dt>versions</dt><dd>{version_text}</dd>')
     return f'<footer><dl>{"".join(parts)}</dl></footer>'
 
 

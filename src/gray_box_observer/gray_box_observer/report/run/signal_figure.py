@@ -41,18 +41,17 @@ class _Rows:
     def add(
         self, row: int, values: FloatArray, scale: Scale, name: str, color: str, **style: Any
     ) -> None:
-        kept = thinned(self._time_s, values)
-        self.drawn[name] = (len(kept), len(values))
-        times = numbers(self._time_s[kept], TIME_DIGITS)
-        trace = line(times, numbers(values[kept] * scale.factor), name, color, **style)
+        places = thinned(self._time_s, values)
+        self.drawn[name] = (len(places), len(values))
+        times = numbers(self._time_s[places], TIME_DIGITS)
+        trace = line(times, numbers(values[places] * scale.factor), name, color, **style)
         trace['yaxis'] = 'y' if row == 0 else f'y{row + 1}'
         trace['hovertemplate'] = f'%{{y:.5~g}} {scale.label}'
         self.data.append(trace)
 
 
 def signal_figure(motor: MotorHistory) -> Figure:
-    """Draw voltage on top, torque (measured, predicted, white box) and prediction error below, then
-    current and speed.
+    """Draw voltage, torque (measured, predicted, white box), error, then current and speed.
 
     A row or a line for which there is no number at all is left out, and the caption says so.
     """
@@ -97,9 +96,9 @@ def signal_figure(motor: MotorHistory) -> Figure:
         titles.append('speed (rad/s)')
         rows.add(len(titles) - 1, motor.speed_rad_s, Scale(1.0, 'rad/s'), 'speed', '@speed')
 
-    settled = _settled_ranges(motor, torque_scale, error_scale, errors)
+    settled_ranges = _settled_ranges(motor, torque_scale, error_scale, errors)
     layout = _layout(motor, titles)
-    for path, limits in settled.items():
+    for path, limits in settled_ranges.items():
         layout[path.split('.')[0]]['range'] = limits
     remarks = [f'No {name} torque in this run.' for name in forecasts if name not in present]
     if errors:
@@ -118,8 +117,8 @@ def signal_figure(motor: MotorHistory) -> Figure:
     if present:
         views.append(
             [
-                {'label': 'Settled scale', 'layout': settled},
-                {'label': 'Full scale', 'layout': dict.fromkeys(settled)},
+                {'label': 'Settled scale', 'layout': settled_ranges},
+                {'label': 'Full scale', 'layout': dict.fromkeys(settled_ranges)},
             ]
         )
     return Figure(rows.data, layout, views, caption)
@@ -141,14 +140,14 @@ def _settled_ranges(
 ) -> dict[str, list[float]]:
     """Return ranges of the value axes, by path in the layout, that a wild start cannot blow up."""
     low, high = quantiles(motor.torque_nm * torque_scale.factor, 0.0, 1.0)
-    settled = {'yaxis2.range': padded(low, high)}
+    ranges = {'yaxis2.range': padded(low, high)}
     if errors:
         limit = _error_limit(motor, errors) * error_scale.factor
         limit = (
             limit if limit > 0.0 else max(map(largest, errors.values())) * error_scale.factor or 1.0
         )
-        settled['yaxis3.range'] = padded(-limit, limit, 0.15)
-    return settled
+        ranges['yaxis3.range'] = padded(-limit, limit, 0.15)
+    return ranges
 
 
 def _time_views(span_s: tuple[float, float]) -> list[dict[str, Any]]:

@@ -1,6 +1,4 @@
-"""The true parameters of a run, where they are known: simulated motors, or motors measured
-otherwise.
-"""
+"""The true parameters of a run, where known: of simulated or otherwise measured motors."""
 
 from __future__ import annotations
 
@@ -35,8 +33,7 @@ def find_truth(bag: Path) -> Path | None:
 
 
 def read_truth(path: Path) -> dict[str, dict[str, Truth]]:
-    """Read true parameters: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``, in SI
-    units.
+    """Read true parameters in SI: ``motors: {NAME: {PARAMETER: VALUE or [[TIME_S, VALUE], ...]}}``.
 
     Raises:
         InputError: no such file, or not of that form.

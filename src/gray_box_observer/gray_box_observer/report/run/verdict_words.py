@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Look:
-    """A verdict's style: the name of its colour in the style sheet, a sign beside the colour, its
-    meaning.
-    """
+    """A verdict's style: its colour's name in the style sheet, a sign, and its meaning."""
 
     style: str
     sign: str
@@ -54,7 +52,5 @@ def look_of(verdict: str, fit: str = 'untested') -> Look:
 
 
 def look_of_fit(fit: str) -> Look:
-    """Return the look of a verdict of the fit test; any other word is that of a motor that was not
-    tested.
-    """
+    """Return the look of a fit test's verdict; other words look like an untested motor."""
     return _FITS.get(fit, _FITS['untested'])

@@ -1,6 +1,4 @@
-"""What a trend report draws: the estimates of many recordings of the same motors, over the time of
-the recordings.
-"""
+"""Data of a trend report: estimates of many recordings of the same motors, over time."""
 
 from __future__ import annotations
 
@@ -87,36 +85,37 @@ class ParameterTrend:
     @property
     def identified(self) -> npt.NDArray[np.bool_]:
         """Which estimates are called identified. Shape ``(bag,)``."""
-        called = np.array([verdict == 'identified' for verdict in self.verdict], dtype=bool)
+        has_verdict = np.array([verdict == 'identified' for verdict in self.verdict], dtype=bool)
         finite: npt.NDArray[np.bool_] = (
-            called & np.isfinite(self.value) & np.isfinite(self.std) & (self.std > 0.0)
+            has_verdict & np.isfinite(self.value) & np.isfinite(self.std) & (self.std > 0.0)
         )
         return finite
 
     def drift(self) -> Drift | None:
-        """Fit a straight line to the identified estimates; None where they are too few, or all of
-        one time.
+        """Fit a line to the identified estimates; None if too few, or all of one time.
 
         Least squares, weighted with the stated variances. Where the estimates scatter more than
         these allow (load, temperature), the slope's standard deviation grows by the ratio (Birge,
         Physical Review 40, 1932, 207-227).
         """
-        chosen = self.identified
-        count = int(np.count_nonzero(chosen))
+        is_identified = self.identified
+        count = int(np.count_nonzero(is_identified))
         if count < FEWEST_FOR_A_LINE:
             return None
-        weight = self.std[chosen] ** -2
-        first_ns = int(self.start_ns[chosen][0])
-        since_s = (self.start_ns[chosen] - first_ns) * 1e-9
+        weight = self.std[is_identified] ** -2
+        first_ns = int(self.start_ns[is_identified][0])
+        since_s = (self.start_ns[is_identified] - first_ns) * 1e-9
         mean_s, mean = (
             np.average(since_s, weights=weight),
-            np.average(self.value[chosen], weights=weight),
+            np.average(self.value[is_identified], weights=weight),
         )
         spread = float(np.sum(weight * (since_s - mean_s) ** 2))
         if not spread > 0.0:
             return None
-        slope = float(np.sum(weight * (since_s - mean_s) * (self.value[chosen] - mean)) / spread)
-        misfit = self.value[chosen] - mean - slope * (since_s - mean_s)
+        slope = float(
+            np.sum(weight * (since_s - mean_s) * (self.value[is_identified] - mean)) / spread
+        )
+        misfit = self.value[is_identified] - mean - slope * (since_s - mean_s)
         birge = max(1.0, float(np.sum(weight * misfit**2)) / (count - 2))
         return Drift(
             first_ns + mean_s * 1e9, float(mean), slope, float(np.sqrt(birge / spread)), count

@@ -1,6 +1,4 @@
-"""One parameter of one motor over many bags: a mark with its error bar for each, and the straight
-line through them.
-"""
+"""One parameter of one motor over many bags: marks with error bars, and a straight line."""
 
 from __future__ import annotations
 
@@ -31,11 +29,9 @@ _SIGNS = {'identified': 'circle', 'implausible': 'x', 'unexcited': 'circle-open'
 
 
 def trend_scale(trend: ParameterTrend) -> Scale:
-    """Return the unit in which a parameter is written everywhere on the page: that of its typical
-    estimate.
-    """
-    chosen = trend.value[trend.identified] if trend.identified.any() else trend.value
-    finite = chosen[np.isfinite(chosen)]
+    """Return the unit of a parameter for the whole page: that of its typical estimate."""
+    values = trend.value[trend.identified] if trend.identified.any() else trend.value
+    finite = values[np.isfinite(values)]
     return scale_for(float(np.median(finite)) if finite.size else math.nan, trend.unit)
 
 
@@ -45,9 +41,7 @@ def date_of(time_ns: int) -> str:
 
 
 def trend_figure(trend: ParameterTrend) -> Figure:
-    """Draw every estimate with its one-sigma error bar, by verdict, and the line through the
-    identified ones.
-    """
+    """Draw each estimate with one-sigma bar, by verdict, and the line through identified ones."""
     scale = trend_scale(trend)
     data = [
         _marks(trend, verdict, scale)
@@ -60,10 +54,10 @@ def trend_figure(trend: ParameterTrend) -> Figure:
     layout['xaxis'] = axis('start of the bag (UTC)', type='date', range=_date_range(trend.start_ns))
     unit = f' ({plain(scale.label)})' if scale.label else ''
     full = _value_range(trend, np.isfinite(trend.value), scale)
-    settled = _value_range(trend, trend.identified, scale) if trend.identified.any() else full
-    layout['yaxis'] = axis(f'value{unit}', type='linear', range=settled)
+    settled_range = _value_range(trend, trend.identified, scale) if trend.identified.any() else full
+    layout['yaxis'] = axis(f'value{unit}', type='linear', range=settled_range)
     views = [
-        {'label': 'Identified', 'layout': {'yaxis.range': settled}},
+        {'label': 'Identified', 'layout': {'yaxis.range': settled_range}},
         {'label': 'Full', 'layout': {'yaxis.range': full}},
     ]
     return Figure(
@@ -77,14 +71,14 @@ def _first_identified(verdict: str) -> tuple[bool, str]:
 
 def _marks(trend: ParameterTrend, verdict: str, scale: Scale) -> Trace:
     """Return the estimates of one verdict; their colour and sign tell it."""
-    chosen = [k for k, word in enumerate(trend.verdict) if word == verdict]
+    places = [k for k, word in enumerate(trend.verdict) if word == verdict]
     color = f'@{look_of(verdict).style}'
-    std = np.where(np.isfinite(trend.std), trend.std, 0.0)[chosen] * scale.factor
+    std = np.where(np.isfinite(trend.std), trend.std, 0.0)[places] * scale.factor
     return {
         'type': 'scatter',
         'mode': 'markers',
-        'x': [_moment(int(trend.start_ns[k])).isoformat(' ', 'milliseconds')[:-6] for k in chosen],
-        'y': numbers(trend.value[chosen] * scale.factor),
+        'x': [_moment(int(trend.start_ns[k])).isoformat(' ', 'milliseconds')[:-6] for k in places],
+        'y': numbers(trend.value[places] * scale.factor),
         'error_y': {
             'type': 'data',
             'array': numbers(std, 4),
@@ -96,9 +90,10 @@ def _marks(trend: ParameterTrend, verdict: str, scale: Scale) -> Trace:
         'marker': {'color': color, 'size': 6, 'symbol': _SIGNS.get(verdict, 'circle')},
         'customdata': [
             [plain(trend.bags[k]), deviation]
-            for k, deviation in zip(chosen, numbers(std, 3), strict=True)
+            for k, deviation in zip(places, numbers(std, 3), strict=True)
         ],
-        'hovertemplate': f'%{{y:.6~g}} ± %{{customdata[1]}} {plain(scale.label)}<br>%{{x}}<br>%{{customdata[0]}}',
+        'hovertemplate': f'%{{y:.6~g}} ± %{{customdata[1]}} '
+        f'{plain(scale.label)}<br>%{{x}}<br>%{{customdata[0]}}',
     }
 
 
@@ -121,9 +116,9 @@ def _date_range(start_ns: npt.NDArray[np.int64]) -> list[str]:
     return [date_of(int(start_ns[0] - room_ns)), date_of(int(start_ns[-1] + room_ns))]
 
 
-def _value_range(trend: ParameterTrend, chosen: npt.NDArray[np.bool_], scale: Scale) -> list[float]:
-    value: FloatArray = trend.value[chosen] * scale.factor
-    std = np.where(np.isfinite(trend.std), trend.std, 0.0)[chosen] * scale.factor
+def _value_range(trend: ParameterTrend, mask: npt.NDArray[np.bool_], scale: Scale) -> list[float]:
+    value: FloatArray = trend.value[mask] * scale.factor
+    std = np.where(np.isfinite(trend.std), trend.std, 0.0)[mask] * scale.factor
     if not value.size:
         return padded(math.nan, math.nan)
     return padded(float(np.min(value - std)), float(np.max(value + std)), 0.12)

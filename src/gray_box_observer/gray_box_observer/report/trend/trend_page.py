@@ -1,6 +1,4 @@
-"""The trend report: what many recordings of the same motors say, on one page in the style of a
-run's report.
-"""
+"""The trend report: what many recordings of the same motors say, on one page."""
 
 from __future__ import annotations
 
@@ -64,18 +62,16 @@ def _headline(history: ArchiveHistory) -> str:
 
 
 def _card(trend: ParameterTrend) -> str:
-    """Return the latest identified estimate of a parameter, or the latest of all where none is, and
-    its drift.
-    """
-    scale, identified = trend_scale(trend), np.flatnonzero(trend.identified)
-    latest = int(identified[-1]) if identified.size else len(trend.value) - 1
+    """Return a parameter's latest identified estimate, else its latest, and its drift."""
+    scale, identified_places = trend_scale(trend), np.flatnonzero(trend.identified)
+    latest = int(identified_places[-1]) if identified_places.size else len(trend.value) - 1
     text, deviation = value_and_std(float(trend.value[latest]), float(trend.std[latest]), scale)
     spread = f' <span class="std">± {deviation}</span>' if deviation is not None else ''
     unit = f' <span class="unit">{escape(scale.label)}</span>' if scale.label else ''
     verdict = trend.verdict[latest]
     details = [
         ('bag of', date_of(int(trend.start_ns[latest]))),
-        ('identified in', f'{identified.size} of {len(trend.value)} bags'),
+        ('identified in', f'{identified_places.size} of {len(trend.value)} bags'),
         ('change', drift_words(trend.drift())),
     ]
     rows = ''.join(
@@ -107,12 +103,17 @@ def _failed(history: ArchiveHistory) -> str:
     """Return the bags that gave nothing, with the reason."""
     if not history.failed:
         return ''
-    shown = list(history.failed.items())[:_MOST_FAILED]
-    left = len(history.failed) - len(shown)
+    failures = list(history.failed.items())[:_MOST_FAILED]
+    remaining_count = len(history.failed) - len(failures)
     rows = ''.join(
-        f'<tr><th scope="row">{escape(bag)}</th><td>{escape(why)}</td></tr>' for bag, why in shown
+        f'<tr><th scope="row">{escape(bag)}</th><td>{escape(why)}</td></tr>'
+        for bag, why in failures
     )
-    more = f'<p class="caption">And {left} more: the table has them all.</p>' if left else ''
+    more = (
+        f'<p class="caption">And {remaining_count} more: the table has them all.</p>'
+        if remaining_count
+        else ''
+    )
     return (
         '<section class="motor"><h2>Bags that gave nothing</h2><div '
         'class="scroll"><table><thead><tr>'

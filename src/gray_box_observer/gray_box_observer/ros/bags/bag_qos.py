@@ -1,6 +1,4 @@
-"""Quality of service between rclpy's objects and rosbag2's YAML form, and what to subscribe and
-replay with.
-"""
+"""Quality of service: rclpy's objects, rosbag2's YAML, and the choice of profiles."""
 
 from __future__ import annotations
 
@@ -20,9 +18,7 @@ _NS_PER_S = 1_000_000_000
 
 
 def to_mapping(profile: QoSProfile) -> dict[str, Any]:
-    """A profile in the form that rosbag2 of Jazzy writes; a history that discovery does not tell is
-    ``unknown``.
-    """
+    """A profile in the form that Jazzy's rosbag2 writes; an untold history is ``unknown``."""
     return {
         'history': _word(profile.history),
         'depth': profile.depth,
@@ -44,27 +40,25 @@ def subscription_profile(offered: Iterable[QoSProfile], depth: int) -> QoSProfil
     return _profile(depth, reliable=reliable, latched=latched and bool(profiles))
 
 
-def publisher_profile(recorded: Sequence[Mapping[str, Any]], depth: int) -> QoSProfile:
+def publisher_profile(recorded_profiles: Sequence[Mapping[str, Any]], depth: int) -> QoSProfile:
     """What to replay with: reliable and latched only where all the recorded publishers were.
 
     Args:
-        recorded: The profiles that the bag keeps, numbers or words; empty if it keeps none.
+        recorded_profiles: The profiles that the bag keeps, as numbers or words; may be empty.
         depth: How many messages are kept for slow readers.
     """
-    reliable = all(str(p.get('reliability')) not in ('best_effort', '2') for p in recorded)
-    latched = bool(recorded) and all(
-        str(p.get('durability')) in ('transient_local', '1') for p in recorded
+    reliable = all(str(p.get('reliability')) not in ('best_effort', '2') for p in recorded_profiles)
+    latched = bool(recorded_profiles) and all(
+        str(p.get('durability')) in ('transient_local', '1') for p in recorded_profiles
     )
     return _profile(depth, reliable=reliable, latched=latched)
 
 
-def needs_weaker(current: QoSProfile, wanted: QoSProfile) -> bool:
-    """Whether a subscription asks for more than what it now should, so that it misses some
-    publisher.
-    """
+def needs_weaker(current: QoSProfile, target: QoSProfile) -> bool:
+    """Whether a subscription asks for too much, so that it misses some publisher."""
     return (
-        current.reliability == ReliabilityPolicy.RELIABLE != wanted.reliability
-        or current.durability == DurabilityPolicy.TRANSIENT_LOCAL != wanted.durability
+        current.reliability == ReliabilityPolicy.RELIABLE != target.reliability
+        or current.durability == DurabilityPolicy.TRANSIENT_LOCAL != target.durability
     )
 
 

@@ -14,8 +14,9 @@ from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.safe_io.plain_number import parse_float
 from gray_box_observer.settings.parameters import ParameterSpec
 
-_DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of service that it
-was recorded with, once voltage and torque have a reader. What an observer published is left out.
+_DESCRIPTION = """Replay a bag onto the topics that it was recorded from, with the quality of
+service that it was recorded with, once voltage and torque have a reader. What an observer
+published is left out.
 Services: ~/pause, ~/resume, ~/toggle_paused, ~/play_next (std_srvs/srv/Trigger)."""
 
 _REFUSED = {

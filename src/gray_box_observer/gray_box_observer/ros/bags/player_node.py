@@ -1,6 +1,4 @@
-"""The ``player`` executable: replays a bag onto its topics, with rate, loop, pause, single steps
-and ``/clock``.
-"""
+"""The ``player`` executable: replays a bag with rate, loop, pause, steps and ``/clock``."""
 
 from __future__ import annotations
 
@@ -97,13 +95,13 @@ class BagPlayer(Node):
         super().__init__(NODE_NAME)
         self._stop = stop
         self._is_closing = False
-        given = declare(self, PLAYER_PARAMETERS, preceding)
-        path, is_paused = given['bag'], given['paused']
-        topics = [name for name in given['topics'] if name]
-        self._plan = _Plan(**{field.name: given[field.name] for field in fields(_Plan)})
+        values = declare(self, PLAYER_PARAMETERS, preceding)
+        path, is_paused = values['bag'], values['paused']
+        topics = [name for name in values['topics'] if name]
+        self._plan = _Plan(**{field.name: values[field.name] for field in fields(_Plan)})
         if not (bag or path):
             raise ConfigurationError('no bag to replay; give its path, or -p bag:=PATH')
-        limits = ReadLimits.from_mb(given['max_chunk_mb'] or None, '-p max_chunk_mb:={}')
+        limits = ReadLimits.from_mb(values['max_chunk_mb'] or None, '-p max_chunk_mb:={}')
         self._reader = BagReader(bag or path, limits)
         end_ns = self._reader.start_ns + self._reader.duration_ns
         if self._plan.start_offset_s * 1e9 > self._reader.duration_ns:
@@ -124,7 +122,7 @@ class BagPlayer(Node):
             is_paused=is_paused,
             max_messages_per_s=self._limit_per_s(self._plan.max_messages_per_s),
         )
-        self._publishers_by_topic = self._advertise(topics, with_outputs=given['observer_outputs'])
+        self._publishers_by_topic = self._advertise(topics, with_outputs=values['observer_outputs'])
         self._clock_publisher = (
             self.create_publisher(Clock, '/clock', _CLOCK_QOS) if self._plan.clock else None
         )
@@ -155,32 +153,35 @@ class BagPlayer(Node):
         self._reader.close()
 
     def _limit_per_s(self, wanted_per_s: float) -> float:
-        """What was recorded faster than the limit comes as fast as it was recorded; 0 for no limit."""
+        """Rate limit; what was recorded faster keeps its recorded rate, 0 is no limit."""
         duration_s = self._reader.duration_ns * 1e-9
         recorded_per_s = self._reader.message_count / duration_s if duration_s > 0 else 0.0
         return max(wanted_per_s, recorded_per_s) if wanted_per_s > 0 else 0.0
 
-    def _advertise(self, wanted: Sequence[str], *, with_outputs: bool) -> dict[str, Publisher]:
-        """A publisher for each topic that is wanted, in the bag, and of a type that is installed."""
-        there = self._reader.topics
-        names = [self.resolve_topic_name(name, only_expand=True) for name in wanted]
-        missing = [name for name in names if name not in there]
-        if missing:
+    def _advertise(
+        self, wanted_topics: Sequence[str], *, with_outputs: bool
+    ) -> dict[str, Publisher]:
+        """A publisher for each wanted topic that is in the bag with an installed type."""
+        bag_topics = self._reader.topics
+        names = [self.resolve_topic_name(name, only_expand=True) for name in wanted_topics]
+        missing_topics = [name for name in names if name not in bag_topics]
+        if missing_topics:
             raise BagError(
-                f'{self._reader.path} has no {", ".join(missing)}; there are: {name_list(there)}'
+                f'{self._reader.path} has no {", ".join(missing_topics)}; there are: '
+                f'{name_list(bag_topics)}'
             )
         publishers: dict[str, Publisher] = {}
-        for name in names or self._replayed(there, with_outputs=with_outputs):
-            message_type = message_class(there[name].type_name)
-            if there[name].encoding != 'cdr' or message_type is None:
-                reason = f'{there[name].type_name} is not installed here'
+        for name in names or self._replayed(bag_topics, with_outputs=with_outputs):
+            message_type = message_class(bag_topics[name].type_name)
+            if bag_topics[name].encoding != 'cdr' or message_type is None:
+                reason = f'{bag_topics[name].type_name} is not installed here'
                 self.get_logger().warning(printable(f'{name} is not replayed: {reason}'))
                 continue
-            recorded = parse_qos_text(there[name].qos_profiles)
+            recorded_profiles = parse_qos_text(bag_topics[name].qos_profiles)
             depth = _BURST if self._plan.unhindered else _DEPTH
             try:
                 publishers[name] = self.create_publisher(
-                    message_type, name, publisher_profile(recorded, depth)
+                    message_type, name, publisher_profile(recorded_profiles, depth)
                 )
             except (
                 NameValidationException,
@@ -193,26 +194,26 @@ class BagPlayer(Node):
             raise BagError(f'{self._reader.path}: none of its topics can be replayed here')
         return publishers
 
-    def _replayed(self, there: Collection[str], *, with_outputs: bool) -> list[str]:
-        """Topics that are replayed where nobody names any: a live observer publishes its own
-        outputs itself.
-        """
-        outputs = [] if with_outputs else [name for name in there if f'/{OBSERVER_NAME}/' in name]
+    def _replayed(self, bag_topics: Collection[str], *, with_outputs: bool) -> list[str]:
+        """Topics replayed by default: not the outputs that a live observer publishes."""
+        outputs = (
+            [] if with_outputs else [name for name in bag_topics if f'/{OBSERVER_NAME}/' in name]
+        )
         if outputs:
-            outputs += [name for name in there if name == observed.DIAGNOSTICS.name]
+            outputs += [name for name in bag_topics if name == observed.DIAGNOSTICS.name]
             self.get_logger().info(
                 printable(
                     f'{len(outputs)} topics that an observer published are left out; '
                     '--topics names what is wanted, -p observer_outputs:=true replays all'
                 )
             )
-        rest = sorted(set(there) - set(outputs))
-        if not rest:
+        topics = sorted(set(bag_topics) - set(outputs))
+        if not topics:
             raise BagError(
                 f'{self._reader.path} holds only what an observer published; -p '
                 'observer_outputs:=true replays it'
             )
-        return rest
+        return topics
 
     def _run(self) -> None:
         try:
@@ -228,7 +229,7 @@ class BagPlayer(Node):
     def _wait_for_readers(self) -> bool:
         """Wait until enough readers are matched; False if the end was asked for before."""
         is_own_wait = self._plan.wait_for_subscribers == OWN_WAIT
-        wanted, patience_s = abs(self._plan.wait_for_subscribers), self._plan.wait_timeout_s
+        reader_count, patience_s = abs(self._plan.wait_for_subscribers), self._plan.wait_timeout_s
         signals = {
             self.resolve_topic_name(t.name, only_expand=True)
             for t in (observed.VOLTAGE, observed.TORQUE)
@@ -241,26 +242,29 @@ class BagPlayer(Node):
             counts = {
                 publisher.topic_name: publisher.get_subscription_count() for publisher in watched
             }
-            if enough(count >= wanted for count in counts.values()):
-                time.sleep(_SETTLE_S if wanted else 0.0)
+            if enough(count >= reader_count for count in counts.values()):
+                time.sleep(_SETTLE_S if reader_count else 0.0)
                 return True
             waited_s = time.monotonic() - began_s
-            found = ', '.join(f'{count} of {name}' for name, count in counts.items())
+            counts_text = ', '.join(f'{count} of {name}' for name, count in counts.items())
             if waited_s > patience_s and is_own_wait:
                 self.get_logger().warning(
-                    printable(f'no reader within {patience_s:g} s ({found}); going on without')
+                    printable(
+                        f'no reader within {patience_s:g} s ({counts_text}); going on without'
+                    )
                 )
                 return True
             if waited_s > patience_s:
                 raise ConfigurationError(
-                    f'waited {patience_s:g} s for {wanted} readers, found {found}; '
+                    f'waited {patience_s:g} s for {reader_count} readers, found {counts_text}; '
                     'start them first or lower wait_for_subscribers'
                 )
             if waited_s > _WAIT_TOLD_S and not is_told:
                 is_told = True
                 self.get_logger().info(
                     printable(
-                        f'waiting up to {patience_s:g} s for {wanted} readers, found {found}; '
+                        f'waiting up to {patience_s:g} s for {reader_count} readers, found '
+                        f'{counts_text}; '
                         '-p wait_for_subscribers:=0 begins at once'
                     )
                 )

@@ -15,8 +15,10 @@ from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.safe_io.plain_number import parse_float, parse_int
 from gray_box_observer.settings.parameters import ParameterSpec
 
-_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded from then on.
-Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and /diagnostics.
+_DESCRIPTION = """Record topics to a rosbag2 folder (MCAP). Topics that appear later are recorded
+from then on.
+Without TOPIC: voltage, torque, voltage command, everything that the observer publishes, and
+/diagnostics.
 SIGINT and SIGTERM finish the bag."""
 
 _REFUSED = {
@@ -156,12 +158,12 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def by_command_line(options: argparse.Namespace) -> dict[str, Any]:
-    """What the command line says of how to write, by the names of the parameters that it precedes."""
+    """What the command line says of writing, by the names of overridden parameters."""
     names = ('max_file_bytes', 'max_file_duration_s', 'compression', 'storage_preset_profile')
-    said = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
-    if said.keys() & {
+    values = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    if values.keys() & {
         'compression',
         'storage_preset_profile',
     }:  # one of them; it replaces both parameters
-        said = {'compression': 'none', 'storage_preset_profile': 'none', **said}
-    return said
+        values = {'compression': 'none', 'storage_preset_profile': 'none', **values}
+    return values

@@ -1,6 +1,4 @@
-"""The ``recorder`` executable: records topics, of whatever type, to a rosbag2 folder in MCAP
-storage.
-"""
+"""The ``recorder`` executable: records topics of any type to a rosbag2 folder (MCAP)."""
 
 from __future__ import annotations
 
@@ -125,7 +123,7 @@ class BagRecorder(Node):
         self.get_logger().info(f'{self._writer.folder}: {self._summary()}')
 
     def _guarded(self, action: Callable[[], None]) -> Callable[[], None]:
-        """Turn an error of the bag into the end of the node; after it nothing more can be recorded."""
+        """Turn an error of the bag into the end of the node; nothing is recorded after it."""
 
         def run() -> None:
             try:
@@ -143,9 +141,7 @@ class BagRecorder(Node):
         return name in self._defaults or name.startswith(self._observer_prefix)
 
     def _discover(self) -> None:
-        """Subscribe to wanted topics that have appeared, and loosen subscriptions that miss a
-        publisher.
-        """
+        """Subscribe to new wanted topics; loosen subscriptions that miss a publisher."""
         for name, types in self.get_topic_names_and_types():
             if name in self._refused or not self._is_wanted(name):
                 continue
@@ -156,11 +152,11 @@ class BagRecorder(Node):
                 self._refuse(name, f'has several types: {", ".join(types)}')
                 continue
             profile = subscription_profile([e.qos_profile for e in endpoints], self._depth)
-            recorded = self._recorded.get(name)
-            if recorded is not None:
-                if needs_weaker(recorded.profile, profile):
-                    self.destroy_subscription(recorded.subscription)
-                    self._subscribe(name, recorded.type_name, profile)
+            recording = self._recorded.get(name)
+            if recording is not None:
+                if needs_weaker(recording.profile, profile):
+                    self.destroy_subscription(recording.subscription)
+                    self._subscribe(name, recording.type_name, profile)
             elif self._declare(name, types[0], endpoints):
                 self._subscribe(name, types[0], profile)
 
@@ -219,10 +215,10 @@ class BagRecorder(Node):
         subscription = self._recorded[name].subscription
         with subscription.handle:
             for _ in range(limit):
-                taken = subscription.handle.take_message(subscription.msg_type, True)
-                if taken is None:
+                serialized = subscription.handle.take_message(subscription.msg_type, True)
+                if serialized is None:
                     return False
-                self._write(name, *taken)
+                self._write(name, *serialized)
         return True
 
     def _drain(self) -> None:

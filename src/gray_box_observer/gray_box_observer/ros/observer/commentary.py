@@ -105,14 +105,14 @@ class Commentary:
         if now_s - self._told_s < PERIOD_S:
             return
         back = self._back(now_s)
-        found = self._newly_found()
-        missing = self._newly_missing(now_s, observer)
-        changed, is_doubtful = self._changed(observer)
-        news = [*found, *back, *missing, *changed]
+        arrivals = self._newly_found()
+        absences = self._newly_missing(now_s, observer)
+        verdict_news, is_doubtful = self._changed(observer)
+        news = [*arrivals, *back, *absences, *verdict_news]
         if news:
             self._told_s = now_s
             line = '; '.join(news)
-            if missing or is_doubtful:  # rclpy refuses one place of the code that tells and warns
+            if absences or is_doubtful:  # rclpy refuses one place of the code that tells and warns
                 self._warn(line)
             else:
                 self._tell(line)
@@ -120,83 +120,99 @@ class Commentary:
     def summary(self, observer: Observer) -> str:
         """Sum up in one line what came of it all."""
         counts = [observer.counts(motor) for motor in self._motors]
-        used, refused = sum(c.used for c in counts), sum(c.rejected.total() for c in counts)
+        used_count, rejected_count = (
+            sum(c.used for c in counts),
+            sum(c.rejected.total() for c in counts),
+        )
         now_s = self._clock()
         after_s = now_s - (now_s if self._began_s is None else self._began_s)
-        line = f'{used} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, {refused or "none"} rejected'
+        line = (
+            f'{used_count} samples of {_motors_in_words(self._motors)} in {after_s:.1f} s, '
+            f'{rejected_count or "none"} rejected'
+        )
         estimates = [
             (name, e.of(k))
             for names, e in observer.group_estimates()
             for k, name in enumerate(names)
         ]
         if len(estimates) > MOST_DESCRIBED:
-            known = sum(estimate.identified(0) for _, estimate in estimates)
-            return f'{line}; every parameter identified of {known} of {len(self._motors)}'
-        told = [
+            identified_count = sum(estimate.identified(0) for _, estimate in estimates)
+            return (
+                f'{line}; every parameter identified of {identified_count} of {len(self._motors)}'
+            )
+        verdict_lines = [
             f'{name}: {_described(estimate, range(len(estimate.parameters)))}'
             for name, estimate in estimates
         ]
-        return '; '.join([line, *told])
+        return '; '.join([line, *verdict_lines])
 
     def _newly_found(self) -> list[str]:
         new = self._seen - self._found
-        found = [motor for motor in self._motors if motor in new]
+        motors = [motor for motor in self._motors if motor in new]
         self._found |= new
-        return [f'found {_motors_in_words(found)}: samples come'] if found else []
+        return [f'found {_motors_in_words(motors)}: samples come'] if motors else []
 
     def _changed(self, observer: Observer) -> tuple[list[str], bool]:
         """Motors whose verdicts are others than were told, and whether one is in doubt now."""
-        changed: list[tuple[str, Estimate, list[int]]] = []
+        changes: list[tuple[str, Estimate, list[int]]] = []
         for names, estimate in observer.group_estimates():
-            unknown = (Verdict.UNEXCITED,) * len(estimate.parameters)
+            initial_verdicts = (Verdict.UNEXCITED,) * len(estimate.parameters)
             for place, name in enumerate(names):
-                verdicts, before = estimate.verdicts[place], self._verdicts.get(name, unknown)
+                verdicts, before = (
+                    estimate.verdicts[place],
+                    self._verdicts.get(name, initial_verdicts),
+                )
                 if verdicts != before:
-                    before = before if len(before) == len(verdicts) else unknown
+                    before = before if len(before) == len(verdicts) else initial_verdicts
                     self._verdicts[name] = verdicts
-                    others = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
-                    changed.append((name, estimate.of(place), others))
+                    places = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
+                    changes.append((name, estimate.of(place), places))
         doubtful = any(
-            estimate.verdicts[0][j] in DOUBTFUL for _, estimate, others in changed for j in others
+            estimate.verdicts[0][j] in DOUBTFUL for _, estimate, places in changes for j in places
         )
-        if len(changed) > MOST_DESCRIBED:
-            known = sum(estimate.identified(0) for _, estimate, _ in changed)
-            names = _motors_in_words([name for name, _, _ in changed])
+        if len(changes) > MOST_DESCRIBED:
+            identified_count = sum(estimate.identified(0) for _, estimate, _ in changes)
+            names = _motors_in_words([name for name, _, _ in changes])
             return [
-                f'verdicts changed of {names}: every parameter identified of {known} of these'
+                f'verdicts changed of {names}: every parameter identified of {identified_count} of '
+                'these'
             ], doubtful
         return [
-            f'{name}: {_described(estimate, others)}' for name, estimate, others in changed
+            f'{name}: {_described(estimate, places)}' for name, estimate, places in changes
         ], doubtful
 
     def _newly_missing(self, now_s: float, observer: Observer) -> list[str]:
         """Signals that have been missing for long enough to be told, and were not told yet."""
-        stopped = observer.incidents
-        missing = {
+        stopped_motors = observer.incidents
+        silences = {
             key: now_s - heard_s
             for key, heard_s in self._heard_s.items()
-            if now_s - heard_s >= PERIOD_S and key not in self._missing and key[1] not in stopped
+            if now_s - heard_s >= PERIOD_S
+            and key not in self._missing
+            and key[1] not in stopped_motors
         }
-        if not missing:
+        if not silences:
             return []
-        self._missing |= missing.keys()
-        said = []
-        for motors, names in _by_motors(missing).items():
-            longest_s = max(missing[name, motor] for name in names for motor in motors)
-            said.append(f'no {" and no ".join(names)}{_of(motors)} for {longest_s:.0f} s')
-        why = self._why(sorted({signal for signal, _ in missing}, reverse=True))
-        return [f'{"; ".join(said)}: {why}' if why else '; '.join(said)]
+        self._missing |= silences.keys()
+        phrases = []
+        for motors, names in _by_motors(silences).items():
+            longest_s = max(silences[name, motor] for name in names for motor in motors)
+            phrases.append(f'no {" and no ".join(names)}{_of(motors)} for {longest_s:.0f} s')
+        why = self._why(sorted({signal for signal, _ in silences}, reverse=True))
+        return [f'{"; ".join(phrases)}: {why}' if why else '; '.join(phrases)]
 
     def _back(self, now_s: float) -> list[str]:
-        """Signals that were told to be missing and have come again; not of motors found just now."""
+        """Signals reported missing that have come again; not those of motors found just now."""
         back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
         self._missing.difference_update(back)
-        told = [(signal, motor) for signal, motor in back if motor in self._found or not motor]
-        said = []
-        for motor_list, names in _by_motors(told).items():
+        reported_signals = [
+            (signal, motor) for signal, motor in back if motor in self._found or not motor
+        ]
+        phrases = []
+        for motor_list, names in _by_motors(reported_signals).items():
             verb = 'come' if len(names) > 1 else 'comes'
-            said.append(f'{" and ".join(names)}{_of(motor_list)} {verb} again')
-        return said
+            phrases.append(f'{" and ".join(names)}{_of(motor_list)} {verb} again')
+        return phrases
 
 
 def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[str]]:
@@ -204,10 +220,10 @@ def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[st
     motors: dict[str, list[str]] = {}
     for signal, motor in keys:
         motors.setdefault(signal, []).append(motor)
-    found: dict[tuple[str, ...], list[str]] = {}
+    signals_by_motors: dict[tuple[str, ...], list[str]] = {}
     for signal, of in sorted(motors.items(), reverse=True):  # voltage before torque
-        found.setdefault(tuple(sorted(of)), []).append(signal)
-    return found
+        signals_by_motors.setdefault(tuple(sorted(of)), []).append(signal)
+    return signals_by_motors
 
 
 def _of(motors: tuple[str, ...]) -> str:
@@ -221,12 +237,15 @@ def _motors_in_words(names: Sequence[str]) -> str:
     return ', '.join(names[:MOST_NAMED]) + more
 
 
-def _described(estimate: Estimate, which: Iterable[int]) -> str:
+def _described(estimate: Estimate, places: Iterable[int]) -> str:
     """Parameters of one motor with their verdicts, and what is known of them."""
-    said = []
+    phrases = []
     std = estimate.std
-    for j in which:
+    for j in places:
         parameter, verdict = estimate.parameters[j], estimate.verdicts[0][j]
-        value = f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} {parameter.unit} '
-        said.append(f'{parameter.name} {value if verdict in WITH_VALUE else ""}{verdict.value}')
-    return ', '.join(said)
+        value = (
+            f'{words_of(estimate.value[0, j], ".4g")} +- {words_of(std[0, j], ".2g")} '
+            f'{parameter.unit} '
+        )
+        phrases.append(f'{parameter.name} {value if verdict in WITH_VALUE else ""}{verdict.value}')
+    return ', '.join(phrases)

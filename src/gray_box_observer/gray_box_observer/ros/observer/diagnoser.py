@@ -100,21 +100,19 @@ class Diagnoser:
         return self._motors[first : first + share]
 
     def _has_namesake(self, name: str) -> bool:
-        """Whether another node has our name, which is said once while it lasts: nobody can tell the
-        two apart.
-        """
-        found = [
+        """Whether another node has our name, said once while it lasts; nobody can part them."""
+        node_names = [
             f'{space.rstrip("/")}/{own}'
             for own, space in self._node.get_node_names_and_namespaces()
         ]
-        has_namesake = found.count(name) > 1
+        has_namesake = node_names.count(name) > 1
         if has_namesake and not self._has_warned_of_namesake:
             self._node.get_logger().warning(NAMESAKE.format(name))
         self._has_warned_of_namesake = has_namesake
         return has_namesake
 
     def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
-        """Say once where messages speak of other motors while a configured one is never spoken of."""
+        """Warn once where messages name other motors while a configured one is never named."""
         for name in ('voltage', 'torque'):
             strangers = sorted(intake.signals[name].unknown)
             silent = [

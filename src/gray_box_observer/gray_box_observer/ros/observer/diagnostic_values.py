@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 def values_of(motor: str, now: Situation) -> dict[str, str]:
     """Everything that is known of a motor, as text."""
     values = {**_counts(motor, now), **_balance(motor, now)}
-    seen = now.observer.motors.get(motor)
-    if seen is None:
+    view = now.observer.motors.get(motor)
+    if view is None:
         return values
-    values.update(_estimates(seen.estimate))
-    values.update(_fit(seen.fit))
-    assumed = assumptions(now.observer.configuration.motors[motor], seen.white_box)
+    values.update(_estimates(view.estimate))
+    values.update(_fit(view.fit))
+    assumed = assumptions(now.observer.configuration.motors[motor], view.white_box)
     values['assumptions'] = '; '.join(assumed.values()) or 'none'
-    delay = seen.delay
+    delay = view.delay
     values['delay in words'] = delay.words
     values['delay [s]'] = _text(delay.value_s)
     values['delay std [s]'] = _text(delay.std_s)
     values['delay applied [s]'] = f'{delay.applied_s:.6g}'
     values['delay verdict'] = delay.verdict.value
-    values.update({name: str(count) for name, count in seen.counters.items()})
-    alarm, training = seen.alarm, seen.training
+    values.update({name: str(count) for name, count in view.counters.items()})
+    alarm, training = view.alarm, view.training
     if alarm is not None:
         armed = 'raised' if alarm.raised else 'armed' if alarm.armed else 'learning the residual'
         values['residual alarm'] = armed
@@ -48,9 +48,9 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
 
 def _counts(motor: str, now: Situation) -> dict[str, str]:
     pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
-    rejected: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
+    rejections: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
     for counts in now.intake.rejected.values():
-        rejected.update({reason.value: n for reason, n in counts.items()})
+        rejections.update({reason.value: n for reason, n in counts.items()})
     newest_ns = now.meter.newest_ns.get(motor)
     return {
         'samples used': str(pairing.used),
@@ -65,7 +65,8 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
         'age of newest sample [s]': _text(
             None if newest_ns is None else (now.now_ns - newest_ns) * 1e-9
         ),
-        'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejected.items())) or 'none',
+        'rejected': ', '.join(f'{reason}: {n}' for reason, n in sorted(rejections.items()))
+        or 'none',
         'changes since last identified': str(now.traffic.motors[motor].changes),
         'CPU of this process [%]': f'{100 * now.traffic.cpu:.1f}',
         'time spent on messages [%]': f'{100 * now.traffic.busy:.1f}',
@@ -81,9 +82,9 @@ def _balance(motor: str, now: Situation) -> dict[str, str]:
         values[f'{name} topic: messages'] = str(intake.received[name])
         values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
         values[f'{name} topic: of no motor here'] = str(intake.others[name])
-        refused = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
+        refusals = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
         values[f'{name} messages refused'] = (
-            ', '.join(f'{reason}: {n}' for reason, n in refused) or 'none'
+            ', '.join(f'{reason}: {n}' for reason, n in refusals) or 'none'
         )
     return values
 

@@ -1,5 +1,4 @@
-"""Diagnostics of every motor in the shape operators know: level, one line of advice, key-value
-pairs.
+"""Diagnostics of every motor as operators know them: level, one line of advice, key values.
 
 As diagnostic_updater gives it: ``NODE: MOTOR``, the motor as hardware, both with their namespace.
 OK: nothing to do.
@@ -40,7 +39,10 @@ ADVICE = {
 }
 
 
-NAMESAKE = 'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r __node:=NAME'
+NAMESAKE = (
+    'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r '
+    '__node:=NAME'
+)
 """What is wrong where somebody has started a second observer of the same name."""
 
 DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
@@ -50,12 +52,14 @@ REJECTIONS = {
     Rejection.NON_FINITE: 'NaN or infinity: is the sensor connected?',
     Rejection.DUPLICATE: 'the same stamp twice: do two publishers share the topic?',
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
-    Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of the same clock?',
+    Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of '
+    'the same clock?',
     Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STOPPED: 'the observer of this motor has stopped: see the log, then call ~/reset',
-    Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes are no such message',
+    Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes '
+    'are no such message',
 }
 """What to look at, by the reason that most messages were refused for."""
 
@@ -189,18 +193,18 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
 
 def _failed_training(motor: str, now: Situation) -> Judgement | None:
     """What stays true whether samples come or not."""
-    seen = now.observer.motors.get(motor)
-    if seen is None or seen.training is None or seen.training.failure is None:
+    view = now.observer.motors.get(motor)
+    if view is None or view.training is None or view.training.failure is None:
         return None
-    return DiagnosticStatus.ERROR, seen.training.failure
+    return DiagnosticStatus.ERROR, view.training.failure
 
 
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     """Why no sample came of late, or too many were refused."""
     traffic = now.traffic.motors[motor]
-    refused = _refused(motor, now)
-    if refused is not None:
-        return refused
+    judgement = _refused(motor, now)
+    if judgement is not None:
+        return judgement
     if traffic.used:
         return None
     silent = [name for name, count in traffic.received.items() if count == 0]
@@ -239,13 +243,13 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     """What makes estimates worse than they could be, or will be missed later."""
     observer = now.observer
     if observer.alarm(motor):
-        changed = now.traffic.motors[motor].changes
-        followed = (
-            f'; the motor was found changed ({changed} times) and is being followed'
-            if changed
+        change_count = now.traffic.motors[motor].changes
+        change_note = (
+            f'; the motor was found changed ({change_count} times) and is being followed'
+            if change_count
             else ''
         )
-        return DiagnosticStatus.WARN, REMEDY + followed
+        return DiagnosticStatus.WARN, REMEDY + change_note
     undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
@@ -282,28 +286,26 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     doubt = contradiction(now.observer.configuration.motors[motor], estimate)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
-    changed = now.traffic.motors[motor].changes
+    change_count = now.traffic.motors[motor].changes
     if estimate.identified(0):
-        followed = ': the motor has changed and was followed' if changed else ''
+        change_note = ': the motor has changed and was followed' if change_count else ''
         return (
             DiagnosticStatus.OK,
-            f'every parameter identified{followed}{_small_print(motor, now)}',
+            f'every parameter identified{change_note}{_small_print(motor, now)}',
         )
     if now.observer.frozen:
         return DiagnosticStatus.OK, 'frozen'
     return (
         DiagnosticStatus.OK,
-        'converging: the motor has changed and is being followed' if changed else 'converging',
+        'converging: the motor has changed and is being followed' if change_count else 'converging',
     )
 
 
 def _advice(motor: str, now: Situation) -> Judgement | None:
-    """What verdicts ask for: a bound that is met tells more than a residual, for it names the
-    parameter.
-    """
+    """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
     estimate = now.observer.motors[motor].estimate
     for verdict, advice in ADVICE.items():
-        at = [j for j, given in enumerate(estimate.verdicts[0]) if given is verdict]
+        at = [j for j, own_verdict in enumerate(estimate.verdicts[0]) if own_verdict is verdict]
         if at:
             names = [
                 f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at
@@ -313,10 +315,8 @@ def _advice(motor: str, now: Situation) -> Judgement | None:
 
 
 def _small_print(motor: str, now: Situation) -> str:
-    """What an identified motor leans on: parameters that are nearly zero, and what nobody has
-    stated.
-    """
-    said = ''
+    """What an identified motor leans on: nearly zero parameters, and unstated assumptions."""
+    note = ''
     estimate = now.observer.motors[motor].estimate
     names = [
         parameter.name
@@ -324,10 +324,10 @@ def _small_print(motor: str, now: Situation) -> str:
         if verdict is Verdict.NEGLIGIBLE
     ]
     if names:
-        said += f'; {", ".join(names)} negligible: too small to matter, and known to be'
+        note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
     assumed = assumptions(
         now.observer.configuration.motors[motor], now.observer.motors[motor].white_box
     )
     if assumed:
-        said += f'; assumed: {", ".join(assumed)}, see assumptions'
-    return said
+        note += f'; assumed: {", ".join(assumed)}, see assumptions'
+    return note

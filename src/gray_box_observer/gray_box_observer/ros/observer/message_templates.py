@@ -1,5 +1,4 @@
-"""Messages of which only numbers change, as bytes: serialised once, then the numbers are written
-into place.
+"""Messages as bytes in which only numbers change: serialised once, then overwritten.
 
 That takes a fraction of the time of building a message and having it converted for every sample.
 """
@@ -64,28 +63,25 @@ class Form:
 
 
 class TorqueMessages:
-    """Torques in N m at their stamp as serialised JointState messages; a form for every list of
-    names.
-    """
+    """Torques in N m at their stamp as serialised JointState; a template per list of names."""
 
     def __init__(self) -> None:
         self._forms: BoundedCache[tuple[str, ...], Form] = BoundedCache(MAX_FORMS, MAX_FORM_BYTES)
 
     def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
-        """Return the message of those motors of which there is a torque; None of none, or of a time
-        beyond all stamps.
+        """Return the message of the motors with a torque; None without one or a valid stamp.
 
         Args:
             names: of the motors.
             stamp_ns: the stamp.
             torque_nm: shape (motor,).
         """
-        known = np.isfinite(torque_nm)
-        if not known.all():
+        is_finite = np.isfinite(torque_nm)
+        if not is_finite.all():
             names = tuple(
-                name for name, is_known in zip(names, known.tolist(), strict=True) if is_known
+                name for name, is_known in zip(names, is_finite.tolist(), strict=True) if is_known
             )
-            torque_nm = torque_nm[known]
+            torque_nm = torque_nm[is_finite]
         seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
         if not names or seconds not in _SECONDS:
             return None
@@ -103,9 +99,7 @@ def value_form() -> Form:
 
 
 def covariance_form(parameters: tuple[Parameter, ...]) -> Form:
-    """Return the form of a covariance: square, row-major, both dimensions labelled with the
-    parameter names.
-    """
+    """Return the template of a covariance: square, row-major, labelled by parameter names."""
     label, n = ','.join(p.name for p in parameters), len(parameters)
 
     def make(numbers: array[float]) -> Float64MultiArray:

@@ -227,10 +227,10 @@ class ObserverNode(LifecycleNode):
         self._begin()
         assert self._observer is not None
         if self._keeper.automatic:
-            resumed = self._keeper.resume(self._observer)
-            if resumed.refusal is not None:
-                self.get_logger().error(f'starting from the initial values: {resumed.refusal}')
-            elif resumed.found:
+            resumption = self._keeper.resume(self._observer)
+            if resumption.refusal is not None:
+                self.get_logger().error(f'starting from the initial values: {resumption.refusal}')
+            elif resumption.found:
                 self.get_logger().info(f'continuing from {self._keeper.file}')
             else:
                 self.get_logger().info(
@@ -281,16 +281,16 @@ class ObserverNode(LifecycleNode):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
         try:
-            taken = self._intake.take(name, message, arrival_ns)
-            self._outputs.results(taken.groups)
-            if name == 'voltage' and taken.names:
-                for group in self._observer.groups(taken.names):
-                    self._foretell(self._observer, self._outputs, group, taken.stamp_ns)
-            for result in taken.groups:
+            input_result = self._intake.take(name, message, arrival_ns)
+            self._outputs.results(input_result.groups)
+            if name == 'voltage' and input_result.names:
+                for group in self._observer.groups(input_result.names):
+                    self._foretell(self._observer, self._outputs, group, input_result.stamp_ns)
+            for result in input_result.groups:
                 self._observer.foresee(result.group)
-            self._meter.take(taken.groups)
-            self._unsettled += taken.groups
-            if all(result.estimate is None for result in taken.groups):
+            self._meter.take(input_result.groups)
+            self._unsettled += input_result.groups
+            if all(result.estimate is None for result in input_result.groups):
                 self._settle()  # else the next prediction comes first: an update has taken its time
             if len(self._observer.incidents) != len(self._reported):
                 self._report_incidents()
@@ -298,7 +298,7 @@ class ObserverNode(LifecycleNode):
             self._stop(error)
             return
         self._meter.worked(since_s)
-        self._do_chore(quiet=bool(taken.groups) and not self._unsettled)
+        self._do_chore(quiet=bool(input_result.groups) and not self._unsettled)
 
     def _refuse(self, name: str, reason: Rejection) -> None:
         if self._intake is None or self._stop.requested:
@@ -307,9 +307,7 @@ class ObserverNode(LifecycleNode):
         self._do_chore(quiet=False)
 
     def _do_chore(self, *, quiet: bool) -> None:
-        """Do what is due, if anything is: one is enough beside a message; next time it comes behind
-        the others.
-        """
+        """Do one thing that is due, if any; the next one comes behind the other messages."""
         for name, chore in self._chores.items():
             if chore.meet(quiet=quiet):
                 self._chores[name] = self._chores.pop(name)
@@ -317,11 +315,11 @@ class ObserverNode(LifecycleNode):
 
     def _settle(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
-        done, self._unsettled = self._unsettled, []
+        results, self._unsettled = self._unsettled, []
         outputs, observer = self._outputs, self._observer
         if outputs is None or observer is None:
             return
-        pending = deque(done)
+        pending = deque(results)
         while True:
             try:
                 outputs.alarms(_consumed(pending))
@@ -334,16 +332,14 @@ class ObserverNode(LifecycleNode):
                 observer.stop(pending.popleft().group, error)
 
     def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
-        """Publish what a new voltage leads to: at its stamp, and at the horizon if one is asked
-        for.
-        """
+        """Publish a new voltage's predictions: at its stamp, and at a requested horizon."""
         torque_nm = observer.forecast_group(group, stamp_ns)
         if torque_nm is not None:
             outputs.prediction(group.names, stamp_ns, torque_nm)
         horizon_s = self._configuration['horizon_s']
-        held = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
-        if held is not None:
-            outputs.forecast(group.names, *held)
+        group_forecast = observer.forecast_group_held(group, horizon_s) if horizon_s > 0.0 else None
+        if group_forecast is not None:
+            outputs.forecast(group.names, *group_forecast)
 
     def _tell(self) -> None:
         """Publish diagnostics, and alarms that no further message has led to."""
@@ -357,9 +353,7 @@ class ObserverNode(LifecycleNode):
         self._report_incidents()
 
     def _report_incidents(self) -> None:
-        """Tell of motors that have stopped since it was told last, and leave nothing latched of
-        them.
-        """
+        """Report motors that have stopped since the last call, and clear their latched topics."""
         if self._observer is None or self._outputs is None:
             return
         incidents = self._observer.incidents
@@ -389,9 +383,11 @@ class ObserverNode(LifecycleNode):
         aside = self._keeper.forget()
         self._begin()
         self._announce(is_new=True)
-        kept = '' if aside is None else f'; the checkpoint is kept as {aside}'
+        checkpoint_note = '' if aside is None else f'; the checkpoint is kept as {aside}'
         response.success = True
-        response.message = f'everything learnt is forgotten; starting from the initial values{kept}'
+        response.message = (
+            f'everything learnt is forgotten; starting from the initial values{checkpoint_note}'
+        )
         self.get_logger().info(f'~/reset: {response.message}')
         return response
 
@@ -411,7 +407,8 @@ class ObserverNode(LifecycleNode):
             )
             return response
         try:
-            self._settle()  # an alarm of what was learnt so far must not go out after what is loaded
+            # an alarm of what was learnt so far must not go out after what is loaded
+            self._settle()
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
@@ -504,8 +501,8 @@ class ObserverNode(LifecycleNode):
     @staticmethod
     def _announce_motor(observer: Observer, outputs: Outputs, motor: str) -> None:
         outputs.alarm(motor, observer.alarm(motor))
-        estimate, identified = observer.known(motor)
-        outputs.estimate(motor, estimate, identified)
+        estimate, is_identified = observer.known(motor)
+        outputs.estimate(motor, estimate, is_identified)
         outputs.parameters_identified(
             motor, estimate.parameters, observer.parameters_identified(motor)
         )
@@ -519,9 +516,7 @@ class ObserverNode(LifecycleNode):
             )
 
     def _correct_estimates(self) -> None:
-        """Leave no number on ``~/estimates`` of a motor that has stopped; nobody may tell of it
-        periodically.
-        """
+        """Clear a stopped motor on ``~/estimates``; its periodic reports have ended."""
         if self._observer is None or self._outputs is None:
             return
         if self._state == 'active':
@@ -543,9 +538,7 @@ class ObserverNode(LifecycleNode):
 
 
 def _consumed(pending: deque[GroupResult]) -> Iterator[GroupResult]:
-    """Yield results; each leaves the queue when it is done with, so that one that fails is still
-    the first.
-    """
+    """Yield results; each leaves the queue when done, so that one that fails is still first."""
     while pending:
         yield pending[0]
         pending.popleft()
@@ -561,10 +554,12 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the observer; the result is the exit code."""
     parser = argparse.ArgumentParser(
         prog='observer',
-        description='Identifies inductance, resistance and magnetic hysteresis of DC motors while they run, and '
+        description='Identifies inductance, resistance and magnetic hysteresis of DC motors while '
+        'they run, and '
         'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p '
         'NAME:=VALUE.',
-        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}\n\n'
+        epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}'
+        '\n\n'
         'share/gray_box_observer/config/observer.yaml holds them all, to begin with.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

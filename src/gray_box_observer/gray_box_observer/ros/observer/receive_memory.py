@@ -56,7 +56,7 @@ class ReceiveMemory:
         return round(growth * max(0.0, 1.0 - (own - self._own_faults) / faults))
 
     def _faults(self) -> tuple[int, int]:
-        """Return how many pages this thread and the writers, and all together, have touched first."""
+        """Return the pages first touched by this thread and the writers, and by all threads."""
         # one that has ended keeps what it had when it was last seen
         self._written.update(
             {

@@ -82,9 +82,7 @@ class ReceiveQueue:
         self._set_unchecked()
 
     def admit(self, size_bytes: int) -> bool:
-        """Tell whether a message may be read; have the subscription made anew where its size asks
-        for that.
-        """
+        """Tell whether a message may be read; have its size force a new subscription if needed."""
         depth = self._depth_for(size_bytes)
         if depth < self._full_depth:
             self._large_at_s = time.monotonic()
@@ -101,9 +99,7 @@ class ReceiveQueue:
         return size_bytes <= self._max_message_bytes
 
     def empty(self) -> None:
-        """Give back what the queue holds, and hold less from now on, until it has been calm for a
-        while.
-        """
+        """Give back what the queue holds, and hold less until it has been calm for a while."""
         self._large_at_s = time.monotonic()
         self._resize(min(self._depth, BUDGET_MESSAGES))
 
@@ -113,9 +109,7 @@ class ReceiveQueue:
         self._node.destroy_subscription(self.subscription)
 
     def _depth_for(self, size_bytes: int) -> int:
-        """Return how many messages of a size may wait: the full depth, or a power of two, so that
-        few sizes matter.
-        """
+        """Return how many messages of a size may wait: full depth, or a power of two."""
         count = self.budget_bytes // max(1, size_bytes)
         return (
             self._full_depth if count >= self._full_depth else 1 << max(0, count.bit_length() - 1)

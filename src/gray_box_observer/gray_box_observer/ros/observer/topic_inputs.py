@@ -153,9 +153,7 @@ class Inputs:
 
     @property
     def needs_source_time(self) -> bool:
-        """Whether a signal's messages have no header, so that the middleware's source time has to
-        stamp them.
-        """
+        """Whether a signal's messages lack a header, so that middleware time stamps them."""
         return not all(self._has_header(name) for name in self._topics)
 
     @property
@@ -164,26 +162,28 @@ class Inputs:
         return ', '.join(self._node.resolve_topic_name(topic) for topic in self._topics.values())
 
     def trouble(self, names: Iterable[str]) -> Trouble | None:
-        """Say why nothing comes for these signals, as far as the graph of nodes and topics tells;
-        None: no idea.
-        """
-        found = [trouble for name in names if (trouble := self._trouble(name)) is not None]
-        found.sort(key=lambda trouble: not trouble.broken)
-        same = [trouble.message for trouble in found if found and trouble.broken == found[0].broken]
-        return Trouble('; '.join(same), found[0].broken) if found else None
+        """Say why nothing comes for these signals, as the ROS graph shows; None: unknown."""
+        troubles = [trouble for name in names if (trouble := self._trouble(name)) is not None]
+        troubles.sort(key=lambda trouble: not trouble.broken)
+        same = [
+            trouble.message
+            for trouble in troubles
+            if troubles and trouble.broken == troubles[0].broken
+        ]
+        return Trouble('; '.join(same), troubles[0].broken) if troubles else None
 
     def _subscribe(self, name: str, topic: str, qos: QoSProfile | None) -> Subscription:
         """Subscribe with a quality of service; None: the configured one."""
         receive = self._receive if self._has_header(name) else self._receive_bare
         callback = partial(receive, name, self._decoder(name))
-        asked = qos or topics.SIGNAL_QOS
+        profile = qos or topics.SIGNAL_QOS
         listen = partial(
             subscribe,
             self._node,
             self._types[name],
             topic,
             callback,
-            asked,
+            profile,
             raw=True,
             overridden=qos is None,
         )
@@ -220,9 +220,7 @@ class Inputs:
         )
 
     def _decoded(self, name: str, decode: Decode, data: bytes) -> Any:
-        """Return the message of some bytes; None where they are too many or make no sense, which is
-        told.
-        """
+        """Return the message of some bytes; None, reported, if too many or malformed."""
         queue = self._queues.get(name)
         if queue is None:  # it waited while listening ended
             return None
@@ -285,11 +283,11 @@ class Inputs:
 
     def _mismatch(self, name: str, publisher: TopicEndpointInfo) -> str:
         """Name the policy that keeps a publisher from being heard; empty where it is heard."""
-        asked, offered = self._subscriptions[name].qos_profile, publisher.qos_profile
-        if qos_check_compatible(offered, asked)[0] != QoSCompatibility.ERROR:
+        profile, offered = self._subscriptions[name].qos_profile, publisher.qos_profile
+        if qos_check_compatible(offered, profile)[0] != QoSCompatibility.ERROR:
             return ''
         differing = [
-            p for p in ('reliability', 'durability') if getattr(asked, p) != getattr(offered, p)
+            p for p in ('reliability', 'durability') if getattr(profile, p) != getattr(offered, p)
         ]
         return self._refused.get(name) or (differing[0] if differing else 'quality of service')
 
@@ -307,10 +305,10 @@ def _deserialized(kind: Any, data: bytes) -> Any:
 
 
 def _message_type(name: str, type_name: str) -> Any:
-    found = message_class(type_name)
-    if found is None:
+    kind = message_class(type_name)
+    if kind is None:
         raise ConfigurationError(
             f'{name}.type {type_name!r} is not a message this environment knows: source the '
             'workspace that has it'
         )
-    return found
+    return kind

@@ -48,11 +48,11 @@ class Outputs:
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
-        told = configuration.motors if configuration['motor_topics'] else {}
-        self._identified = {m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in told}
-        self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in told}
-        self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in told}
-        self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in told}
+        motors = configuration.motors if configuration['motor_topics'] else {}
+        self._identified = {m: LatchedTopic(node, topics.IDENTIFIED, motor=m) for m in motors}
+        self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in motors}
+        self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in motors}
+        self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in motors}
         self._covariances: dict[str, Form] = {}
         self._value, self._is = value_form(), yes_and_no()
         self._parameters = {
@@ -60,14 +60,14 @@ class Outputs:
                 p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p)
                 for p in motor.values['context_nodes']
             }
-            for m, motor in told.items()
+            for m, motor in motors.items()
         }
         self._parameter_identified = {
             m: {
                 p: LatchedTopic(node, topics.PARAMETER_IDENTIFIED, motor=m, parameter=p)
                 for p in motor.values['context_nodes']
             }
-            for m, motor in told.items()
+            for m, motor in motors.items()
         }
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
@@ -100,7 +100,7 @@ class Outputs:
                 self._changed(result.group, result.changed.tolist(), result.estimate)
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
-        """Publish every changed alarm; with it all is done that these samples have left to be done."""
+        """Publish every changed alarm, and finish all that these samples have left to do."""
         for result in results:
             raised = result.alarm
             if self._alarm:
@@ -108,9 +108,7 @@ class Outputs:
                 self.tested(result.group)
 
     def tested(self, group: Group) -> None:
-        """Publish what is believed of those motors of a group whose fit was tested since, and the
-        fit.
-        """
+        """Publish the beliefs of a group's motors that were tested since, and their fit."""
         observer = group.observer
         if observer is None or not self._fit:
             return
@@ -123,9 +121,7 @@ class Outputs:
             )
 
     def prediction(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
-        """Publish the torques predicted of motors that come together for a stamp still without
-        torque, once.
-        """
+        """Publish a group's predicted torques for a stamp still without torque, once."""
         awaited = self._awaited.setdefault(names, {})
         if stamp_ns in awaited or not self._predict(names, stamp_ns, torque_nm):
             return
@@ -141,9 +137,7 @@ class Outputs:
         return True
 
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
-        """Publish the torques at the horizon if the newest voltage is held until then, once a
-        voltage.
-        """
+        """Publish the torques at the horizon, if the voltage is held until then, once each."""
         if self._forecast is None:  # asked for while the node runs
             self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
         if self._foretold.get(names) == stamp_ns:
@@ -153,10 +147,10 @@ class Outputs:
             self._foretold[names] = stamp_ns
             self._forecast(data)
 
-    def _changed(self, group: Group, changed: list[int], estimate: Estimate) -> None:
-        for row, motor in enumerate(changed):
+    def _changed(self, group: Group, motors: list[int], estimate: Estimate) -> None:
+        for row, motor in enumerate(motors):
             name = group.names[motor]
-            self.estimate(name, estimate if len(changed) == 1 else estimate.of(row))
+            self.estimate(name, estimate if len(motors) == 1 else estimate.of(row))
             if group.observer is not None:
                 self.parameters_identified(
                     name, estimate.parameters, group.observer.parameters_identified_of(motor)
@@ -172,24 +166,24 @@ class Outputs:
         self._alarmed[names] = raised.copy()
 
     def all_estimates(
-        self, motors: Sequence[str], seen: Sequence[tuple[tuple[str, ...], Estimate]]
+        self, motors: Sequence[str], group_estimates: Sequence[tuple[tuple[str, ...], Estimate]]
     ) -> None:
         """Publish value and standard deviation of every parameter of every motor, in one message.
 
         Args:
             motors: names of the configured motors, which are the rows.
-            seen: names and estimates of those that have been seen; NOTHING stands for the others,
-                and for what is not finite.
+            group_estimates: names and estimates of those that have been seen; NOTHING stands for
+                the others, and for what is not finite.
         """
         rows, columns = {name: row for row, name in enumerate(motors)}, {}
-        for _, estimate in seen:
+        for _, estimate in group_estimates:
             for parameter in estimate.parameters:
                 columns.setdefault(parameter.name, len(columns))
         if not columns:
             self._estimates.retract()
             return
         table = np.full((len(rows), len(columns), 2), np.nan)
-        for names, estimate in seen:
+        for names, estimate in group_estimates:
             at = (
                 np.array([rows[name] for name in names])[:, None],
                 [columns[p.name] for p in estimate.parameters],
@@ -203,7 +197,7 @@ class Outputs:
             stride //= size
         self._estimates(message)
 
-    def estimate(self, motor: str, estimate: Estimate, identified: bool | None = None) -> None:
+    def estimate(self, motor: str, estimate: Estimate, is_identified: bool | None = None) -> None:
         """Publish values, covariance and whether all is identified; None: by the verdicts."""
         if motor not in self._covariance:
             return
@@ -216,13 +210,11 @@ class Outputs:
         if np.isfinite(estimate.covariance[0]).all():
             self._covariance[motor](form.told(estimate.covariance[0]))
         self._identified[motor](
-            self._is[estimate.identified(0) if identified is None else identified]
+            self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
-        """Publish the ratio of a residual analysis where it has changed; UNTESTED where there is
-        none any more.
-        """
+        """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
         if motor not in self._fit:
             return
         if math.isnan(fit.ratio):
@@ -235,45 +227,37 @@ class Outputs:
             self._fit[motor](self._value.told(np.array([fit.ratio])))
 
     def _forget_fit(self, motor: str) -> None:
-        """Take back the ratio, in whatever state of the life cycle; who listens has to hear of it
-        too.
-        """
+        """Take back the ratio, in any state of the life cycle, so that listeners hear of it."""
         if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
             self._published_fit[motor] = UNTESTED
             self._fit[motor].correct(self._value.told(np.array([UNTESTED])))
 
     def parameters_identified(
-        self, motor: str, parameters: tuple[Parameter, ...], identified: tuple[bool, ...]
+        self, motor: str, parameters: tuple[Parameter, ...], flags: tuple[bool, ...]
     ) -> None:
         """Publish which parameters are identified, where that has changed."""
         before = self._published_identified.get(motor)
-        if identified == before or motor not in self._covariance:
+        if flags == before or motor not in self._covariance:
             return
-        self._published_identified[motor] = identified
-        for j, (parameter, is_identified) in enumerate(zip(parameters, identified, strict=True)):
+        self._published_identified[motor] = flags
+        for j, (parameter, is_identified) in enumerate(zip(parameters, flags, strict=True)):
             if before is None or before[j] != is_identified:
                 self._parameter_identified[motor][parameter.name](self._is[is_identified])
 
     def forget_published(self) -> None:
-        """Publish again, at the next chance, what goes out only when it changes: nobody may have
-        heard it.
-        """
+        """Publish again, at the next chance, what goes out only on change and may be unheard."""
         self._published_identified.clear()
         self._published_fit.clear()
 
     def alarm(self, motor: str, raised: bool) -> None:
-        """Publish whether the alarm on the prediction's residual stands, whatever was published
-        before.
-        """
+        """Publish whether the residual alarm stands, whatever was published before."""
         self._alarmed.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
             self._told[motor] = raised
             self._alarm[motor](self._is[raised])
 
     def retract(self) -> None:
-        """Leave latched what is true of a node that knows nothing, in whatever state of its life
-        cycle.
-        """
+        """Latch what is true of a node that knows nothing, in any state of its life cycle."""
         self.retract_estimates()
         for motor in self._identified:
             self.retract_motor(motor)

@@ -116,16 +116,16 @@ class TrafficMeter:
         )
 
     def _motor(self, motor: str, observer: Observer, unread: Counter[Rejection]) -> MotorTraffic:
-        pairing, seen = observer.counts(motor), observer.motors.get(motor)
+        pairing, view = observer.counts(motor), observer.motors.get(motor)
         counters = (
             None
-            if seen is None
-            else observer.contain(observer.group_of(motor), lambda: seen.counters)
+            if view is None
+            else observer.contain(observer.group_of(motor), lambda: view.counters)
         )
         changes = 0 if counters is None else counters.get('motor changes', 0)
         since = changes - self._settled[motor]
         if (
-            seen is not None and seen.identified and not observer.alarm(motor)
+            view is not None and view.identified and not observer.alarm(motor)
         ):  # told this once, at least
             self._settled[motor] = changes
         return MotorTraffic(
@@ -141,7 +141,7 @@ class TrafficMeter:
     def _new_rejections(self, name: str, counts: Counter[Rejection]) -> Counter[Rejection]:
         return Counter({reason: self._new(reason, name, count) for reason, count in counts.items()})
 
-    def _new(self, what: str, name: str, count: int) -> int:
-        before = self._counted[what, name]
-        self._counted[what, name] = count
+    def _new(self, counter_name: str, name: str, count: int) -> int:
+        before = self._counted[counter_name, name]
+        self._counted[counter_name, name] = count
         return count - before
