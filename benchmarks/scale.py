@@ -157,7 +157,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f'{cost_us:.2f} us'
         )
     figures_on_device = (
-        [] if device is None else rows_on_device(device, nodes, samples, quick=options.quick)
+        [] if device is None else rows_on_device(device, samples, quick=options.quick)
     )
     whole = not options.quick
     thousand, cores = update_us[1000], 0.1 * both[1000]

@@ -17,8 +17,8 @@ from plotly.subplots import make_subplots
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.observer.observer import Observer
-from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.observer import Observer
+from gray_box_observer.settings import Configuration
 
 NAME = 'cores_without_ros'
 parser = argparse.ArgumentParser(prog=NAME, description='Identify a simulated motor without ROS.')

@@ -7,25 +7,16 @@ import pytest
 import scale
 import torch
 from common import on_device
-from common.many_motors import NOISE_NM, STEP_NS, one_predictor, rule
+from common.many_motors import NOISE_NM, STEP_NS, one_predictor
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.settings.device import DEVICE_FROM
 from gray_box_observer.white_box.torch_ops import TorchOps
 
 
-def test_rows_on_a_device_learn_and_predict_every_motor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_on_a_device_predict_every_motor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scale, 'TAUGHT', 2000)
-    nodes, samples = scale.taught()
-    made = []
-    monkeypatch.setattr(on_device, 'rule', lambda *given: made.append(rule(*given)) or made[-1])
-    on_device.update('cpu', nodes, samples, DEVICE_FROM, rounds=1)
-    assert made[0]._learner._on_device is not None
-    assert made[0].replay.received.tolist() == [4 * on_device.BLOCK] * DEVICE_FROM
-    assert (made[0].replay.received - made[0]._learnt.at).max() < on_device.BLOCK, 'nobody waits'
-    assert made[0].theta.std(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=0.01)
-    assert abs(made[0].theta[:, 1] - 1.0).max() < 0.05
-    assert len(set(made[0].theta[:, 1].tolist())) == DEVICE_FROM, 'each by its own noise'
+    _, samples = scale.taught()
     told = []
     monkeypatch.setattr(
         on_device, 'one_predictor', lambda *a, **b: told.append(one_predictor(*a, **b)) or told[-1]

@@ -1,4 +1,4 @@
-"""Compiled code and a device learn what numpy learns, of every block not left to numpy."""
+"""Compiled code learns what numpy learns, of every block that is not left to numpy."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import ctypes
 import shutil
 from collections.abc import Callable
 from itertools import product
-from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from gray_box_observer.context_nodes.native import compiled, regular_block
 from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
 from gray_box_observer.context_nodes.recursive import block_updater
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
-from gray_box_observer.context_nodes.recursive.estimator_state import copied
 from gray_box_observer.context_nodes.recursive.normal_equations import inverted
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -35,17 +33,8 @@ KNOWN = {'back_emf_constant': 0.01}
 needs_it = pytest.mark.skipif(regular_block.library() is None, reason='built without a C compiler')
 
 
-@pytest.fixture(params=[pytest.param('compiled', marks=needs_it), 'device'])
-def device(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, torch_name: str
-) -> str | None:
-    """Who learns regular blocks: compiled code, or torch, however few motors there are."""
-    monkeypatch.setattr(block_updater, 'DEVICE_FROM', 1)
-    return None if request.param == 'compiled' else torch_name
-
-
 class Count:
-    """How many blocks compiled code, or a device, was given, and how many it has learnt."""
+    """How many blocks compiled code was given, and how many it has learnt."""
 
     given = learnt = 0
 
@@ -71,12 +60,12 @@ class Count:
 
 
 def both(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, start: np.ndarray,
     samples: list[Sample], rules: RecursiveRules,
 ) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
-    """Learn samples by compiled code or a device, and by numpy; estimates must agree."""
+    """Learn samples by compiled code, and by numpy; estimates must agree."""
     count = Count()
-    quick = RecursiveUpdate(box, start, rules=rules, device=device)
+    quick = RecursiveUpdate(box, start, rules=rules)
     count.watch(quick)
     monkeypatch.setattr(regular_block, 'library', lambda: None)
     by_numpy = RecursiveUpdate(box, start, rules=rules)
@@ -159,9 +148,9 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize('column', [-10_000_000, 0, 10_000_000])
 def test_samples_that_are_not_in_memory_are_not_read(
-    thesis_box: MotorWhiteBox, device: str | None, column: int
+    thesis_box: MotorWhiteBox, column: int
 ) -> None:
-    nodes = RecursiveUpdate(thesis_box, START, device=device)
+    nodes = RecursiveUpdate(thesis_box, START)
     for sample in simulated('R[5,15]D[0.2,3]', 10.0):
         nodes.learn(sample)
     known, index = nodes._learnt, np.zeros(1, dtype=int)
@@ -173,12 +162,12 @@ def test_samples_that_are_not_in_memory_are_not_read(
 
 @pytest.mark.parametrize('motors', [1, 11])
 def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, motors: int
+    monkeypatch: pytest.MonkeyPatch, motors: int
 ) -> None:
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
     samples = simulated('R[5,15]D[0.2,3]', 30.0, motors=motors)
     nodes, by_numpy, count = both(
-        monkeypatch, device, box, np.tile(START, (motors, 1)), samples, RecursiveRules()
+        monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveRules()
     )
     assert count.given >= 80 * motors
     assert count.learnt >= 0.98 * count.given
@@ -201,19 +190,19 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
     ],
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, names: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...],
     known: dict[str, float]
 ) -> None:  # fmt: skip
     box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
-    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
     assert count.learnt > 0.5 * count.given > 30
 
 
 @pytest.mark.parametrize('jitter', [0.0, 0.01])
 def test_a_hold_settles_when_numpy_says_so_to_the_block(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, jitter: float
+    monkeypatch: pytest.MonkeyPatch, jitter: float
 ) -> None:
     box = MotorWhiteBox(THESIS, np.full(9, 0.01), {'back_emf_constant': np.full(9, 0.01)})
     rules = RecursiveRules(block=4)
@@ -228,9 +217,7 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
         with monkeypatch.context() as patch:
             if not library:
                 patch.setattr(regular_block, 'library', lambda: None)
-            nodes = RecursiveUpdate(
-                box, np.tile(START, (9, 1)), rules=rules, device=device if library else None
-            )
+            nodes = RecursiveUpdate(box, np.tile(START, (9, 1)), rules=rules)
             settled.append([])
             for one in samples:
                 nodes.learn(one)
@@ -240,26 +227,22 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
 
 
 def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
-    monkeypatch: pytest.MonkeyPatch, device: str | None
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
-    nodes, _, count = both(monkeypatch, device, box, START, samples, RecursiveRules())
+    nodes, _, count = both(monkeypatch, box, START, samples, RecursiveRules())
     assert count.learnt > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
 
-def test_long_holds_and_drifts_come_out_as_with_numpy(
-    monkeypatch: pytest.MonkeyPatch, device: str | None
-) -> None:
+def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     box, rules = (
         MotorWhiteBox(THESIS, 0.01, KNOWN),
         RecursiveRules(long_hold_s=5.0, replay_capacity=512),
     )
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
-    _, _, count = both(
-        monkeypatch, device, box, START, [*moving, held[0].beginning(), *held[1:]], rules
-    )
+    _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
     assert count.learnt > 0.9 * count.given
     plant = PlantParameters()
     warm = Simulation(
@@ -274,7 +257,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(
             zip(warm.stamp_ns, np.roll(warm.voltage_v[0], 1), warm.torque_nm[0], strict=True)
         )
     ]
-    nodes, _, _ = both(monkeypatch, device, box, START, samples, rules)
+    nodes, _, _ = both(monkeypatch, box, START, samples, rules)
     assert nodes.counters()['motors that drift'] + nodes.counters()['motor changes'] > 0
 
 
@@ -306,11 +289,10 @@ def disturbed(
 
 def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     monkeypatch: pytest.MonkeyPatch,
-    device: str | None,
     thesis_box: MotorWhiteBox,
     disturbed: list[Sample],
 ) -> None:
-    nodes, _, count = both(monkeypatch, device, thesis_box, START, disturbed, RecursiveRules())
+    nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveRules())
     assert 0 < count.learnt < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
@@ -346,86 +328,11 @@ def gone_wrong(seed: int) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
 
 @pytest.mark.parametrize('seed', [14, 20])
 def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, seed: int
+    monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     box, start, samples = gone_wrong(seed)
-    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
     assert 0 < count.learnt < count.given
-
-
-@needs_it
-@pytest.mark.parametrize('case', ['plain', 'speed', 'stiff', 'held', 'disturbed', 'gone wrong'])
-def test_a_device_tells_and_writes_what_compiled_code_does_of_every_block(
-    monkeypatch: pytest.MonkeyPatch,
-    thesis_box: MotorWhiteBox,
-    disturbed: list[Sample],
-    torch_name: str,
-    case: str,
-) -> None:
-    rules, start = RecursiveRules(long_hold_s=5.0, replay_capacity=512), START
-    if case == 'disturbed':
-        box, samples = thesis_box, disturbed
-    elif case == 'gone wrong':
-        box, start, samples = gone_wrong(14)
-    elif case == 'stiff':
-        box, start = thesis_box, np.array([[3e-3, 3.0, 30.0]])
-        samples = simulated('R[5,15]D[0.05,0.3]', 10.0, inductance=1e-3, resistance=1.6)
-    elif case == 'speed':
-        names = (*THESIS, 'back_emf_constant', 'brush_drop')
-        box, start = (
-            MotorWhiteBox(names, 0.01, speed_measured=True),
-            np.array([[1.5, 3.0, 30.0, 0.03, 0.2]]),
-        )
-        samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
-    else:
-        box, start = MotorWhiteBox(THESIS, np.full(11, 0.01), KNOWN), START.repeat(11, 0)
-        samples, held = (
-            simulated('R[5,15]D[0.2,3]', 20.0, motors=11),
-            simulated('C[9]', 20.0, motors=11),
-        )
-        samples = [*samples, held[0].beginning(), *held[1:]] if case == 'held' else samples
-    monkeypatch.setattr(block_updater, 'DEVICE_FROM', 1)
-    nodes, told_of = RecursiveUpdate(box, start, rules=rules, device=torch_name), []
-    by_compiled = RegularBlocks(box, rules, nodes.replay)
-    within = nodes._learner.learn_ordinary
-
-    def update(known, motors, due, plain):  # type: ignore[no-untyped-def]
-        theirs, others = copied(known), (due.copy(), plain.copy())
-        theirs, told = by_compiled.learn(theirs, motors, *others)
-        mine, own = copied(known), (due.copy(), plain.copy())
-        assert nodes._learner._on_device is not None
-        mine, answer = nodes._learner._on_device.learn(mine, motors, *own)
-        np.testing.assert_array_equal(answer, told)
-        for ours, other in zip(own, others, strict=True):
-            np.testing.assert_array_equal(ours, other)
-        for path in regular_block.WRITTEN.values():
-            found, expected = (attrgetter(path)(learnt) for learnt in (mine, theirs))
-            finite = np.isfinite(expected)
-            np.testing.assert_array_equal(np.isfinite(found), finite, err_msg=path)
-            for motor in (
-                motors
-            ):  # what has been added up may nearly cancel: in units of a motor's largest entry
-                scale = float(np.max(np.abs(expected[motor]), where=finite[motor], initial=0.0))
-                close = {'rtol': 1e-10, 'atol': 1e-10 * scale, 'err_msg': path}
-                np.testing.assert_allclose(found[motor], expected[motor], **close)
-        told_of.extend(told.tolist())
-        return within(known, motors, due, plain)
-
-    nodes._learner.learn_ordinary = update  # type: ignore[method-assign]
-    for sample in samples:
-        nodes.learn(sample)
-    assert 0 < told_of.count(0) < len(told_of) > 20
-    assert any(told & regular_block.LONG_HOLD for told in told_of) == (case == 'held')
-
-
-def test_few_motors_are_not_worth_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(block_updater, 'DEVICE_FROM', 3)
-    monkeypatch.setattr(block_updater, 'UPDATES', 2)
-    for motors, turn in ((2, 2), (3, block_updater.DEVICE_TURN)):
-        box = MotorWhiteBox(THESIS, np.full(motors, 0.01), KNOWN)
-        nodes = RecursiveUpdate(box, START.repeat(motors, 0), device='cpu')
-        assert nodes._learner.turn == turn
-        assert (nodes._learner._on_device is None) == (motors < 3)
 
 
 def test_a_motor_whose_matrix_is_singular_ends_nobody() -> None:
@@ -511,13 +418,13 @@ def test_a_fit_that_a_block_makes_due_is_done_at_the_same_sample(
 
 
 def test_quantised_currents_that_stand_still_teach_the_same_nothing(
-    monkeypatch: pytest.MonkeyPatch, device: str | None, thesis_box: MotorWhiteBox
+    monkeypatch: pytest.MonkeyPatch, thesis_box: MotorWhiteBox
 ) -> None:
     step_nm = 5e-4
     samples = [
         sample._replace(torque_nm=np.round(sample.torque_nm / step_nm) * step_nm)
         for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
     ]
-    quick, _, count = both(monkeypatch, device, thesis_box, START, samples, RecursiveRules())
+    quick, _, count = both(monkeypatch, thesis_box, START, samples, RecursiveRules())
     assert count.learnt > 20
     assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,6 @@ import torch
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.checkpoints import checkpoint
-from gray_box_observer.context_nodes import RecursiveUpdate
-from gray_box_observer.context_nodes.native.regular_block import WRITTEN
-from gray_box_observer.context_nodes.recursive import block_updater, device_blocks
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer import builder, observer
 from gray_box_observer.observer.observer import Observer
@@ -131,7 +127,7 @@ FAILED = (
 
 @pytest.mark.parametrize(
     'place',
-    ['making', 'learning', 'predicting', 'following', 'white box', 'training'],
+    ['making', 'predicting', 'following', 'white box', 'training'],
     ids=lambda place: place,
 )
 def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_be_kept(
@@ -139,8 +135,7 @@ def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_
 ) -> None:
     for module in (observer, builder):
         monkeypatch.setattr(module, 'torch_device', lambda name: torch_name)
-    for module in (block_updater, predictor):
-        monkeypatch.setattr(module, 'DEVICE_FROM', 2)
+    monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
     names = ('a', 'b')
     r = Simulation({name: PlantParameters() for name in names}, 'R[5,15]D[0.2,3]', seed=3).record(
         4.0
@@ -155,7 +150,6 @@ def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_
 
     failing = {
         'making': (steady_state_forecaster.RelaxingForecaster, '_blank'),
-        'learning': (device_blocks.DeviceBlocks, '_conclude'),
         'predicting': (steady_state_forecaster, 'relaxation'),
         'following': (steady_state_forecaster.RelaxingForecaster, 'remember'),
         'white box': (predictor, 'flow_each'),
@@ -208,73 +202,12 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
             ask()
 
 
-@pytest.mark.parametrize('at', [0, 1, 2], ids=['at once', 'in the second turn', 'on the way back'])
-def test_of_blocks_that_a_device_fails_at_nothing_is_learnt(
-    monkeypatch: pytest.MonkeyPatch, torch_name: str, at: int
-) -> None:
-    monkeypatch.setattr(block_updater, 'DEVICE_FROM', 1)
-    monkeypatch.setattr(device_blocks, 'DEVICE_TURN', 2)
-    motors = 4
-    r = Simulation(
-        {f'm{k}': PlantParameters() for k in range(motors)}, 'R[5,15]D[0.2,3]', seed=3
-    ).record(10.0)
-    box = MotorWhiteBox(('inductance', 'resistance', 'hysteresis'), np.full(motors, 0.01), {
-        'back_emf_constant': np.full(motors, 0.01)
-    })  # fmt: skip
-    nodes = RecursiveUpdate(box, np.tile([0.5, 1.0, 10.0], (motors, 1)), device=torch_name)
-    blocks = nodes._learner._on_device
-    given, learn = [], blocks.learn
-    monkeypatch.setattr(blocks, 'learn', lambda *of: given.append(of) or learn(*of))
-    interval = np.full(motors, 0.01)
-    samples = [
-        Sample(
-            int(r.stamp_ns[k]),
-            interval * (k > 0),
-            r.voltage_v[:, max(k - 1, 0)],
-            r.torque_nm[:, k],
-            0.0 * interval,
-        )
-        for k in range(r.stamp_ns.size)
-    ]
-    waiting = iter(samples)
-    while len(given) < 3:
-        nodes.learn(next(waiting))
-    calls, conclude, cpu = [], device_blocks.DeviceBlocks._conclude, torch.Tensor.cpu
-
-    def now() -> dict[str, Any]:
-        believed = {path: attrgetter(path)(nodes._learnt).copy() for path in WRITTEN.values()}
-        return {**believed, 'at': nodes._learnt.at.copy(), 'due': nodes._due.copy()}
-
-    def fails(*of: Any) -> Any:
-        calls.append(now())
-        if at < 2 and len(calls) > at:
-            out_of_memory()
-        if at == 2:
-            backs = iter(range(100))
-            monkeypatch.setattr(
-                torch.Tensor, 'cpu', lambda t: out_of_memory() if next(backs) == 5 else cpu(t)
-            )
-        return conclude(*of)
-
-    monkeypatch.setattr(device_blocks.DeviceBlocks, '_conclude', fails)
-    with pytest.raises(ConfigurationError, match=FAILED):
-        for sample in waiting:
-            nodes.learn(sample)
-    monkeypatch.setattr(torch.Tensor, 'cpu', cpu)
-    assert len(calls) == (2 if at == 1 else 1)
-    for name, after in now().items():
-        np.testing.assert_array_equal(after, calls[0][name], err_msg=name)
-
-
-def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(
+def test_networks_are_taught_where_the_parameter_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for module in (observer, builder):
         monkeypatch.setattr(module, 'torch_device', lambda name: name)
-    for module in (block_updater, builder):
-        monkeypatch.setattr(module, 'DEVICE_FROM', 1)
-    blocks: list[str] = []
-    monkeypatch.setattr(device_blocks, 'DeviceBlocks', lambda *given: blocks.append(given[-1]))
+    monkeypatch.setattr(builder, 'DEVICE_FROM', 1)
     asked: list[dict[str, Any]] = []
 
     def training(job: dict[str, Any]) -> InlineTraining:
@@ -286,7 +219,6 @@ def test_motors_are_learnt_and_networks_taught_where_the_parameter_says(
         one.voltage('motor', k * 10_000_000, 9.0)
         one.torque('motor', k * 10_000_000, 0.01 * k)
     assert [job['rules']['device'] for job in asked] == ['cuda:1']
-    assert set(blocks) == {'cuda:1'}
 
 
 @pytest.mark.parametrize(('motors', 'device'), [(1, 'cpu'), (2, 'cpu'), (3, 'cuda:1')])
@@ -328,8 +260,7 @@ def test_a_group_is_observed_alike_by_torch_and_without(
         monkeypatch.setattr(
             module, 'torch_device', lambda name: None if name == 'cpu' else torch_name
         )
-    for module in (block_updater, predictor):
-        monkeypatch.setattr(module, 'DEVICE_FROM', 2)
+    monkeypatch.setattr(predictor, 'DEVICE_FROM', 2)
     names = ('a', 'b', 'c')
     plants = {name: PlantParameters(resistance=1.0 + 0.2 * k) for k, name in enumerate(names)}
     r = Simulation(plants, 'R[5,15]D[0.2,3]', seed=3, torque_noise_std=1e-4).record(20.0)

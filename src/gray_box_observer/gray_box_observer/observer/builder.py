@@ -134,11 +134,8 @@ def context_nodes(
             white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts
         )
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
-    rules, device = (
-        RecursiveRules(**configuration.group('recursive')),
-        torch_device(configuration['device']),
-    )
-    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, relative_std, device)
+    rules = RecursiveRules(**configuration.group('recursive'))
+    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, relative_std)
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:

@@ -16,10 +16,6 @@ DEVICE_FROM = 8192
 measured one yet. However few they are, a block of samples or a prediction is hundreds of calls,
 thousands where motors differ."""
 
-DEVICE_TURN = 65_536
-"""Motors whose blocks a device learns at once, and at one sample of the group unless there are more
-than a million. What it works with on the way is then some 2 GB."""
-
 NAME = re.compile(r'cpu|cuda(:(0|[1-9]\d{0,3}))?')
 """Names of devices: ``cpu``, ``cuda`` (the one that is current), ``cuda:1`` (the second one)."""
 

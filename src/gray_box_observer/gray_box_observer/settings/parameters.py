@@ -210,8 +210,8 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
         'device',
         'cpu',
-        'Where groups of 8192 motors or more are computed, and taught: cpu, or by torch on cuda '
-        'or cuda:N.',
+        'Where groups of 8192 motors or more are predicted, and taught: cpu, or by torch on cuda '
+        'or cuda:N (experimental: never run on a GPU).',
     ),
     ParameterSpec('seed', 0, 'Seed of everything random.', 0, 2**62),
     ParameterSpec('freeze', False, 'Stop learning; the service ~/freeze sets it too.', live=True),

@@ -1,4 +1,4 @@
-"""The motion over many intervals at once by compiled code, `interval_motion.c`; numpy stands behind.
+"""The motion over many intervals at once: compiled, `interval_motion.c`, with numpy behind it.
 
 Batch fits and the search for a delay linearise every interval of a window. Numpy's
 :func:`~gray_box_observer.white_box.flow.flow` does it for every white box; this does it for the

@@ -7,7 +7,7 @@ its own stream (``Learnt.at``), and nothing that is decided for one depends on a
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +45,7 @@ from gray_box_observer.context_nodes.recursive.sample_windows import Motors
 from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, Stretch
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, STILL, WITHIN_STEP, quantisation_step
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
-from gray_box_observer.settings.device import DEVICE_FROM, DEVICE_TURN
 from gray_box_observer.white_box.interface import Array, WhiteBox
-from gray_box_observer.white_box.motor import MotorWhiteBox
-
-if TYPE_CHECKING:  # needs torch
-    from gray_box_observer.context_nodes.recursive.device_blocks import DeviceBlocks
 
 UPDATES = 1024
 """Motors, at least, whose blocks compiled code looks at at one sample of the group; of many motors
@@ -83,8 +78,6 @@ class Learner:
         rules: settings.
         replay: samples of all motors.
         following: examines those that seem to have changed.
-        device: torch's, that learns the regular blocks of very many motors; None: compiled code
-            learns them all.
 
     Attributes:
         turn: motors whose regular blocks are learnt at one sample of the group.
@@ -96,7 +89,6 @@ class Learner:
         rules: RecursiveRules,
         replay: ReplayBuffer,
         following: Following,
-        device: str | None = None,
     ) -> None:
         self._rules = rules
         self._replay = replay
@@ -107,17 +99,7 @@ class Learner:
         self._drift = DriftTest(rules.drift_threshold)
         self._heats = random_walk.heating(white_box.parameters)
         self._ordinary = RegularBlocks(white_box, rules, replay)
-        self._on_device: DeviceBlocks | None = None
         self.turn = max(UPDATES, replay.motors // 16)
-        if (
-            device is not None
-            and replay.motors >= DEVICE_FROM
-            and isinstance(white_box, MotorWhiteBox)
-        ):
-            from gray_box_observer.context_nodes.recursive.device_blocks import DeviceBlocks
-
-            self._on_device = DeviceBlocks(white_box, rules, replay, device)
-            self.turn = max(DEVICE_TURN, replay.motors // 16)
 
     def fit(self, motors: Motors, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
@@ -237,18 +219,15 @@ class Learner:
     def learn_due(
         self, known: Learnt, due: NDArray[np.int_], plain: NDArray[np.bool_]
     ) -> tuple[Learnt, Turn]:  # fmt: skip
-        """As :meth:`RegularBlocks.learn_due`; a device for very many motors leaves all to do."""
-        if self._on_device is not None:
-            return known, Turn.left(due.size)
+        """As :meth:`RegularBlocks.learn_due`."""
         return self._ordinary.learn_due(known, due, plain, self.turn)
 
     def learn_ordinary(
         self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_],
         plain: NDArray[np.bool_]
     ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
-        """As :meth:`RegularBlocks.learn`, of very many on the device."""
-        many = None if motors.size < DEVICE_FROM else self._on_device
-        return (many or self._ordinary).learn(known, motors, due, plain)
+        """As :meth:`RegularBlocks.learn`."""
+        return self._ordinary.learn(known, motors, due, plain)
 
     def attend(self, known: Learnt, motors: NDArray[np.intp], told: NDArray[np.uint8]) -> None:
         """Finish regular blocks; only those told as LEARNT need no new reckoning of what is due."""

@@ -89,8 +89,6 @@ class RecursiveUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (motor, parameter): how well the initial values are known,
             relative to them; 0: as vaguely as the rules say. None: all of them.
-        device: torch's, that learns the blocks of very many motors (:mod:`device_blocks`); None:
-            the processor does.
     """
 
     def __init__(
@@ -101,7 +99,6 @@ class RecursiveUpdate:
         rules: RecursiveRules | None = None,
         verdict_rules: VerdictRules | None = None,
         initial_relative_std: Array | None = None,
-        device: str | None = None,
     ) -> None:
         self._white_box = white_box
         self._rules = rules or RecursiveRules()
@@ -118,7 +115,7 @@ class RecursiveUpdate:
         )
         self._following = Following(white_box.parameters, self._rules)
         self._ordinary = RegularEstimates(white_box.parameters, motors)
-        self._learner = Learner(white_box, self._rules, self.replay, self._following, device)
+        self._learner = Learner(white_box, self._rules, self.replay, self._following)
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
         self._due, self._plain = np.zeros(motors, dtype=int), self._nobody.copy()
