@@ -108,7 +108,7 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     found = dict(zip(names, theta[0].tolist(), strict=True)) | {'delay': delay_s}
     network = trained(observer, histories, seed, rounds)
     alone = {name: array for name, array in network.items() if not name.startswith('residual_')}
-    learnt = Correction.of(network)
+    learnt = Correction.from_arrays(network)
     steps = round(patience * rounds * STEPS)
     black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
     counts = {'residual': 0 if learnt is None else learnt.learnt} | {

@@ -169,7 +169,7 @@ class Campaign:
 
     def _take(self, signal: str, message: JointStateView | bytes) -> None:
         self._delivered[signal] += 1
-        self._intake.take(signal, message, 0)
+        self._intake.ingest(signal, message, 0)
 
     def _begin(self) -> None:
         configuration = Configuration.from_flat({'predictor': False})

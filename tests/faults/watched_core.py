@@ -93,7 +93,7 @@ class WatchedCore:
     def feed_view(self, signal: str, message: Any) -> None:
         """Take one message with the fields of a JointState."""
         self._delivered[signal] += 1
-        taken = self._intake.take(signal, message, 0)
+        taken = self._intake.ingest(signal, message, 0)
         if self._asks:
             self._ask(signal, taken)
         for result in taken.groups:

@@ -208,7 +208,7 @@ def _note(results: list[Result], outcome: offline_run.Outcome, listener: Any) ->
         course = outcome.courses.get(result.motor)
         if course is None:
             course = outcome.courses[result.motor] = offline_run.Course(result.sample.stamp_ns)
-        course.take(result)
+        course.update(result)
         listener(result)
 
 

@@ -136,8 +136,8 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
         told = []
         for k in range(start, end):
             stamp = int(recording.stamp_ns[k])
-            which.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
-            for result in which.take(
+            which.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            for result in which.ingest(
                 'torque', ('motor',), stamp, [float(recording.torque_nm[0, k])]
             ):
                 assert result.prediction is not None

@@ -37,7 +37,7 @@ def feed(observer: Observer, names: tuple[str, ...], samples: range) -> None:
     for k in samples:
         values = np.full(len(names), voltage_at(k))
         for signal, scale in (('voltage', 1.0), ('torque', 0.1)):
-            for result in observer.take(signal, names, k * PERIOD_NS, scale * values):
+            for result in observer.ingest(signal, names, k * PERIOD_NS, scale * values):
                 observer.results(result)
 
 

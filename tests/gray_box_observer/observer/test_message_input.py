@@ -59,7 +59,7 @@ def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
 
 def test_a_motor_that_is_named_twice_makes_one_message_malformed_and_two_of_nothing() -> None:
     taker, observer = intake(motors=['a', 'b'])
-    assert taker.take('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
+    assert taker.ingest('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('a').received_torque == 0
 
@@ -68,17 +68,17 @@ def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed(
     taker, observer = intake(motors=['a', 'b'])
     for k in range(3):
         stamp_ns = (k + 1) * 10_000_000
-        taker.take('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
-        taker.take('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
-        taker.take('torque', view(stamp_ns, (), ()), 0)
+        taker.ingest('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
+        taker.ingest('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
+        taker.ingest('torque', view(stamp_ns, (), ()), 0)
     assert observer.counts('a').used == observer.counts('b').used > 0
 
 
 def test_messages_of_other_motors_are_counted_however_many_names_they_bring() -> None:
     taker, _ = intake()
     for k in range(500):
-        taker.take('voltage', view(k, (f'stranger {k}' + 'x' * k,), (1.0,)), 0)
-    taker.take('voltage', view(500, (), ()), 0)
+        taker.ingest('voltage', view(k, (f'stranger {k}' + 'x' * k,), (1.0,)), 0)
+    taker.ingest('voltage', view(500, (), ()), 0)
     assert taker.others == {'voltage': 501}
     assert len(taker.signals['voltage'].unknown) == 100
     assert max(map(len, taker.signals['voltage'].unknown)) <= 64
@@ -125,7 +125,7 @@ def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_messa
     taker, observer = intake(torque__field=field)
     short: tuple[list[float], ...] = ([], [1.0, 2.0])
     for count, data in enumerate((*short, good, *short), 1):
-        taken = taker.take('torque', SimpleNamespace(data=data), count)
+        taken = taker.ingest('torque', SimpleNamespace(data=data), count)
         assert taken.names == (('motor',) if data is good else ())
         if data is not good:
             assert complaint.format(len(data)) in taker.complaints['torque']
@@ -145,7 +145,7 @@ def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_messa
 )
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
     taker, observer = intake()
-    assert taker.take('torque', message, 0) == (0, (), [])
+    assert taker.ingest('torque', message, 0) == (0, (), [])
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 0
 
@@ -172,8 +172,8 @@ def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malforme
     arrival_ns: int,
 ) -> None:
     taker, observer = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
-    assert taker.take('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
-    assert taker.take('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
+    assert taker.ingest('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
+    assert taker.ingest('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 1
 
@@ -184,7 +184,7 @@ def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malforme
 def test_a_header_of_another_form_makes_a_message_malformed(stamp: Any) -> None:
     taker, _ = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
     assert (
-        taker.take(
+        taker.ingest(
             'torque', SimpleNamespace(header=SimpleNamespace(stamp=stamp), data=1.0), 5
         ).names
         == ()
@@ -201,8 +201,8 @@ def test_names_are_found_in_views_and_in_messages_alike() -> None:
 
 def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
     taker, _ = intake(motors=['a', 'b'])
-    taker.take('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
-    taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
+    taker.ingest('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
+    taken = taker.ingest('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
     assert (taken.stamp_ns, taken.names) == (5, ('x', 'b', 'a'))
     assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
 
@@ -214,7 +214,7 @@ def test_ever_new_names_do_not_fill_the_memory(count: int, length: int) -> None:
     try:
         for k in range(6):
             names = tuple(f'{k}_{j}'.ljust(length) for j in range(count))
-            taker.take('voltage', view(k, names, (1.0,) * count), 0)
+            taker.ingest('voltage', view(k, names, (1.0,) * count), 0)
         kept, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -236,29 +236,29 @@ def test_a_message_is_read_once() -> None:
 
     taker, _ = intake()
     message = Counting()
-    assert taker.take('voltage', message, 3).names == ('motor',)
+    assert taker.ingest('voltage', message, 3).names == ('motor',)
     assert message.reads == 1
 
 
 def test_speed_comes_with_torque_where_the_message_has_it() -> None:
     taker, _ = intake()
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    with_speed = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    with_speed = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
     assert with_speed[0].sample.speed_rad_s[0] == 3.0
 
 
 def test_speed_may_have_a_topic_of_its_own() -> None:
     taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
-    taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
+    taker.ingest('speed', view(0, ('motor',), (), (3.0,)), 0)
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
     assert results[0].sample.speed_rad_s[0] == 6.0
 
 
 def test_without_speed_the_sample_says_so() -> None:
     taker, observer = intake()
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,)), 0))
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,)), 0))
     assert math.isnan(results[0].sample.speed_rad_s[0])
     assert not observer.motors['motor'].white_box.speed_measured
 
@@ -267,13 +267,13 @@ def test_every_message_is_accounted_for() -> None:
     taker, observer = intake()
     random, torques = np.random.default_rng(1), 0
     for k in range(500):
-        taker.take('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
+        taker.ingest('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
         kind = random.integers(4)
         torques += 1
         if kind == 0:
-            taker.take('torque', view(k * 10_000_000, ('motor',), ()), 0)
+            taker.ingest('torque', view(k * 10_000_000, ('motor',), ()), 0)
         else:
-            taker.take(
+            taker.ingest(
                 'torque', view(k * 10_000_000, ('motor',), (math.nan if kind == 1 else 0.1,)), 0
             )
     pairing = observer.counts('motor')

@@ -50,7 +50,7 @@ def test_ever_other_names_and_frames_fill_no_memory(kind, count):
     tracemalloc.start()
     try:
         for data in flood(count, kind):
-            intake.take('voltage', decode(data), 0)
+            intake.ingest('voltage', decode(data), 0)
         assert tracemalloc.get_traced_memory()[0] < LARGEST_BYTES
     finally:
         tracemalloc.stop()

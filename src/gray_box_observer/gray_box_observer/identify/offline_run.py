@@ -57,7 +57,7 @@ class Course:
             self.changes_s.append(self.duration_s)
         self.change_count = count
 
-    def take(self, result: Result) -> None:
+    def update(self, result: Result) -> None:
         """Go on by one result."""
         self.last_ns = result.sample.stamp_ns
         self.duration_s += result.sample.interval_s.item(0)
@@ -116,7 +116,7 @@ def run(
             course = courses.get(result.motor)
             if course is None:
                 course = courses[result.motor] = Course(result.sample.stamp_ns)
-            course.take(result)
+            course.update(result)
             motor = observer.motors.get(result.motor)  # none where it has stopped since
             if motor is not None and result.estimate is not None:
                 course.count_changes(motor.changes)
@@ -211,7 +211,7 @@ def _feed(
                 intake.refuse(signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED)
             continue
         for signal in signals[raw.topic]:
-            for result in intake.take(signal, message, raw.publish_time_ns).groups:
+            for result in intake.ingest(signal, message, raw.publish_time_ns).groups:
                 take(outcome.observer.results(result))
         count += 1
         if count % PROGRESS_STEP == 0:

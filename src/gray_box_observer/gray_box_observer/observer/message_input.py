@@ -198,7 +198,7 @@ class Intake:
         self._own_speed_topic = bool(self.signals['speed'].topic)
         self.max_message_bytes = round(configuration['max_message_mb'] * 1e6)
 
-    def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
+    def ingest(self, name: str, message: Any, arrival_ns: int) -> Taken:
         """Take one message of a signal; return what it held and what it has led to.
 
         Args:
@@ -234,7 +234,7 @@ class Intake:
             return Taken(stamp_ns, (), [])
         if not has_our_motor:
             self.others[name] += 1
-        return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
+        return Taken(stamp_ns, names, self._observer.ingest(name, names, stamp_ns, values, speeds))
 
     def refuse(self, name: str, reason: Rejection) -> None:
         """Count a message that came and was not read; it leads to nothing."""

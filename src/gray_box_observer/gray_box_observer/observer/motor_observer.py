@@ -175,7 +175,7 @@ class MotorObserver:
         self._aftermath = None
         sample, prediction = aftermath.sample, aftermath.prediction
         if self._alarm is not None and prediction is not None:
-            self._alarm.take(
+            self._alarm.update(
                 sample.torque_nm - prediction.torque_nm, sample.interval_s, aftermath.identified
             )
         aftermath.alarm = self.alarmed
@@ -332,7 +332,7 @@ class MotorObserver:
         if not samples:
             return
         self.settle()
-        content = ReplayBuffer.of(samples).content()
+        content = ReplayBuffer.from_samples(samples).content()
         plain, arrays = context_nodes.state()
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
         context_nodes.learn(samples[-1])

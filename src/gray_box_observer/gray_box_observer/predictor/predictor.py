@@ -150,13 +150,13 @@ class Predictor:
     def _rollout(self, question: Question, from_nm: Array) -> Array:
         """Torque of the white box alone at the end of an interval, (motor,); NaN: none."""
         axis, ops = self._axis, self._axis.ops
-        start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
-        length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
+        start = ops.where(question.usable, self._white_box.state(axis.to_operand(from_nm)), 0.0)
+        length_s = ops.where(question.usable, axis.to_operand(question.interval_s), 0.0)
         if axis.single:
             end = flow(ops, self._white_box, question.way, start, length_s)
         else:
             end = flow_each(ops, self._white_box, question.way, start, length_s)
-        rollout_nm: Array = axis.give(
+        rollout_nm: Array = axis.to_array(
             self._white_box.output(ops.where(question.usable, end, np.nan))
         )
         return rollout_nm
@@ -256,7 +256,9 @@ class Predictor:
         }
         self.scores.add(sample.torque_nm, rivals)
         self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
-        self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
+        self.training.update(
+            sample, self._previous_speed, _physics_of(prediction), theta, covariance
+        )
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """One motor's network, learnt additions, and state of training, as arrays."""
@@ -284,14 +286,14 @@ class Predictor:
     def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
         """Say where an interval leads; None where no motor has a known start and voltage."""
         axis, ops = self._axis, self._axis.ops
-        voltage, speed = axis.take(voltage_v), 0.0
+        voltage, speed = axis.to_operand(voltage_v), 0.0
         usable = (
-            (axis.take(interval_s) > 0.0)
-            & ops.isfinite(axis.take(self._rollout_nm))
+            (axis.to_operand(interval_s) > 0.0)
+            & ops.isfinite(axis.to_operand(self._rollout_nm))
             & ops.isfinite(voltage)
         )
         if self._speed_measured:
-            speed = axis.take(self._previous_speed)
+            speed = axis.to_operand(self._previous_speed)
             usable = usable & ops.isfinite(speed)
         if not ops.any(usable):
             return None
@@ -306,7 +308,9 @@ class Predictor:
             way = course(
                 ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a
             )
-        return Question(interval_s, axis.give(voltage), axis.give(speed), theta, way, usable)
+        return Question(
+            interval_s, axis.to_array(voltage), axis.to_array(speed), theta, way, usable
+        )
 
 
 def _of_present(sample: Sample, now: Array, before: Array) -> Array:

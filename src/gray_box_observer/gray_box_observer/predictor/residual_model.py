@@ -127,7 +127,7 @@ class Correction:
         return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in arrays.items()}
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Any]) -> Correction | None:
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> Correction | None:
         """Take the correction out of others; None where there is none."""
         if f'{PREFIX}share' not in arrays:
             return None
@@ -142,7 +142,15 @@ class Correction:
         linear = LinearPart(
             **{name[7:]: array for name, array in own.items() if name.startswith('linear_')}
         )
-        return cls(Weights.of(own), linear, own['size'], limit_a, share, own['support'], interval_s)
+        return cls(
+            Weights.from_arrays(own),
+            linear,
+            own['size'],
+            limit_a,
+            share,
+            own['support'],
+            interval_s,
+        )
 
     def instants_s(self, horizon_s: float) -> Array:
         """Return when to ask it in a horizon: at its own pace, ASKED times at most, at the end.
@@ -241,7 +249,7 @@ class ResidualForecaster:
             return None, None
         is_known = np.isfinite(torque_nm)
         current: Array = self._white_box.state(np.where(is_known, torque_nm, 0.0))
-        steady = self._axis.give(question.way.steady_a)
+        steady = self._axis.to_array(question.way.steady_a)
         signals = question.voltage_v, current, steady, question.speed_rad_s
         readout, network = step(model.weights, memory.network, model.inputs(*signals))
         traces = self._followed(question, memory, model)
@@ -261,7 +269,7 @@ class ResidualForecaster:
         if model is None or memory is None:
             return np.zeros(self._motors)
         current = self._white_box.state(np.nan_to_num(path_nm))
-        steady = self._axis.give(question.way.steady_a)
+        steady = self._axis.to_array(question.way.steady_a)
         signals = (
             np.asarray(signal)[:, None]
             for signal in (question.voltage_v, steady, question.speed_rad_s)
@@ -311,7 +319,7 @@ class ResidualForecaster:
                 nothing was said, nothing was traced, and what the network remembered is long past.
                 None: a history begins.
         """
-        model = Correction.of(arrays)
+        model = Correction.from_arrays(arrays)
         if model is None:
             return
         blank = Recollection.blank(self._motors, model.weights.hidden)

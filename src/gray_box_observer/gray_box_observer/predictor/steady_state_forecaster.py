@@ -31,21 +31,21 @@ class RelaxingForecaster:
         self._white_box = self._axis.white_box(white_box)
         self._run(weights)
         self._memory = self._blank()
-        self._current = self._axis.take(np.full(motors, np.nan))
+        self._current = self._axis.to_operand(np.full(motors, np.nan))
 
     def forecast(self, question: Question) -> tuple[Array, Memory | None]:
         """Let the current relax over the interval, in one step however long it is."""
         axis, ops = self._axis, self._axis.ops
         current, memory = self._origin(question)
         start = ops.where(question.usable, current, 0.0)
-        interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
+        interval_s = ops.where(question.usable, axis.to_operand(question.interval_s), 0.0)
         interval = relaxation(ops, self._white_box, question.way, start, interval_s)
         columns = interval.inputs(ops)
         inputs = np.array([columns]) if axis.single else ops.stack(columns).T
         readout, memory = advance(axis.arrays, self._matrices, memory, inputs)
-        end = after(ops, interval, axis.take(readout))
+        end = after(ops, interval, axis.to_operand(readout))
         torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
-        return axis.give(torque_nm), memory
+        return axis.to_array(torque_nm), memory
 
     def path(self, question: Question, instants_s: Array) -> Array:
         """Forecast torques along a held voltage, each in one step from the motor's state.
@@ -80,7 +80,7 @@ class RelaxingForecaster:
         if question.origin is None:
             return self._current, self._memory
         torque_nm, memory = question.origin
-        return self._white_box.state(self._axis.take(torque_nm)), memory
+        return self._white_box.state(self._axis.to_operand(torque_nm)), memory
 
     def remember(
         self,
@@ -97,7 +97,7 @@ class RelaxingForecaster:
         if begins.any():
             torque_nm = np.where(begins, measured_nm, torque_nm)
             self._memory = self._memory.cleared(axis.array(begins), axis.arrays)
-        self._current = self._white_box.state(axis.take(torque_nm))
+        self._current = self._white_box.state(axis.to_operand(torque_nm))
         if present is not None:
             present = axis.array(present)
             self._memory = self._memory.where(present, before[0], axis.arrays)
@@ -105,7 +105,7 @@ class RelaxingForecaster:
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a better network run from here on."""
-        self._run(Weights.of(result))
+        self._run(Weights.from_arrays(result))
 
     def _run(self, weights: Weights) -> None:
         self._weights = weights
@@ -129,7 +129,7 @@ class RelaxingForecaster:
                 'variant'
             )
         check_weights(arrays)
-        self._run(Weights.of(arrays, self._weights.hidden, INPUTS))
+        self._run(Weights.from_arrays(arrays, self._weights.hidden, INPUTS))
         self._memory = self._blank()
 
     def start(self) -> dict[str, Any]:

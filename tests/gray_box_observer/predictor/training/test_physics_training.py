@@ -379,7 +379,7 @@ def test_another_trainer_goes_on_from_what_a_result_tells(
     one, other = (PhysicsTrainer(configuration(thesis_box, seed=seed)) for seed in (5, 5))
     results = [one.train(job_of(samples, HARD)) for _ in range(4)]
     running = next((r for r in reversed(results[:2]) if 'input' in r), None)
-    weights = fresh(FRESH.hidden, 5) if running is None else Weights.of(running)
+    weights = fresh(FRESH.hidden, 5) if running is None else Weights.from_arrays(running)
     handed = {f'start_{name}': array for name, array in weights.arrays().items()}
     handed |= {
         f'start_{name}': array for name, array in results[1].items() if name.startswith('learning_')

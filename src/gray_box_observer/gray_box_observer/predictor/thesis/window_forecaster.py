@@ -61,7 +61,7 @@ class WindowForecaster:
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a trained network run, with the ranges it was trained by."""
-        self._weights = Weights.of(result)
+        self._weights = Weights.from_arrays(result)
         self._normalisation = Normalisation.from_dict(result['ranges'])
         if self._memory is None:
             self._begin(self._weights)
@@ -86,7 +86,7 @@ class WindowForecaster:
                 'see variant'
             )
         check_weights(arrays)
-        weights = Weights.of(arrays, self._rules.hidden, self._layout.width)
+        weights = Weights.from_arrays(arrays, self._rules.hidden, self._layout.width)
         ranges = saved_ranges(arrays, 'range_', speed=self._layout.sees_speed)
         self._weights = weights
         self._normalisation = Normalisation.from_dict(ranges)

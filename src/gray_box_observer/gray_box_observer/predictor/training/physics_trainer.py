@@ -162,7 +162,9 @@ class PhysicsTrainer:
             from gray_box_observer.predictor.training.teaching import Pupil
 
             rules = self._rules
-            self._pupil = Pupil.of(pupil, rules.learning_rate, rules.gradient_clip, rules.device)
+            self._pupil = Pupil.from_arrays(
+                pupil, rules.learning_rate, rules.gradient_clip, rules.device
+            )
 
     def _enrol(self) -> Pupil:
         from gray_box_observer.predictor.training.teaching import Pupil

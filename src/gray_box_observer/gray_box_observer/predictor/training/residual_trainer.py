@@ -164,7 +164,7 @@ class ResidualTrainer:
             self._pupil.restore(
                 {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
             )
-        best = Correction.of(
+        best = Correction.from_arrays(
             {name[5:]: array for name, array in arrays.items() if name.startswith('best_')}
         )
         self._best = [] if best is None else [best]

@@ -65,7 +65,7 @@ class Pupil:
         self, weights: Weights, learning_rate: float, gradient_clip: float, device: str = CPU
     ) -> None:
         torch.set_num_threads(1)  # several cost more than so small a network needs in all
-        self._network = TorchNetwork.of(weights, device)
+        self._network = TorchNetwork.from_weights(weights, device)
         self._clip = gradient_clip
         self.optimiser = torch.optim.Adam(self._network.trainable(), learning_rate)
 
@@ -79,12 +79,12 @@ class Pupil:
         return {**self.weights.arrays(), **moments_of(self.optimiser)}
 
     @classmethod
-    def of(
+    def from_arrays(
         cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float,
         device: str = CPU
     ) -> Pupil:  # fmt: skip
         """Return the pupil that goes on from what :meth:`state` gave."""
-        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip, device)
+        pupil = cls(Weights.from_arrays(arrays), learning_rate, gradient_clip, device)
         give_moments(pupil.optimiser, arrays)
         return pupil
 

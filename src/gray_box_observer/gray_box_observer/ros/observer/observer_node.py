@@ -80,7 +80,7 @@ class ObserverNode(LifecycleNode):
         self._inputs = Inputs(
             self,
             self._configuration,
-            self._take,
+            self._ingest,
             self._refuse,
             writers=lambda: keeper.thread_numbers,
         )
@@ -271,7 +271,7 @@ class ObserverNode(LifecycleNode):
         if self._outputs is not None:
             self._outputs.retract()
 
-    def _take(self, name: str, message: Any, arrival_ns: int) -> None:
+    def _ingest(self, name: str, message: Any, arrival_ns: int) -> None:
         if (
             self._observer is None
             or self._intake is None
@@ -281,14 +281,14 @@ class ObserverNode(LifecycleNode):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
         try:
-            input_result = self._intake.take(name, message, arrival_ns)
+            input_result = self._intake.ingest(name, message, arrival_ns)
             self._outputs.results(input_result.groups)
             if name == 'voltage' and input_result.names:
                 for group in self._observer.groups(input_result.names):
                     self._foretell(self._observer, self._outputs, group, input_result.stamp_ns)
             for result in input_result.groups:
                 self._observer.foresee(result.group)
-            self._meter.take(input_result.groups)
+            self._meter.update(input_result.groups)
             self._unsettled += input_result.groups
             if all(result.estimate is None for result in input_result.groups):
                 self._settle()  # else the next prediction comes first: an update has taken its time

@@ -77,7 +77,7 @@ class TrafficMeter:
         """Count the time that one message has taken, since a reading of ``time.perf_counter``."""
         self._busy_s += time.perf_counter() - since_s
 
-    def take(self, results: list[GroupResult]) -> None:
+    def update(self, results: list[GroupResult]) -> None:
         """Note what one message has led to."""
         for result in results:
             names = result.group.names
@@ -85,7 +85,7 @@ class TrafficMeter:
             if rhythm is None:  # motors that come together have one rhythm
                 rhythm = self._of_group[names] = Rhythm()
                 self.rhythms.update(dict.fromkeys(names, rhythm))
-            rhythm.take(float(result.sample.interval_s.max()))
+            rhythm.update(float(result.sample.interval_s.max()))
             self._newest_of_group[names] = result.sample.stamp_ns
 
     @property
