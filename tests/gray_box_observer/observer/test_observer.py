@@ -122,7 +122,7 @@ def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
             one.forecast('motor', stamp)
             results += one.ingest('torque', ('motor',), stamp, [float(recording.torque_nm[0, k])])
             if foreseen:
-                one.foresee(one.group_of('motor'))
+                one.precompute_forecast(one.group_of('motor'))
         told.append([trace(list(result))[0] for result in results])
         states.append(one.motors['motor'].observer.state())
     assert len(told[0]) == len(stamps)
@@ -142,7 +142,7 @@ def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_someth
     told, predict = [_what_befalls(recording, foreseen=True)], MotorObserver.predict
 
     def predict_anew(self: MotorObserver, *question: Any) -> Any:
-        self._foreseen = None
+        self._precomputed = None
         return predict(self, *question)
 
     monkeypatch.setattr(MotorObserver, 'predict', predict_anew)
@@ -190,7 +190,7 @@ def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
                 told += [ahead.tobytes()] if ahead is not None else []
                 told += [held[1].tobytes()] if held is not None else []
             for result in results if foreseen else ():
-                one.foresee(result.group)
+                one.precompute_forecast(result.group)
             told += [line for result in results if event % 3 for line in trace(list(result))]
     return told
 
@@ -213,7 +213,7 @@ def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_vol
         one.forecast('motor', stamp)
         one.torque('motor', stamp, float(recording.torque_nm[0, k]))
         late += [k] if len(asked) > before else []
-        one.foresee(one.group_of('motor'))
+        one.precompute_forecast(one.group_of('motor'))
     assert late == [0, 1, 2], 'the first two intervals have to be seen'
 
 

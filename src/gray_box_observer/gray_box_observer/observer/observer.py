@@ -237,7 +237,7 @@ class Observer:
             return None
         return None if prediction is None else prediction.torque_nm
 
-    def foresee(self, group: Group) -> None:
+    def precompute_forecast(self, group: Group) -> None:
         """Work out a group's next prediction in advance, where its stamp can be foretold.
 
         Changes nothing but when it is done: for whoever has time now and none when the next voltage
@@ -250,7 +250,7 @@ class Observer:
             and newest[0] == pairing.newest_sample_ns
         ):
             try:
-                group.observer.foresee(newest[1])
+                group.observer.precompute_forecast(newest[1])
             except ConfigurationError:
                 raise
             except Exception as error:
@@ -436,7 +436,7 @@ class Observer:
         for group, observer in replacements:  # all good: take over
             self._flush(group)  # what still waited belongs to the old signal history
             if group.observer is not None:
-                self.contain(group, group.observer.settle)
+                self.contain(group, group.observer.run_deferred)
             if group.observer is not None:
                 group.observer.close()
             if isinstance(group.pairing, StoppedPairing):  # what is restored did not fail
@@ -524,12 +524,12 @@ class Observer:
                 if again is not None and results:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
-            aftermath, estimate = observer.step(sample)
+            deferred, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
                 GroupResult(
-                    group, sample, aftermath.prediction, observer.changed, estimate, aftermath
+                    group, sample, deferred.prediction, observer.changed, estimate, deferred
                 )
             )
             delay_s = None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
 from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation, saved_ranges
@@ -33,12 +33,12 @@ class WindowForecaster:
         self._memory: Memory | None = None
         self._warm = np.zeros(motors, dtype=int)
 
-    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+    def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
         """Run the network one sample on."""
         if self._weights is None or self._normalisation is None or self._memory is None:
             return np.full(self._motors, np.nan), None
         columns = self._layout.columns(
-            self._normalisation, question.voltage_v, question.speed_rad_s, question.theta
+            self._normalisation, request.voltage_v, request.speed_rad_s, request.theta
         )
         output, memory = step(self._weights, self._memory, np.stack(columns, axis=-1))
         torque = self._normalisation.torque.denormalise(output)

@@ -35,7 +35,7 @@ DECAY = 1e-3
 """Pull of the weights towards zero: what data do not ask for is not said."""
 
 
-class ResidualPupil:
+class TrainableResidual:
     """A network that begins by correcting nothing.
 
     Args:
