@@ -65,7 +65,7 @@ class BlackBox:
         self._judging = [torch.as_tensor(np.asarray(j, dtype=bool)) for j in judging]
         found = [self._taught(hidden, steps, rate, seed) for rate in LEARNING_RATES]
         self.error, weights, self.learning_rate = min(found, key=lambda one: one[0])
-        self._network = TorchNetwork.of(weights)
+        self._network = TorchNetwork.from_weights(weights)
 
     def predict(self, inputs: FloatArray) -> FloatArray:
         """Predict the torque in N m along a recording from its first sample on, shape (time,)."""
@@ -87,7 +87,7 @@ class BlackBox:
     ) -> tuple[float, Weights, float]:
         """Return the lowest judged error so far, the network that had it, and the learning rate."""
         random = np.random.default_rng([seed, hidden])
-        network = TorchNetwork.of(Weights.initial(self._x[0].shape[1], hidden, seed))
+        network = TorchNetwork.from_weights(Weights.initial(self._x[0].shape[1], hidden, seed))
         optimiser = torch.optim.AdamW(network.trainable(), rate, weight_decay=1e-3)
         best = (self._judged(network), network.export(), rate)
         for k in range(steps):

@@ -23,7 +23,7 @@ from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import Predictor, TrainingRules
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.residual_model import Correction
+from gray_box_observer.predictor.residual_model import ResidualModel
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.training.residual_trainer import STEPS, judging
 from gray_box_observer.samples import Sample
@@ -108,7 +108,7 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     found = dict(zip(names, theta[0].tolist(), strict=True)) | {'delay': delay_s}
     network = trained(observer, histories, seed, rounds)
     alone = {name: array for name, array in network.items() if not name.startswith('residual_')}
-    learnt = Correction.of(network)
+    learnt = ResidualModel.from_arrays(network)
     steps = round(patience * rounds * STEPS)
     black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
     counts = {'residual': 0 if learnt is None else learnt.learnt} | {

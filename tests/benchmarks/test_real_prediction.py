@@ -17,7 +17,7 @@ from gray_box_observer.predictor import TrainingRules
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import BENDS, FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual_model import BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, ResidualModel
 from gray_box_observer.predictor.training.residual_trainer import HIDDEN
 
 PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'real_prediction.py'
@@ -89,7 +89,7 @@ def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inpu
         for hidden in SIZES
     ]
     network, linear = Weights.initial(INPUTS, HIDDEN, 0), LinearPart.silent()
-    residual = Correction(
+    residual = ResidualModel(
         network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01
     ).learnt
     physics = sum(array.size for array in first_network(TrainingRules(), 0).arrays().values())

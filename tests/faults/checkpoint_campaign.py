@@ -137,7 +137,7 @@ class Case:
         speeds = self.name == 'speed measured'
         for k in range(start, end):
             stamp_ns = int(recording.stamp_ns[k])
-            observer.take(
+            observer.ingest(
                 'voltage', self._names, stamp_ns - self._kind.delay_ns, recording.voltage_v[:, k]
             )
             speed = recording.speed_rad_s[:, k] if speeds else None
@@ -145,7 +145,7 @@ class Case:
                 forecast_nm = observer.forecast_group(group, stamp_ns)
                 bad += 0 if forecast_nm is None else int(np.isinf(forecast_nm).sum())
             row = np.zeros(len(self._names), dtype=bool)
-            for result in observer.take(
+            for result in observer.ingest(
                 'torque', self._names, stamp_ns, recording.torque_nm[:, k], speed
             ):
                 if result.prediction is not None:

@@ -3,7 +3,7 @@
     python tests/faults/core_campaign.py [--messages 1000000] [--share 0.3] [--seed 1] [--restarts
     20]
 
-Messages are spoilt by `stream_faults` and taken by the same intake that nodes and bags use. Now and
+Messages are spoilt by `stream_faults` and taken by the same input that nodes and bags use. Now and
 then the observer is thrown away and another goes on from its checkpoint, and the simulator starts
 from rest with a clock that begins anywhere. At the end a minute of clean samples follows. Prints
 every fault by kind, where every message went, a table, and one line of JSON; ends with 1 if a
@@ -30,7 +30,7 @@ from dc_motor_sim.simulation import Simulation
 from gray_box_observer.bag.joint_state import JointStateView
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.executables import settle_memory
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 
@@ -77,7 +77,9 @@ class Account:
         self.counts: Counter[str] = Counter()
         self.unexplained = 0
 
-    def close(self, delivered: Counter[str], intake: Intake, observer: Observer) -> None:
+    def close(
+        self, delivered: Counter[str], message_input: MessageInput, observer: Observer
+    ) -> None:
         """Add what one observer was given and what became of it."""
         assert not observer.incidents, observer.incidents[MOTOR].trace
         pairing = observer.counts(MOTOR)
@@ -85,7 +87,10 @@ class Account:
             ('voltage', pairing.received_voltage),
             ('torque', pairing.received_torque),
         ):
-            unreadable, strangers = intake.rejected[signal].total(), intake.others[signal]
+            unreadable, strangers = (
+                message_input.rejected[signal].total(),
+                message_input.others[signal],
+            )
             self.unexplained += abs(delivered[signal] - of_motor - unreadable - strangers)
             self.counts.update({'unreadable': unreadable, 'of no motor asked for': strangers})
             self.counts.update(
@@ -156,7 +161,7 @@ class Campaign:
 
     def close_account(self) -> None:
         """Count what the present observer was given and what became of it."""
-        self.account.close(self._delivered, self._intake, self._observer)
+        self.account.close(self._delivered, self._message_input, self._observer)
 
     def deviation(self) -> float:
         """The largest deviation from the truth, in the estimate's own standard deviations."""
@@ -169,12 +174,12 @@ class Campaign:
 
     def _take(self, signal: str, message: JointStateView | bytes) -> None:
         self._delivered[signal] += 1
-        self._intake.take(signal, message, 0)
+        self._message_input.ingest(signal, message, 0)
 
     def _begin(self) -> None:
         configuration = Configuration.from_flat({'predictor': False})
         self._observer = Observer(configuration)
-        self._intake = Intake(self._observer, configuration)
+        self._message_input = MessageInput(self._observer, configuration)
         self._delivered: Counter[str] = Counter()
 
     def _restart_observer(self) -> None:

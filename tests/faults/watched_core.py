@@ -14,7 +14,7 @@ import numpy as np
 from gray_box_observer.bag.joint_state import JointStateDecoder
 from gray_box_observer.checkpoints import checkpoint
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.observer.message_input import Intake, Taken
+from gray_box_observer.observer.message_input import InputResult, MessageInput
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
@@ -73,7 +73,7 @@ class WatchedCore:
     def _begin(self) -> None:
         configuration = Configuration.from_flat(self._settings)
         self.observer = Observer(configuration, self._training)
-        self._intake = Intake(self.observer, configuration)
+        self._message_input = MessageInput(self.observer, configuration)
         self._delivered: Counter[str] = Counter()
 
     @property
@@ -93,7 +93,7 @@ class WatchedCore:
     def feed_view(self, signal: str, message: Any) -> None:
         """Take one message with the fields of a JointState."""
         self._delivered[signal] += 1
-        taken = self._intake.take(signal, message, 0)
+        taken = self._message_input.ingest(signal, message, 0)
         if self._asks:
             self._ask(signal, taken)
         for result in taken.groups:
@@ -104,13 +104,13 @@ class WatchedCore:
         for result in self.observer.flush():
             self._reckon(result)
 
-    def _ask(self, signal: str, taken: Taken) -> None:
+    def _ask(self, signal: str, taken: InputResult) -> None:
         """Ask what a node asks after a message."""
         if signal == 'voltage' and taken.names:
             for group in self.observer.groups(taken.names):
                 self._forecast(group, taken.stamp_ns)
         for result in taken.groups:
-            self.observer.foresee(result.group)
+            self.observer.precompute_forecast(result.group)
 
     def reset(self) -> None:
         """Throw the observer away and begin anew, as ~/reset does."""
@@ -157,7 +157,7 @@ class WatchedCore:
         incidents = self.observer.incidents
         assert not incidents, f'a defect has stopped motors: {incidents}'
         for signal, delivered in self._delivered.items():
-            known = self._intake.received[signal]
+            known = self._message_input.received[signal]
             self.unbalanced += abs(delivered - known)
 
     def close(self) -> None:

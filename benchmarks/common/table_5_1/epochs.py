@@ -93,7 +93,7 @@ class EpochTraining:
         self._random = np.random.default_rng([seed, 1])
         self._recordings = recordings
         training = recordings.training
-        self._ranges = Normalisation.of(training.voltage_v, training.torque_nm, None)
+        self._ranges = Normalisation.from_data(training.voltage_v, training.torque_nm, None)
 
     def train(self, epochs: int) -> Trained:
         """Run the epochs, then forecast the test sets."""

@@ -16,7 +16,7 @@ from common.trust.records import Record
 from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.identify import offline_run
 from gray_box_observer.identify.result import describe, warnings_of
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.settings.configuration import Configuration
 
@@ -182,7 +182,7 @@ def observe(record: Record, listener: Any, trial: Trial) -> offline_run.Outcome:
     """Feed a record to an observer of its own; note what it cost."""
     configuration = Configuration.from_flat(record.parameters)
     observer = Observer(configuration)
-    outcome = offline_run.Outcome(observer, Intake(observer, configuration))
+    outcome = offline_run.Outcome(observer, MessageInput(observer, configuration))
     costs_ns = []
     log = record.readings
     torques = log.torque_stamp_ns.tolist(), record.torque_nm.tolist(), log.speed_rad_s.tolist()
@@ -208,7 +208,7 @@ def _note(results: list[Result], outcome: offline_run.Outcome, listener: Any) ->
         course = outcome.courses.get(result.motor)
         if course is None:
             course = outcome.courses[result.motor] = offline_run.Course(result.sample.stamp_ns)
-        course.take(result)
+        course.update(result)
         listener(result)
 
 

@@ -20,7 +20,7 @@ from gray_box_observer.predictor import InlineTraining
 from gray_box_observer.predictor.initial_network import SHIPPED
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual_model import BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, ResidualModel
 from gray_box_observer.settings.configuration import Configuration
 
 SMALL: dict[str, Any] = {
@@ -129,15 +129,15 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
     loud = replace(Weights.initial(INPUTS, 8, 3), output_bias=np.zeros(1))
     linear = LinearPart(np.full(FEATURES, 1e-3), np.full(FEATURES, 20.0))
     support = np.full((BINS, BINS), 100.0)
-    learnt = Correction(loud, linear, np.array([10.0, 3.0, 1.0]), 0.3, 1.0, support, 0.01)
+    learnt = ResidualModel(loud, linear, np.array([10.0, 3.0, 1.0]), 0.3, 1.0, support, 0.01)
     one, other = (Observer(Configuration.from_flat({}), InlineTraining) for _ in range(2))
 
     def take(which: Observer, start: int, end: int) -> list[bytes]:
         told = []
         for k in range(start, end):
             stamp = int(recording.stamp_ns[k])
-            which.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
-            for result in which.take(
+            which.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            for result in which.ingest(
                 'torque', ('motor',), stamp, [float(recording.torque_nm[0, k])]
             ):
                 assert result.prediction is not None

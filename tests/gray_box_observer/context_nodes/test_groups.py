@@ -73,7 +73,7 @@ def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdat
         chosen = slice(motor, motor + 1)
         nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
         own = [
-            s.of(chosen)._replace(present=None)
+            s.select(chosen)._replace(present=None)
             for s in samples
             if s.present is None or s.present[motor]
         ]
@@ -134,7 +134,9 @@ def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sam
     together = learnt_by(again, rest)
     for motor in range(MOTORS):
         own = [
-            s.of(slice(motor, motor + 1))._replace(present=None) for s in rest if s.present[motor]
+            s.select(slice(motor, motor + 1))._replace(present=None)
+            for s in rest
+            if s.present[motor]
         ]
         single = learnt_by(parts[motor], own)[0]
         assert together[motor] == single[: len(together[motor])]
@@ -190,7 +192,8 @@ def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(
     for motor in range(start.shape[0]):
         chosen = slice(motor, motor + 1)
         single = learnt_by(
-            RecursiveUpdate(box.of_motors(chosen), start[chosen]), [s.of(chosen) for s in samples]
+            RecursiveUpdate(box.of_motors(chosen), start[chosen]),
+            [s.select(chosen) for s in samples],
         )[0]
         assert together[motor] == single[: len(together[motor])]
         assert len(together[motor]) > 10

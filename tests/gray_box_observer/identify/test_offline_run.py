@@ -119,7 +119,7 @@ def test_broken_messages_are_counted_and_skipped(
     for k in (101, 301, 501):
         broken[k] = (broken[k][0], broken[k][1], broken[k][2][:30])
     outcome = observe(write_bag(tmp_path / 'bag', broken))
-    assert {name: counts.total() for name, counts in outcome.intake.rejected.items()} == {
+    assert {name: counts.total() for name, counts in outcome.message_input.rejected.items()} == {
         'voltage': 0,
         'torque': 3,
         'speed': 0,

@@ -37,7 +37,7 @@ def feed(observer: Observer, names: tuple[str, ...], samples: range) -> None:
     for k in samples:
         values = np.full(len(names), voltage_at(k))
         for signal, scale in (('voltage', 1.0), ('torque', 0.1)):
-            for result in observer.take(signal, names, k * PERIOD_NS, scale * values):
+            for result in observer.ingest(signal, names, k * PERIOD_NS, scale * values):
                 observer.results(result)
 
 
@@ -116,7 +116,9 @@ def test_torque_that_waits_when_its_motor_stops_is_refused(fault):
     assert is_balanced(observer, 'motor')
 
 
-@pytest.mark.parametrize('method', ['predict', 'foresee', 'settle', 'freeze', 'reconfigure'])
+@pytest.mark.parametrize(
+    'method', ['predict', 'precompute_forecast', 'run_deferred', 'freeze', 'reconfigure']
+)
 def test_it_is_contained_wherever_it_escapes(fault, method):
     observer = observer_of(('left', 'right'))
     feed(observer, ('left', 'right'), range(FAILS_AT))
@@ -124,7 +126,7 @@ def test_it_is_contained_wherever_it_escapes(fault, method):
     feed(observer, ('left', 'right'), range(FAILS_AT, FAILS_AT + 2))
     for motor in ('left', 'right'):
         group = observer.group_of(motor)
-        observer.foresee(group)
+        observer.precompute_forecast(group)
         observer.voltage(motor, (FAILS_AT + 2) * PERIOD_NS, 5.0)
         observer.forecast_group(group, (FAILS_AT + 2) * PERIOD_NS)
         observer.alarm(motor)
@@ -397,8 +399,9 @@ def test_a_message_that_is_too_large_is_refused_unread_and_the_rest_is_used(
         tmp_path / 'bag', [*messages[:100], (topic, stamp_ns + 1, large), *messages[100:]]
     )
     outcome = run([bag], Configuration.from_flat({'max_message_mb': 0.004}), None)
-    assert outcome.intake.rejected['voltage'] == {Rejection.OVERSIZED: 1}
+    assert outcome.message_input.rejected['voltage'] == {Rejection.OVERSIZED: 1}
     assert (
-        outcome.intake.received['voltage'] == outcome.observer.counts('motor').received_voltage + 1
+        outcome.message_input.received['voltage']
+        == outcome.observer.counts('motor').received_voltage + 1
     )
     assert outcome.observer.counts('motor').used == 1000

@@ -69,7 +69,7 @@ def feed(
             spoken = tuple(name for name in names if not math.isinf(said[name][signal][k]))
             if spoken:
                 values = np.array([said[name][signal][k] for name in spoken])
-                for group in one.take(what, spoken, k * PERIOD_NS, values):
+                for group in one.ingest(what, spoken, k * PERIOD_NS, values):
                     for result in group:
                         results[result.motor].append(result)
     return results
@@ -144,10 +144,10 @@ def test_motors_whose_torque_comes_in_several_messages_are_parted(
     one, halves = observer(group_from=2), ((CALM, CHANGED), (GONE, STIFF, PLAIN))
     used = halves[0] + halves[1]
     for k in range(100):
-        one.take('voltage', used, k * PERIOD_NS, np.array([said[name][0][k] for name in used]))
+        one.ingest('voltage', used, k * PERIOD_NS, np.array([said[name][0][k] for name in used]))
         for half in halves:  # the second speaks of other stamps
             stamp_ns = k * PERIOD_NS + (half is halves[1]) * 1_000_000
-            one.take('torque', half, stamp_ns, np.array([said[name][1][k] for name in half]))
+            one.ingest('torque', half, stamp_ns, np.array([said[name][1][k] for name in half]))
     assert [group.names for group in one.groups(used)] == list(halves)
     assert {one.counts(name).used for name in halves[0]} == {100}
     assert {one.counts(name).used for name in halves[1]} == {
@@ -162,8 +162,8 @@ def test_motors_with_speed_are_parted_from_those_without(
     one = observer(group_from=2)
     speeds = np.array([3.0 if k < 3 else np.nan for k in range(MOTORS)])
     for k in range(600, 650):
-        one.take('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
-        one.take(
+        one.ingest('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
+        one.ingest(
             'torque', NAMES, k * PERIOD_NS, np.array([said[name][1][k] for name in NAMES]), speeds
         )
     assert [group.names for group in one.groups(NAMES)] == [NAMES[:3], NAMES[3:]]
@@ -175,11 +175,11 @@ def test_a_group_is_forecast_as_it_is_predicted(
 ) -> None:
     one, compared = observer(), 0
     for k in range(600, 800):
-        one.take('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
+        one.ingest('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
         (group,) = one.groups(NAMES)
         forecast = one.forecast_group(group, k * PERIOD_NS)
         held = one.forecast_group_held(group, 0.5)
-        (result,) = one.take(
+        (result,) = one.ingest(
             'torque', NAMES, k * PERIOD_NS, np.array([said[name][1][k] for name in NAMES])
         )
         if forecast is not None:
@@ -259,13 +259,13 @@ def test_parting_a_group_forgets_no_message() -> None:
     one, names = observer(group_from=2), (CALM, CHANGED, GONE, STIFF)
     ones = np.ones(4)
     for k in range(3):
-        one.take('voltage', names, k * PERIOD_NS, ones)
-    one.take('voltage', names, 2 * PERIOD_NS, ones)  # a duplicate
-    one.take('voltage', names, 3 * PERIOD_NS, np.array([1.0, math.nan, 1e12, 1.0]))
-    one.take('torque', names, 4 * PERIOD_NS, np.array([math.nan, 0.1, 0.1, 0.1]))
+        one.ingest('voltage', names, k * PERIOD_NS, ones)
+    one.ingest('voltage', names, 2 * PERIOD_NS, ones)  # a duplicate
+    one.ingest('voltage', names, 3 * PERIOD_NS, np.array([1.0, math.nan, 1e12, 1.0]))
+    one.ingest('torque', names, 4 * PERIOD_NS, np.array([math.nan, 0.1, 0.1, 0.1]))
     before = {name: one.counts(name) for name in names}
     assert before[CHANGED].refused['voltage'] == {Rejection.DUPLICATE: 1, Rejection.NON_FINITE: 1}
-    one.take('voltage', (CALM, CHANGED, GONE), 4 * PERIOD_NS, ones[:3])
+    one.ingest('voltage', (CALM, CHANGED, GONE), 4 * PERIOD_NS, ones[:3])
     assert [group.names for group in one.groups(names)] == [names[:3], (STIFF,)]
     for name, counts in before.items():
         after, more = one.counts(name), 0 if name == STIFF else 1
@@ -298,8 +298,8 @@ def test_motors_that_were_parted_by_their_speeds_go_on_so_from_a_checkpoint(
     one, other = (observer(group_from=2) for _ in range(2))
     speeds = np.array([3.0 if k < 3 else np.nan for k in range(MOTORS)])
     for k in range(600, 650):
-        one.take('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
-        one.take(
+        one.ingest('voltage', NAMES, k * PERIOD_NS, np.array([said[name][0][k] for name in NAMES]))
+        one.ingest(
             'torque', NAMES, k * PERIOD_NS, np.array([said[name][1][k] for name in NAMES]), speeds
         )
     checkpoint.save(one, tmp_path / 'parted')
@@ -331,6 +331,6 @@ def test_a_list_of_very_many_names_is_used_but_not_kept() -> None:
     owners = sys.getrefcount(names)
     for stamp_ns in (0, PERIOD_NS):
         for signal in ('voltage', 'torque'):
-            one.take(signal, names, stamp_ns, np.zeros(len(names)))
+            one.ingest(signal, names, stamp_ns, np.zeros(len(names)))
     assert one.counts(CALM).used == 2
     assert sys.getrefcount(names) == owners

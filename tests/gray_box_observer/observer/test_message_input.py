@@ -10,7 +10,13 @@ import pytest
 
 from gray_box_observer.bag.joint_state import JointStateView, decode_joint_state, encode_joint_state
 from gray_box_observer.errors import ConfigurationError, SampleError
-from gray_box_observer.observer.message_input import Intake, Signal, Taken, names_of, stamp_of
+from gray_box_observer.observer.message_input import (
+    InputResult,
+    MessageInput,
+    Signal,
+    names_of,
+    stamp_of,
+)
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
@@ -27,12 +33,12 @@ def wrench(stamp_s: int, value: float) -> SimpleNamespace:
     )
 
 
-def intake(**given: Any) -> tuple[Intake, Observer]:
+def message_input(**given: Any) -> tuple[MessageInput, Observer]:
     configuration = Configuration.from_flat(
         {name.replace('__', '.'): value for name, value in given.items()}
     )
     observer = Observer(configuration)
-    return Intake(observer, configuration), observer
+    return MessageInput(observer, configuration), observer
 
 
 def signal(name: str = 'torque', **given: Any) -> Signal:
@@ -41,7 +47,7 @@ def signal(name: str = 'torque', **given: Any) -> Signal:
     )
 
 
-def results_of(taken: Taken) -> list[Result]:
+def results_of(taken: InputResult) -> list[Result]:
     """What a message has led to, motor by motor."""
     return [result for group in taken.groups for result in group]
 
@@ -58,27 +64,27 @@ def test_a_joint_state_speaks_of_every_motor_it_names() -> None:
 
 
 def test_a_motor_that_is_named_twice_makes_one_message_malformed_and_two_of_nothing() -> None:
-    taker, observer = intake(motors=['a', 'b'])
-    assert taker.take('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
+    taker, observer = message_input(motors=['a', 'b'])
+    assert taker.ingest('torque', view(0, ('a', 'b', 'a'), (1.0, 2.0, 3.0)), 0).names == ()
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('a').received_torque == 0
 
 
 def test_a_joint_of_somebody_else_may_stand_before_our_motors_and_bring_a_speed() -> None:
-    taker, observer = intake(motors=['a', 'b'])
+    taker, observer = message_input(motors=['a', 'b'])
     for k in range(3):
         stamp_ns = (k + 1) * 10_000_000
-        taker.take('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
-        taker.take('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
-        taker.take('torque', view(stamp_ns, (), ()), 0)
+        taker.ingest('voltage', view(stamp_ns, ('x', 'a', 'b'), (9.0, 1.0, 1.0)), 0)
+        taker.ingest('torque', view(stamp_ns, ('x', 'a', 'b'), (9.0, 0.1, 0.1), (5.0, 1.0, 1.0)), 0)
+        taker.ingest('torque', view(stamp_ns, (), ()), 0)
     assert observer.counts('a').used == observer.counts('b').used > 0
 
 
 def test_messages_of_other_motors_are_counted_however_many_names_they_bring() -> None:
-    taker, _ = intake()
+    taker, _ = message_input()
     for k in range(500):
-        taker.take('voltage', view(k, (f'stranger {k}' + 'x' * k,), (1.0,)), 0)
-    taker.take('voltage', view(500, (), ()), 0)
+        taker.ingest('voltage', view(k, (f'stranger {k}' + 'x' * k,), (1.0,)), 0)
+    taker.ingest('voltage', view(500, (), ()), 0)
     assert taker.others == {'voltage': 501}
     assert len(taker.signals['voltage'].unknown) == 100
     assert max(map(len, taker.signals['voltage'].unknown)) <= 64
@@ -122,10 +128,10 @@ def test_a_field_path_that_is_none_is_refused_at_once() -> None:
 def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_message(
     field: str, good: list[float], complaint: str
 ) -> None:
-    taker, observer = intake(torque__field=field)
+    taker, observer = message_input(torque__field=field)
     short: tuple[list[float], ...] = ([], [1.0, 2.0])
     for count, data in enumerate((*short, good, *short), 1):
-        taken = taker.take('torque', SimpleNamespace(data=data), count)
+        taken = taker.ingest('torque', SimpleNamespace(data=data), count)
         assert taken.names == (('motor',) if data is good else ())
         if data is not good:
             assert complaint.format(len(data)) in taker.complaints['torque']
@@ -144,8 +150,8 @@ def test_an_array_of_another_length_is_malformed_not_fatal_be_it_the_first_messa
     ],
 )
 def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) -> None:
-    taker, observer = intake()
-    assert taker.take('torque', message, 0) == (0, (), [])
+    taker, observer = message_input()
+    assert taker.ingest('torque', message, 0) == (0, (), [])
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 0
 
@@ -171,9 +177,9 @@ def test_the_stamp_is_that_of_the_header_and_else_that_of_arrival() -> None:
 def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malformed(
     arrival_ns: int,
 ) -> None:
-    taker, observer = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
-    assert taker.take('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
-    assert taker.take('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
+    taker, observer = message_input(torque__field='data', torque__type='std_msgs/msg/Float64')
+    assert taker.ingest('torque', SimpleNamespace(data=1.0), 5).names == ('motor',)
+    assert taker.ingest('torque', SimpleNamespace(data=1.0), arrival_ns).names == ()
     assert taker.rejected['torque'] == {Rejection.MALFORMED: 1}
     assert observer.counts('motor').received_torque == 1
 
@@ -182,9 +188,9 @@ def test_a_time_that_64_bits_do_not_bear_makes_a_message_without_header_malforme
     'stamp', [SimpleNamespace(sec=2**40, nanosec=0), SimpleNamespace(sec=math.inf, nanosec=0), 3]
 )
 def test_a_header_of_another_form_makes_a_message_malformed(stamp: Any) -> None:
-    taker, _ = intake(torque__field='data', torque__type='std_msgs/msg/Float64')
+    taker, _ = message_input(torque__field='data', torque__type='std_msgs/msg/Float64')
     assert (
-        taker.take(
+        taker.ingest(
             'torque', SimpleNamespace(header=SimpleNamespace(stamp=stamp), data=1.0), 5
         ).names
         == ()
@@ -200,21 +206,21 @@ def test_names_are_found_in_views_and_in_messages_alike() -> None:
 
 
 def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
-    taker, _ = intake(motors=['a', 'b'])
-    taker.take('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
-    taken = taker.take('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
+    taker, _ = message_input(motors=['a', 'b'])
+    taker.ingest('torque', view(5, ('b', 'x'), (0.1, 0.2)), 0)
+    taken = taker.ingest('voltage', view(5, ('x', 'b', 'a'), (1.0, 2.0, 3.0)), 0)
     assert (taken.stamp_ns, taken.names) == (5, ('x', 'b', 'a'))
     assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
 
 
 @pytest.mark.parametrize(('count', 'length'), [(1, 2_000_000), (50_000, 30)])
 def test_ever_new_names_do_not_fill_the_memory(count: int, length: int) -> None:
-    taker, _ = intake()
+    taker, _ = message_input()
     tracemalloc.start()
     try:
         for k in range(6):
             names = tuple(f'{k}_{j}'.ljust(length) for j in range(count))
-            taker.take('voltage', view(k, names, (1.0,) * count), 0)
+            taker.ingest('voltage', view(k, names, (1.0,) * count), 0)
         kept, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
@@ -234,46 +240,46 @@ def test_a_message_is_read_once() -> None:
             self.reads += 1
             return (1.0,)
 
-    taker, _ = intake()
+    taker, _ = message_input()
     message = Counting()
-    assert taker.take('voltage', message, 3).names == ('motor',)
+    assert taker.ingest('voltage', message, 3).names == ('motor',)
     assert message.reads == 1
 
 
 def test_speed_comes_with_torque_where_the_message_has_it() -> None:
-    taker, _ = intake()
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    with_speed = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
+    taker, _ = message_input()
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    with_speed = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,), (3.0,)), 0))
     assert with_speed[0].sample.speed_rad_s[0] == 3.0
 
 
 def test_speed_may_have_a_topic_of_its_own() -> None:
-    taker, _ = intake(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
-    taker.take('speed', view(0, ('motor',), (), (3.0,)), 0)
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
+    taker, _ = message_input(speed__topic='joint_states', speed__field='velocity', speed__scale=2.0)
+    taker.ingest('speed', view(0, ('motor',), (), (3.0,)), 0)
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,), (99.0,)), 0))
     assert results[0].sample.speed_rad_s[0] == 6.0
 
 
 def test_without_speed_the_sample_says_so() -> None:
-    taker, observer = intake()
-    taker.take('voltage', view(0, ('motor',), (5.0,)), 0)
-    results = results_of(taker.take('torque', view(0, ('motor',), (0.1,)), 0))
+    taker, observer = message_input()
+    taker.ingest('voltage', view(0, ('motor',), (5.0,)), 0)
+    results = results_of(taker.ingest('torque', view(0, ('motor',), (0.1,)), 0))
     assert math.isnan(results[0].sample.speed_rad_s[0])
     assert not observer.motors['motor'].white_box.speed_measured
 
 
 def test_every_message_is_accounted_for() -> None:
-    taker, observer = intake()
+    taker, observer = message_input()
     random, torques = np.random.default_rng(1), 0
     for k in range(500):
-        taker.take('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
+        taker.ingest('voltage', view(k * 10_000_000, ('motor',), (5.0,)), 0)
         kind = random.integers(4)
         torques += 1
         if kind == 0:
-            taker.take('torque', view(k * 10_000_000, ('motor',), ()), 0)
+            taker.ingest('torque', view(k * 10_000_000, ('motor',), ()), 0)
         else:
-            taker.take(
+            taker.ingest(
                 'torque', view(k * 10_000_000, ('motor',), (math.nan if kind == 1 else 0.1,)), 0
             )
     pairing = observer.counts('motor')

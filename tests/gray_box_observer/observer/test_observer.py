@@ -86,12 +86,12 @@ def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
     for at_once, foretold in ((True, False), (False, True), (False, False)):
         one, results = observer(InlineTraining), []
         for k, stamp in enumerate(recording.stamp_ns.tolist()):
-            taken = one.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            taken = one.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
             if (
                 foretold
             ):  # predicted before the last sample is settled, as a node does after an update
                 one.forecast('motor', stamp)
-            taken += one.take('torque', ('motor',), stamp, [float(torque_nm[k])])
+            taken += one.ingest('torque', ('motor',), stamp, [float(torque_nm[k])])
             if at_once:
                 assert all(result.alarm.size == 1 for result in taken)
             results += taken
@@ -118,11 +118,11 @@ def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
     for foreseen in (False, True):
         one, results = observer(InlineTraining, variant=variant), []
         for k, stamp in enumerate(stamps.tolist()):
-            results += one.take('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
+            results += one.ingest('voltage', ('motor',), stamp, [float(recording.voltage_v[0, k])])
             one.forecast('motor', stamp)
-            results += one.take('torque', ('motor',), stamp, [float(recording.torque_nm[0, k])])
+            results += one.ingest('torque', ('motor',), stamp, [float(recording.torque_nm[0, k])])
             if foreseen:
-                one.foresee(one.group_of('motor'))
+                one.precompute_forecast(one.group_of('motor'))
         told.append([trace(list(result))[0] for result in results])
         states.append(one.motors['motor'].observer.state())
     assert len(told[0]) == len(stamps)
@@ -142,7 +142,7 @@ def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_someth
     told, predict = [_what_befalls(recording, foreseen=True)], MotorObserver.predict
 
     def predict_anew(self: MotorObserver, *question: Any) -> Any:
-        self._foreseen = None
+        self._precomputed = None
         return predict(self, *question)
 
     monkeypatch.setattr(MotorObserver, 'predict', predict_anew)
@@ -182,7 +182,7 @@ def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
         for signal in ('torque', 'voltage') if event % 20 == 11 else ('voltage', 'torque'):
             if (event, signal) in ((12, 'voltage'), (13, 'torque')):
                 continue  # lost
-            results = one.take(signal, names, stamp + shift_ns, values[signal])
+            results = one.ingest(signal, names, stamp + shift_ns, values[signal])
             told += [r.prediction.torque_nm.tobytes() for r in results if r.prediction is not None]
             for group in one.groups(names):
                 ahead = one.forecast_group(group, stamp + shift_ns)
@@ -190,7 +190,7 @@ def _what_befalls(recording: Recording, *, foreseen: bool) -> list[bytes]:
                 told += [ahead.tobytes()] if ahead is not None else []
                 told += [held[1].tobytes()] if held is not None else []
             for result in results if foreseen else ():
-                one.foresee(result.group)
+                one.precompute_forecast(result.group)
             told += [line for result in results if event % 3 for line in trace(list(result))]
     return told
 
@@ -213,7 +213,7 @@ def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_vol
         one.forecast('motor', stamp)
         one.torque('motor', stamp, float(recording.torque_nm[0, k]))
         late += [k] if len(asked) > before else []
-        one.foresee(one.group_of('motor'))
+        one.precompute_forecast(one.group_of('motor'))
     assert late == [0, 1, 2], 'the first two intervals have to be seen'
 
 

@@ -16,7 +16,7 @@ def watch(alarm: ResidualAlarm, residuals: np.ndarray, identified: bool = True) 
     """Feed residuals of shape (sample, motor); return whether the alarm stood after each."""
     motors = residuals.shape[1]
     interval, known = np.full(motors, INTERVAL_S), np.full(motors, identified)
-    return np.array([alarm.take(row, interval, known) for row in residuals])
+    return np.array([alarm.update(row, interval, known) for row in residuals])
 
 
 def noise(samples: int, motors: int, seed: int, correlation: float = 0.0) -> np.ndarray:
@@ -94,7 +94,7 @@ def test_samples_without_prediction_and_gaps_change_nothing() -> None:
     watch(alarm, noise(2000, 1, 10))
     before = {name: array.copy() for name, array in alarm.state().items()}
     watch(alarm, np.full((5, 1), np.nan))
-    alarm.take(np.ones(1), np.zeros(1), np.ones(1, dtype=bool))
+    alarm.update(np.ones(1), np.zeros(1), np.ones(1, dtype=bool))
     after = alarm.state()
     for name in ('sums', 'variance', 'learnt', 'count'):
         np.testing.assert_array_equal(before[name], after[name])

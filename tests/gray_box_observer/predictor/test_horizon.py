@@ -12,7 +12,7 @@ from gray_box_observer.predictor import Prediction, Predictor, TrainingRules
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual_model import ASKED, BINS, INPUTS, Correction
+from gray_box_observer.predictor.residual_model import ASKED, BINS, INPUTS, ResidualModel
 from gray_box_observer.predictor.training.residual_schedule import newest
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -22,7 +22,7 @@ INTERVAL_S = 0.01
 HELD_V = np.array([9.0, -4.0])
 
 
-def correction(share: float = 1.0) -> Correction:
+def correction(share: float = 1.0) -> ResidualModel:
     """A correction of up to 0.3 A that hangs on its memory, on the traces and on the current."""
     weights = Weights.initial(INPUTS, 8, 3)
     weights = replace(weights, output=4.0 * weights.output, output_bias=np.zeros(1))
@@ -30,7 +30,9 @@ def correction(share: float = 1.0) -> Correction:
     linear = LinearPart(
         0.01 * np.random.default_rng(4).standard_normal(FEATURES), np.full(FEATURES, 20.0)
     )
-    return Correction(weights, linear, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S)
+    return ResidualModel(
+        weights, linear, np.array([10.0, 3.0, 1.0]), 0.3, share, support, INTERVAL_S
+    )
 
 
 def box_of(motors: int) -> MotorWhiteBox:
@@ -42,7 +44,7 @@ def box_of(motors: int) -> MotorWhiteBox:
     )
 
 
-def warmed(idle: Any, motors: int, learnt: Correction | None) -> Predictor:
+def warmed(idle: Any, motors: int, learnt: ResidualModel | None) -> Predictor:
     """A predictor in the middle of a run; the same each time."""
     rules = TrainingRules(period=10**6)  # nothing is learnt here
     one = Predictor(box_of(motors), motors, TRUTH[0], rules, idle, speed_measured=False)

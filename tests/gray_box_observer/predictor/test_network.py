@@ -137,7 +137,7 @@ def test_a_range_grows_only_where_data_leave_it() -> None:
 
 @pytest.mark.parametrize('values', [[3.0, 3.0], [0.0], [np.nan], [1e9, 1e9], [-5.0, 5.0]])
 def test_a_range_always_has_a_length(values: list[float]) -> None:
-    made = Range.of(np.array(values))
+    made = Range.from_data(np.array(values))
     assert np.isfinite(made.span)
     assert made.span > 0.0
     finite = np.array(values)[np.isfinite(values)]

@@ -303,7 +303,7 @@ def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
             s._replace(speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)
         ]
         run(one, with_speed)
-        one.training.refill(ReplayBuffer.of(with_speed[-1300:]).content())
+        one.training.refill(ReplayBuffer.from_samples(with_speed[-1300:]).content())
         run(one, with_speed[1:])
     without, along = (one_of.jobs for one_of in listening)
     assert sum(job['residual'] for job in without) == 2

@@ -13,7 +13,7 @@ from gray_box_observer.predictor import TrainingRules, lag_features
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart, features
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, Correction
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, ResidualModel
 from gray_box_observer.predictor.significance import borne_out
 from gray_box_observer.predictor.training.histories import History
 from gray_box_observer.predictor.training.residual_trainer import ResidualTrainer, worth_learning
@@ -64,7 +64,7 @@ def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     physics: Weights, measured: Callable[..., History]
 ) -> None:
     trainer, data = ResidualTrainer(0), measured(friction)
-    learnt = [Correction.of(trainer.learn(physics, [data])) for _ in range(2)][-1]
+    learnt = [ResidualModel.from_arrays(trainer.learn(physics, [data])) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.8
     assert 0.0 < learnt.limit_a < 0.5 * np.abs(data.current_a).max()
@@ -80,7 +80,9 @@ def test_what_held_out_samples_do_not_bear_out_is_not_used(
         walk = np.cumsum(random.standard_normal(torque_nm.shape), axis=1)
         return 0.05 * torque_nm.std() * (walk - walk.mean()) / walk.std()
 
-    learnt = Correction.of(ResidualTrainer(0).learn(physics, [measured(wandering)], steps=40))
+    learnt = ResidualModel.from_arrays(
+        ResidualTrainer(0).learn(physics, [measured(wandering)], steps=40)
+    )
     assert learnt is None or learnt.share == 0.0
 
 
@@ -142,7 +144,7 @@ def test_short_histories_teach_together_what_none_of_them_could_alone(
     short = [piece(measured(friction), k, k + 300) for k in range(1, 3900, 300)]
     assert ResidualTrainer(0).learn(physics, short[-1:]) == {}
     trainer = ResidualTrainer(0)
-    learnt = [Correction.of(trainer.learn(physics, short)) for _ in range(2)][-1]
+    learnt = [ResidualModel.from_arrays(trainer.learn(physics, short)) for _ in range(2)][-1]
     assert learnt is not None
     assert learnt.share > 0.5
 
@@ -152,7 +154,7 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
     support = np.zeros((BINS, BINS))
     support[BINS // 2 :, BINS // 2 :] = 1000.0
     network, size = replace(loud, output=1e3 * loud.output), np.array([10.0, 2.0, 1.0])
-    learnt = Correction(network, LinearPart.silent(), size, 0.3, 1.0, support, 0.01)
+    learnt = ResidualModel(network, LinearPart.silent(), size, 0.3, 1.0, support, 0.01)
     readout, current, voltage = (
         np.array([1e6, -1e6, 1e6]),
         np.array([1.0, 1.0, -1.0]),
@@ -170,16 +172,16 @@ def test_a_correction_is_bounded_and_fades_where_nothing_was_seen() -> None:
 
 def test_arrays_give_the_same_correction_back() -> None:
     linear = LinearPart(np.arange(FEATURES), np.ones(FEATURES))
-    learnt = Correction(
+    learnt = ResidualModel(
         Weights.initial(INPUTS, 4, 0), linear, np.ones(3), 0.3, 0.7, np.ones((BINS, BINS)), 0.02
     )
-    again = Correction.of({**learnt.arrays(), 'input': np.zeros(1)})
+    again = ResidualModel.from_arrays({**learnt.arrays(), 'input': np.zeros(1)})
     assert again is not None
     assert (again.limit_a, again.share, again.interval_s) == (0.3, 0.7, 0.02)
     np.testing.assert_array_equal(again.weights.recurrent, learnt.weights.recurrent)
     np.testing.assert_array_equal(again.linear.weight, linear.weight)
     np.testing.assert_array_equal(again.linear.reach, linear.reach)
-    assert Correction.of({}) is None
+    assert ResidualModel.from_arrays({}) is None
 
 
 def test_it_is_taught_on_the_device_that_it_was_given_and_so_is_what_is_restored(

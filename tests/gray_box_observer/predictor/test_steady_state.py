@@ -240,5 +240,5 @@ def test_every_motor_flows_as_it_would_alone(ops: Any, intervals_s: tuple[float,
     ends = flow_each(ops, box, way, of(starts), interval_s)
     for k in range(3):
         one = of(np.array([k]))
-        alone = flow(ops, box.of_motors(one), way.of(one), of(starts)[one], interval_s[one])
+        alone = flow(ops, box.of_motors(one), way.select(one), of(starts)[one], interval_s[one])
         assert float(ends[k]) == float(alone[0])

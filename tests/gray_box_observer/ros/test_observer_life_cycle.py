@@ -25,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from gray_box_observer.bag.joint_state import encode_joint_state
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.ros.observer.observer_node import ObserverNode
-from gray_box_observer.ros.periodic_task import Chore
+from gray_box_observer.ros.periodic_task import PeriodicTask
 from gray_box_observer.ros.running import Stop
 
 pytestmark = pytest.mark.system
@@ -183,7 +183,7 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
 FAILED = ConfigurationError('device cuda failed: out of memory')
 
 
-@pytest.mark.parametrize('place', ['forecast_group', 'foresee'])
+@pytest.mark.parametrize('place', ['forecast_group', 'precompute_forecast'])
 def test_a_device_that_fails_while_it_predicts_asks_for_the_end(node, monkeypatch, place):
     one = node()
     one.trigger_configure()
@@ -224,7 +224,7 @@ def test_a_device_that_fails_beside_the_messages_asks_for_the_end(node, monkeypa
     monkeypatch.setattr(one._outputs, 'alarms', failed)
     answer = one._save(Trigger.Request(), Trigger.Response())
     assert (answer.success, answer.message) == (False, str(FAILED))
-    one._chores['diagnostics'].do()
+    one._tasks['diagnostics'].do()
     assert one._stop.error is FAILED
 
 
@@ -245,15 +245,15 @@ def test_whatever_messages_come_everything_that_is_late_is_done_beside_them_in_t
     one.trigger_configure()
     one.trigger_activate()
     done: list[str] = []
-    chores = {
-        name: Chore(1e-9, partial(done.append, name))
+    tasks = {
+        name: PeriodicTask(1e-9, partial(done.append, name))
         for name in ('diagnostics', 'estimates', 'checkpoint')
     }
-    one._chores = dict(chores)
+    one._tasks = dict(tasks)
     for _ in range(6):
         one._inputs._subscriptions['torque'].callback(data)
-    assert sorted(done) == sorted(2 * list(chores))
-    assert one._intake.received['torque'] == 6
+    assert sorted(done) == sorted(2 * list(tasks))
+    assert one._message_input.received['torque'] == 6
 
 
 def test_reset_publishes_at_once_what_is_known_then(rig, record):

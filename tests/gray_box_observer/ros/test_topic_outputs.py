@@ -15,7 +15,11 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, MultiArrayDimension
 from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_group import GroupResult
-from gray_box_observer.ros.observer.message_templates import Form, TorqueMessages, value_form
+from gray_box_observer.ros.observer.message_templates import (
+    MessageTemplate,
+    TorqueMessages,
+    value_template,
+)
 from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -111,7 +115,7 @@ def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None
         (('a', 'longer name', ''), 2_000_000_000_999_999_999, [1.0, 2.0, 3.0]),
         (('motor',), 8, [1e300]),
     ):
-        data = torques.told(names, stamp_ns, np.array(values))
+        data = torques.render(names, stamp_ns, np.array(values))
         message = deserialize_message(data, JointState)
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(
             stamp_ns, 1_000_000_000
@@ -124,21 +128,23 @@ def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None
 
 @pytest.mark.parametrize('numbers', [np.zeros(1), np.zeros(3), np.zeros(2, dtype=np.float32)])
 def test_numbers_that_do_not_fit_a_form_leave_it_what_it_was(numbers: np.ndarray) -> None:
-    form = Form(lambda marks: Float64MultiArray(data=marks), 2)
+    template = MessageTemplate(lambda marks: Float64MultiArray(data=marks), 2)
     with pytest.raises(ValueError):
-        form.told(numbers)
-    assert list(deserialize_message(form.told(np.array([1.0, 2.0])), Float64MultiArray).data) == [
+        template.render(numbers)
+    assert list(
+        deserialize_message(template.render(np.array([1.0, 2.0])), Float64MultiArray).data
+    ) == [
         1.0,
         2.0,
     ]
 
 
 def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> None:
-    form, torques = value_form(), TorqueMessages()
-    values = [form.told(np.array([value])) for value in (1.0, 2.0)]
+    template, torques = value_template(), TorqueMessages()
+    values = [template.render(np.array([value])) for value in (1.0, 2.0)]
     assert [deserialize_message(data, Float64).data for data in values] == [1.0, 2.0]
     messages = [
-        torques.told(('motor',), stamp_ns, np.array([0.1 * stamp_ns])) for stamp_ns in (1, 2)
+        torques.render(('motor',), stamp_ns, np.array([0.1 * stamp_ns])) for stamp_ns in (1, 2)
     ]
     read = [deserialize_message(data, JointState) for data in messages]
     assert [(one.header.stamp.nanosec, one.effort[0]) for one in read] == [(1, 0.1), (2, 0.2)]
@@ -242,10 +248,10 @@ def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:
     torques = TorqueMessages()
     message = deserialize_message(
-        torques.told(('a', 'b', 'c'), 1, np.array([0.1, np.nan, 0.3])), JointState
+        torques.render(('a', 'b', 'c'), 1, np.array([0.1, np.nan, 0.3])), JointState
     )
     assert (message.name, list(message.effort)) == (['a', 'c'], [0.1, 0.3])
-    assert torques.told(('a',), 1, np.array([np.nan])) is None
+    assert torques.render(('a',), 1, np.array([np.nan])) is None
 
 
 def test_an_alarm_goes_out_when_it_changes_and_only_then():
@@ -253,7 +259,7 @@ def test_an_alarm_goes_out_when_it_changes_and_only_then():
     outputs = Outputs(node, Configuration.from_flat({}))
     for raised in (False, False, True, True, False):
         one = result(1, 1.0)
-        one.aftermath.alarm = np.array([raised])
+        one.deferred.alarm = np.array([raised])
         outputs.alarms([one])
     assert alarms(node) == [False, True, False]
 
@@ -262,7 +268,7 @@ def test_an_alarm_that_was_announced_in_between_is_told_again_where_samples_say_
     node = Node()
     outputs = Outputs(node, Configuration.from_flat({}))
     one = result(1, 1.0)
-    one.aftermath.alarm = np.array([True])
+    one.deferred.alarm = np.array([True])
     outputs.alarms([one])
     outputs.alarm('motor', False)  # a checkpoint was loaded in which it did not stand
     outputs.alarms([one])

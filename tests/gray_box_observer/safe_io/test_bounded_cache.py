@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.bag.joint_state import JointStateDecoder, encode_joint_state
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros.observer.message_templates import TorqueMessages
 from gray_box_observer.safe_io.bounded_cache import BoundedCache
@@ -46,11 +46,14 @@ def flood(count: int, kind: str):
 @pytest.mark.parametrize(('kind', 'count'), [('names', 80), ('frames', 100)])
 def test_ever_other_names_and_frames_fill_no_memory(kind, count):
     configuration = Configuration.from_flat({'predictor': False})
-    intake, decode = Intake(Observer(configuration), configuration), JointStateDecoder()
+    message_input, decode = (
+        MessageInput(Observer(configuration), configuration),
+        JointStateDecoder(),
+    )
     tracemalloc.start()
     try:
         for data in flood(count, kind):
-            intake.take('voltage', decode(data), 0)
+            message_input.ingest('voltage', decode(data), 0)
         assert tracemalloc.get_traced_memory()[0] < LARGEST_BYTES
     finally:
         tracemalloc.stop()

@@ -15,7 +15,7 @@ def regular(count: int = REGULAR + 100) -> tuple[HeldVoltage, list[int]]:
     """A voltage that has come every 10 ms for long, torque with it, and its stamps."""
     held, stamps = HeldVoltage(math.nan), [k * 10 * MS for k in range(count)]
     for stamp_ns in stamps:
-        held.take(stamp_ns, 1.0)
+        held.update(stamp_ns, 1.0)
         held.step_to(stamp_ns, is_lost=False)
     return held, stamps
 
@@ -38,7 +38,7 @@ def expected(stamps: list[int], limits_s: list[float], held_ns: int, end_ns: int
 def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
     random, unknown_until, torque = np.random.default_rng(1), [], Rhythm()
     for _ in range(100):
-        torque.take(0.001)  # against its habit it was silent, too
+        torque.update(0.001)  # against its habit it was silent, too
     for _ in range(300):
         held, stamps = regular()
         held_ns = stamps[-2]  # the newest is not in force before the stamp that begins with it
@@ -48,7 +48,7 @@ def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
         ).tolist():
             stamps.append(stamps[-1] + gap_ms * MS)
             limits_s.append(held._rhythm.silence_s)
-            held.take(stamps[-1], 2.0)
+            held.update(stamps[-1], 2.0)
         limits_s.append(held._rhythm.silence_s)
         end_ns = held_ns + int(random.integers(25, 1000)) * MS
         unknown_until.append(held.unknown_until_ns(held_ns, end_ns, torque))
@@ -59,5 +59,5 @@ def test_where_voltage_is_unknown_is_what_its_stamps_say_one_by_one() -> None:
 def test_what_was_never_regular_and_pauses_no_more_than_torque_does_is_known() -> None:
     held = HeldVoltage(math.nan)
     for stamp_ns in (0, 10 * MS, 5_000 * MS):
-        held.take(stamp_ns, 1.0)
+        held.update(stamp_ns, 1.0)
     assert held.unknown_until_ns(0, 6_000 * MS, Rhythm()) is None

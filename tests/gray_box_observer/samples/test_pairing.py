@@ -263,13 +263,13 @@ def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every
         for values in (sample.interval_s, sample.voltage_v, sample.torque_nm):
             assert np.all(np.isfinite(values[present]))
     for motor in range(3):
-        counts = pairing.of(motor)
+        counts = pairing.counts_for(motor)
         assert (
             counts.received_torque
             == counts.used + counts.refused['torque'].total() + counts.waiting
         )
-    assert pairing.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 100
-    assert pairing.of(1).rejected == {}
+    assert pairing.counts_for(0).refused['torque'][Rejection.NO_VOLTAGE] > 100
+    assert pairing.counts_for(1).rejected == {}
 
 
 def test_what_was_refused_with_its_torque_is_seen_by_nobody() -> None:
@@ -604,7 +604,7 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
         take = pairing.voltage if signal == 'v' else pairing.torque
         take(max(stamp_ns - late_ns, 0), np.where(missing, math.nan, values), absent=missing)
         for motor in range(motors):
-            counts = pairing.of(motor)
+            counts = pairing.counts_for(motor)
             assert counts.received_torque == told['t'][motor]
             assert (
                 counts.received_torque
@@ -615,9 +615,9 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
                 counts.received_voltage == counts.taken_voltage + counts.refused['voltage'].total()
             )
     assert {Rejection.DUPLICATE, Rejection.OUT_OF_ORDER, Rejection.NO_VOLTAGE} <= set(
-        pairing.of(0).rejected
+        pairing.counts_for(0).rejected
     )
-    assert pairing.of(0).used > 500
+    assert pairing.counts_for(0).used > 500
 
 
 def test_torque_waits_for_the_first_voltage_before_the_time_of_zero_too() -> None:
@@ -661,6 +661,6 @@ def test_of_a_group_too_a_voltage_that_is_overdue_of_one_motor_is_not_taken_for_
     assert [s.stamp_ns // MS for s in mine if s.interval_s[0] == 0.0] == [0, 13_000]
     assert [s.stamp_ns // MS for s in expected if s.interval_s[0] == 0.0] == [0, 13_000]
     assert abs(len(mine) - len(expected)) <= 2
-    assert group.of(0).refused['torque'][Rejection.NO_VOLTAGE] > 70
-    assert group.of(1).rejected == {}
-    assert group.of(1).used == 1400
+    assert group.counts_for(0).refused['torque'][Rejection.NO_VOLTAGE] > 70
+    assert group.counts_for(1).rejected == {}
+    assert group.counts_for(1).used == 1400

@@ -126,7 +126,7 @@ def test_a_group_tells_the_signals_of_each_motor_and_none_of_its_own() -> None:
     for k in range(5):
         group.voltage(k * MS, np.array([1.0, 2.0]))
         group.torque(k * MS, np.array([0.1, np.nan if k == 3 else 0.2]))
-    signals = group.of(1).signals(4 * MS, 0)
+    signals = group.select_motor(1).signals(4 * MS, 0)
     assert signals is not None
     assert signals.torque_nm.tolist() == [0.2] * 4
     assert signals.voltage_v.tolist() == [2.0] * 5
@@ -147,7 +147,7 @@ def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -
             alone.voltage(k * MS, volts[1])
         if np.isfinite(torques[1]) and k >= forgotten:
             alone.torque(k * MS, torques[1], speeds[1])
-    one = group.of(1)
+    one = group.select_motor(1)
     for history_of_one in (one, alone):
         history_of_one.torque(10**6 * MS, 1.0)
     found, expected = (
@@ -155,6 +155,6 @@ def test_of_each_motor_of_a_group_just_what_it_has_is_remembered_and_goes_on() -
     )  # a NaN is equal to none
     assert found == expected
     assert len(one) > TORQUES + SLACK
-    assert len(RawHistory(3).of(2)) == 0
+    assert len(RawHistory(3).select_motor(2)) == 0
     with pytest.raises(GrayBoxError, match=r'expected \.signals'):
-        alone.of(0)
+        alone.select_motor(0)

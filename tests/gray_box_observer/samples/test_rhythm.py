@@ -9,7 +9,7 @@ from gray_box_observer.samples.rhythm import LEARNT, Rhythm
 def after(intervals: np.ndarray) -> Rhythm:
     rhythm = Rhythm()
     for interval_s in (0.0, *intervals):
-        rhythm.take(float(interval_s))
+        rhythm.update(float(interval_s))
     return rhythm
 
 
@@ -42,5 +42,5 @@ def test_another_rate_becomes_the_usual_one() -> None:
     assert rhythm.usual_s == pytest.approx(0.01, rel=0.03)
     before = rhythm.missing
     for _ in range(1000):
-        rhythm.take(0.01)
+        rhythm.update(0.01)
     assert rhythm.missing == before

@@ -145,8 +145,8 @@ def test_a_device_that_fails_is_told_in_one_line_and_what_was_learnt_before_can_
 
     def run(first: int, last: int) -> None:
         for k in range(first, last):
-            one.take('voltage', names, int(r.stamp_ns[k]), r.voltage_v[:, k])
-            one.take('torque', names, int(r.stamp_ns[k]), r.torque_nm[:, k])
+            one.ingest('voltage', names, int(r.stamp_ns[k]), r.voltage_v[:, k])
+            one.ingest('torque', names, int(r.stamp_ns[k]), r.torque_nm[:, k])
 
     failing = {
         'making': (steady_state_forecaster.RelaxingForecaster, '_blank'),
@@ -240,15 +240,15 @@ def test_only_large_groups_are_taught_on_a_device(
         training,
     )
     for k in range(3):
-        one.take('voltage', names, k * 10_000_000, np.full(motors, 9.0))
-        one.take('torque', names, k * 10_000_000, np.full(motors, 0.01 * k))
+        one.ingest('voltage', names, k * 10_000_000, np.full(motors, 9.0))
+        one.ingest('torque', names, k * 10_000_000, np.full(motors, 0.01 * k))
     assert asked == [device]
 
 
 def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
     assert {p.device.type for p in TorchNetwork(5, 3, 'meta').parameters()} == {'meta'}
     weights = Weights.initial(5, 3, 1)
-    for name, array in TorchNetwork.of(weights, 'cpu').export().arrays().items():
+    for name, array in TorchNetwork.from_weights(weights, 'cpu').export().arrays().items():
         np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
 
 
@@ -275,9 +275,9 @@ def test_a_group_is_observed_alike_by_torch_and_without(
     for k, stamp_ns in enumerate(r.stamp_ns.tolist()):
         said = []
         for one in both:
-            one.take('voltage', names, stamp_ns, r.voltage_v[:, k])
+            one.ingest('voltage', names, stamp_ns, r.voltage_v[:, k])
             said.append(one.forecast_group(one.group_of('a'), stamp_ns))
-            one.take('torque', names, stamp_ns, r.torque_nm[:, k])
+            one.ingest('torque', names, stamp_ns, r.torque_nm[:, k])
         if said[0] is not None and said[1] is not None:
             np.testing.assert_allclose(said[1], said[0], rtol=1e-6, atol=1e-12)
             compared += 1

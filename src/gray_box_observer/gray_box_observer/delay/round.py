@@ -45,7 +45,7 @@ class DelayRound:
             return
         watch = self.watch(self._turn)
         if not watch.searching:
-            self._history = history.of(self._turn)
+            self._history = history.select_motor(self._turn)
         assert self._history is not None
         watch.take(self._history, stamp_ns, self._count - self._asked[self._turn])
         self._asked[self._turn] = self._count

@@ -18,7 +18,7 @@ from gray_box_observer.bag.mcap.mcap_content import RawMessage
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import BagError, SampleError
 from gray_box_observer.observer.builder import TrainingFactory
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
@@ -57,7 +57,7 @@ class Course:
             self.changes_s.append(self.duration_s)
         self.change_count = count
 
-    def take(self, result: Result) -> None:
+    def update(self, result: Result) -> None:
         """Go on by one result."""
         self.last_ns = result.sample.stamp_ns
         self.duration_s += result.sample.interval_s.item(0)
@@ -72,14 +72,14 @@ class Outcome:
 
     Attributes:
         observer: the observer at the end of the last bag.
-        intake: what it was fed by.
+        message_input: what it was fed by.
         digest: SHA-256 over every estimate in order.
         courses: what it has covered, by motor.
         warnings: what the user should know, such as how much of a truncated bag was lost.
     """
 
     observer: Observer
-    intake: Intake
+    message_input: MessageInput
     digest: str = ''
     courses: dict[str, Course] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
@@ -108,7 +108,7 @@ def run(
         ConfigurationError: messages do not have the configured fields.
     """
     observer = Observer(configuration, training)
-    outcome = Outcome(observer, Intake(observer, configuration))
+    outcome = Outcome(observer, MessageInput(observer, configuration))
     digest, courses = hashlib.sha256(), outcome.courses
 
     def take(results: Iterable[Result]) -> None:
@@ -116,7 +116,7 @@ def run(
             course = courses.get(result.motor)
             if course is None:
                 course = courses[result.motor] = Course(result.sample.stamp_ns)
-            course.take(result)
+            course.update(result)
             motor = observer.motors.get(result.motor)  # none where it has stopped since
             if motor is not None and result.estimate is not None:
                 course.count_changes(motor.changes)
@@ -151,7 +151,8 @@ def feed(
     Args:
         bags: rosbag2 folders or bare MCAP files.
         configuration: of the observer.
-        outcome: of the run, whose observer and intake take the messages; warnings are added to it.
+        outcome: of the run, whose observer and message input take the messages; warnings are
+            added to it.
         listener: called with every result.
         progress: called with the number of messages read since it was last called.
         limits: what of a bag may be held in memory at one time.
@@ -203,15 +204,17 @@ def _feed(
     progress: Progress,
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome.warnings)
-    intake, count = outcome.intake, 0
-    for raw, message in _decoded(bag, signals, intake.max_message_bytes):
+    message_input, count = outcome.message_input, 0
+    for raw, message in _decoded(bag, signals, message_input.max_message_bytes):
         if message is None:
-            oversized = len(raw.data) > intake.max_message_bytes
+            oversized = len(raw.data) > message_input.max_message_bytes
             for signal in signals[raw.topic]:
-                intake.refuse(signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED)
+                message_input.refuse(
+                    signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED
+                )
             continue
         for signal in signals[raw.topic]:
-            for result in intake.take(signal, message, raw.publish_time_ns).groups:
+            for result in message_input.ingest(signal, message, raw.publish_time_ns).groups:
                 take(outcome.observer.results(result))
         count += 1
         if count % PROGRESS_STEP == 0:
@@ -296,7 +299,7 @@ def _mismatch(where: str, type_name: str, name: str, configuration: Configuratio
 def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
     names = ', '.join(str(path) for path in bags)
     strangers = sorted(
-        {name for signal in outcome.intake.signals.values() for name in signal.unknown}
+        {name for signal in outcome.message_input.signals.values() for name in signal.unknown}
     )
     if strangers:
         motor_names = ', '.join(outcome.observer.configuration.motors)
@@ -312,6 +315,8 @@ def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
         }
     )
     because = f' (rejected: {", ".join(reasons)})' if reasons else ''
-    if outcome.intake.complaints:
-        because += f'; messages could not be read: {"; ".join(outcome.intake.complaints.values())}'
+    if outcome.message_input.complaints:
+        because += (
+            f'; messages could not be read: {"; ".join(outcome.message_input.complaints.values())}'
+        )
     return f'{names}: no usable sample: voltage and torque must overlap in time{because}'

@@ -40,7 +40,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(
             f'{counts.total()} messages of {name} could not be read'
-            for name, counts in outcome.intake.rejected.items()
+            for name, counts in outcome.message_input.rejected.items()
             if counts
         ),
         *(

@@ -47,7 +47,7 @@ class Part:
     source: int | NDArray[np.intp]
     target: NDArray[np.intp] | None = None
 
-    def take(
+    def ingest(
         self, signal: str, stamp_ns: int, values: Values, speeds: Values | None
     ) -> list[Sample]:
         """Let the group have its part of a message; return the samples that it completes."""
@@ -56,12 +56,12 @@ class Part:
             value = float(values[source])
             if speeds is not None and signal == 'torque':
                 return pairing.torque(stamp_ns, value, float(speeds[source]))
-            return pairing.take[signal](stamp_ns, value)
+            return pairing.ingest_signal[signal](stamp_ns, value)
         if speeds is not None and signal == 'torque':
             return pairing.torque(
                 stamp_ns, self._spread(values), self._spread(speeds), self._missing
             )
-        return pairing.take[signal](stamp_ns, self._spread(values), absent=self._missing)
+        return pairing.ingest_signal[signal](stamp_ns, self._spread(values), absent=self._missing)
 
     @property
     def _missing(self) -> NDArray[np.bool_] | None:
@@ -202,7 +202,7 @@ class Grouping:
     def pairing_of(self, group: Group) -> Pairing:
         """Return a pairing that has seen nothing and counts on, for motors that had stopped."""
         pairing = self._new_pairing(group.names)
-        pairing.count_as([group.pairing.of(place) for place in range(len(group.names))])
+        pairing.count_as([group.pairing.counts_for(place) for place in range(len(group.names))])
         return pairing
 
     def _found(self, names: tuple[str, ...]) -> list[Part]:

@@ -162,7 +162,7 @@ def names_of(message: Any) -> Sequence[str] | None:
     return None if names is None or isinstance(names, str) else names
 
 
-class Taken(NamedTuple):
+class InputResult(NamedTuple):
     """What one message held and what it has led to.
 
     Attributes:
@@ -176,7 +176,7 @@ class Taken(NamedTuple):
     groups: list[GroupResult]
 
 
-class Intake:
+class MessageInput:
     """Takes messages of the configured topics and feeds the observer.
 
     Attributes:
@@ -198,7 +198,7 @@ class Intake:
         self._own_speed_topic = bool(self.signals['speed'].topic)
         self.max_message_bytes = round(configuration['max_message_mb'] * 1e6)
 
-    def take(self, name: str, message: Any, arrival_ns: int) -> Taken:
+    def ingest(self, name: str, message: Any, arrival_ns: int) -> InputResult:
         """Take one message of a signal; return what it held and what it has led to.
 
         Args:
@@ -215,7 +215,7 @@ class Intake:
             stamp_ns = stamp_of(message, arrival_ns)
         except (SampleError, TypeError, ValueError, OverflowError, AttributeError):
             self.rejected[name][Rejection.MALFORMED] += 1
-            return Taken(0, (), [])
+            return InputResult(0, (), [])
         try:
             names, values, has_our_motor = self.signals[name].read(message)
             speeds = self._speeds(message) if name == 'torque' else None
@@ -231,10 +231,12 @@ class Intake:
                 str(error) if isinstance(error, SampleError) else 'it holds no numbers'
             )
             self.rejected[name][Rejection.MALFORMED] += 1
-            return Taken(stamp_ns, (), [])
+            return InputResult(stamp_ns, (), [])
         if not has_our_motor:
             self.others[name] += 1
-        return Taken(stamp_ns, names, self._observer.take(name, names, stamp_ns, values, speeds))
+        return InputResult(
+            stamp_ns, names, self._observer.ingest(name, names, stamp_ns, values, speeds)
+        )
 
     def refuse(self, name: str, reason: Rejection) -> None:
         """Count a message that came and was not read; it leads to nothing."""

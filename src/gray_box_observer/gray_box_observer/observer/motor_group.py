@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import Estimate
-from gray_box_observer.observer.motor_observer import Aftermath, MotorObserver
+from gray_box_observer.observer.motor_observer import DeferredUpdate, MotorObserver
 from gray_box_observer.predictor import Prediction
 from gray_box_observer.samples import Pairing, Sample
 from gray_box_observer.samples.stopped import StoppedPairing
@@ -76,7 +76,7 @@ class GroupResult:
         prediction: what had been predicted of it; None without predictor.
         changed: places on the motor axis of those whose estimate has changed.
         estimate: their new estimates, in that order; None where there is none.
-        aftermath: what it leaves to be done.
+        deferred: what it leaves to be done.
     """
 
     group: Group
@@ -84,7 +84,7 @@ class GroupResult:
     prediction: Prediction | None
     changed: NDArray[np.intp]
     estimate: Estimate | None
-    aftermath: Aftermath
+    deferred: DeferredUpdate
 
     @property
     def alarm(self) -> NDArray[np.bool_]:
@@ -92,10 +92,10 @@ class GroupResult:
 
         Ask when all else of the result has gone out: it takes the work that was left for then.
         """
-        if self.aftermath.alarm is None and self.group.observer is not None:
-            self.group.observer.settle()
-        assert self.aftermath.alarm is not None
-        return self.aftermath.alarm
+        if self.deferred.alarm is None and self.group.observer is not None:
+            self.group.observer.run_deferred()
+        assert self.deferred.alarm is not None
+        return self.deferred.alarm
 
     def __iter__(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction

@@ -22,8 +22,8 @@ from gray_box_observer.white_box.interface import Array
 
 
 @dataclass(slots=True)
-class Aftermath:
-    """Work left over by a sample after its estimates; see :meth:`MotorObserver.settle`.
+class DeferredUpdate:
+    """Work left over by a sample after its estimates; see :meth:`MotorObserver.run_deferred`.
 
     Attributes:
         sample: the sample.
@@ -48,7 +48,7 @@ class MotorObserver:
 
     Whoever waits for a sample's prediction and estimates gets them first: alarm, scores and
     training follow when something of them is asked for (:attr:`predictor`, :attr:`alarm`), with
-    :meth:`settle`, or before the next sample. What comes of it is the same whenever that is.
+    :meth:`run_deferred`, or before the next sample. What comes of it is the same whenever that is.
 
     Args:
         white_box: the physics.
@@ -81,9 +81,9 @@ class MotorObserver:
         self._tests: list[int] = []
         self._retested: set[int] = set()
         self._alarm = alarm
-        self._aftermath: Aftermath | None = None
+        self._deferred: DeferredUpdate | None = None
         self._frozen = False
-        self._foreseen: tuple[bytes, Prediction] | None = None
+        self._precomputed: tuple[bytes, Prediction] | None = None
         self._interval_s, self._evenly = np.empty(0), False
         self.motors = context_nodes.theta.shape[0]
         self._places = np.arange(self.motors)
@@ -98,14 +98,14 @@ class MotorObserver:
         if self._predictor is None:
             return None
         if self._predictor.training.due_next:
-            self.settle()
+            self.run_deferred()
         self._follow()
-        question = interval_s.tobytes() + voltage_v.tobytes()
-        if self._foreseen is None or self._foreseen[0] != question:
-            self._foreseen = question, self._predictor.predict(interval_s, voltage_v, self._theta)
-        return self._foreseen[1]
+        request = interval_s.tobytes() + voltage_v.tobytes()
+        if self._precomputed is None or self._precomputed[0] != request:
+            self._precomputed = request, self._predictor.predict(interval_s, voltage_v, self._theta)
+        return self._precomputed[1]
 
-    def foresee(self, voltage_v: Any) -> None:
+    def precompute_forecast(self, voltage_v: Any) -> None:
         """Work out the next prediction while nobody waits for it; changes only its timing.
 
         What will be asked is known where samples come evenly: the interval is that of the last two
@@ -139,24 +139,26 @@ class MotorObserver:
             horizon_s, np.full(self.motors, voltage_v), self._theta, since
         )
 
-    def step(self, sample: Sample) -> tuple[Aftermath, Estimate | None]:
+    def step(self, sample: Sample) -> tuple[DeferredUpdate, Estimate | None]:
         """Predict the sample, then learn it.
 
         Returns:
             What is left to be done, the prediction among it, and, where they have changed, the
             estimates.
         """
-        if self._aftermath is not None or self._tests:
-            self.settle()
+        if self._deferred is not None or self._tests:
+            self.run_deferred()
         prediction = (
             None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
         )
-        aftermath = Aftermath(sample, prediction, self._theta, self._covariance, self._identified)
+        deferred = DeferredUpdate(
+            sample, prediction, self._theta, self._covariance, self._identified
+        )
         estimate = self.repeat(sample)
-        self._aftermath = aftermath
-        return aftermath, estimate
+        self._deferred = deferred
+        return deferred, estimate
 
-    def settle(self) -> None:
+    def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
         tests, self._tests = self._tests, []
         for motor in tests:
@@ -168,52 +170,52 @@ class MotorObserver:
                 ),
                 one,
             )
-        aftermath = self._aftermath
-        if aftermath is None:
+        deferred = self._deferred
+        if deferred is None:
             return
         self._follow()
-        self._aftermath = None
-        sample, prediction = aftermath.sample, aftermath.prediction
+        self._deferred = None
+        sample, prediction = deferred.sample, deferred.prediction
         if self._alarm is not None and prediction is not None:
-            self._alarm.take(
-                sample.torque_nm - prediction.torque_nm, sample.interval_s, aftermath.identified
+            self._alarm.update(
+                sample.torque_nm - prediction.torque_nm, sample.interval_s, deferred.identified
             )
-        aftermath.alarm = self.alarmed
+        deferred.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
-            self._predictor.study(sample, prediction, aftermath.theta, aftermath.covariance)
+            self._predictor.study(sample, prediction, deferred.theta, deferred.covariance)
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
-        aftermath = self._aftermath
-        if aftermath is None or aftermath.followed:
+        deferred = self._deferred
+        if deferred is None or deferred.followed:
             return
-        aftermath.followed = True
-        if self._predictor is not None and aftermath.prediction is not None:
+        deferred.followed = True
+        if self._predictor is not None and deferred.prediction is not None:
             try:
-                self._predictor.follow(aftermath.sample, aftermath.prediction)
+                self._predictor.follow(deferred.sample, deferred.prediction)
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
-                self._aftermath = None
+                self._deferred = None
                 raise
 
     @property
     def predictor(self) -> Predictor | None:
         """Forecasts torque, all samples learnt; None where there is none."""
-        self.settle()
+        self.run_deferred()
         return self._predictor
 
     @property
     def alarm(self) -> ResidualAlarm | None:
         """Watches the prediction's residual; None where no prediction is good enough."""
-        self.settle()
+        self.run_deferred()
         return self._alarm
 
     def repeat(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
         has_changed = self.context_nodes.learn(sample)
         if self._predictor is not None:
-            self._foreseen = None
+            self._precomputed = None
             self._evenly = np.array_equal(sample.interval_s, self._interval_s)
             self._interval_s = sample.interval_s
         if not has_changed:
@@ -227,7 +229,7 @@ class MotorObserver:
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
         """Return the present values of all or some motors, believed as far as the fit allows."""
-        self.settle()
+        self.run_deferred()
         estimate = self.context_nodes.estimate(motors)
         return self._fit.judged(self.context_nodes, estimate, self._places[motors])
 
@@ -245,7 +247,7 @@ class MotorObserver:
 
     def retested(self) -> list[int]:
         """Return whose fit was tested since the last call: its belief may have changed."""
-        self.settle()
+        self.run_deferred()
         motors, self._retested = sorted(self._retested), set()
         return motors
 
@@ -273,7 +275,7 @@ class MotorObserver:
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
-        self.settle()
+        self.run_deferred()
         self._frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
         if self.predictor is not None:
@@ -294,7 +296,7 @@ class MotorObserver:
 
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""
-        self.settle()
+        self.run_deferred()
         return self._fit.assessment(motor)
 
     def delay_of(self, motor: int) -> DelayEstimate:
@@ -319,7 +321,7 @@ class MotorObserver:
         """For which of these motors the alarm stands, shape (motor,)."""
         if self._alarm is None:
             return self._nobody
-        self.settle()
+        self.run_deferred()
         return self._alarm.raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
@@ -331,8 +333,8 @@ class MotorObserver:
         """
         if not samples:
             return
-        self.settle()
-        content = ReplayBuffer.of(samples).content()
+        self.run_deferred()
+        content = ReplayBuffer.from_samples(samples).content()
         plain, arrays = context_nodes.state()
         context_nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
         context_nodes.learn(samples[-1])
@@ -344,7 +346,7 @@ class MotorObserver:
         self._fit.forget()
         self._retested.update(range(self.motors))
         self._know(self.estimate(), slice(None))
-        self._foreseen = None
+        self._precomputed = None
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:
         """Return the physics of one motor, its constants plain numbers."""
@@ -359,7 +361,7 @@ class MotorObserver:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays, for a checkpoint."""
-        self.settle()
+        self.run_deferred()
         plain, arrays = self.context_nodes.state(motor)
         network = {} if self.predictor is None else self.predictor.state(motor)
         delay = (

@@ -104,7 +104,7 @@ class Observer:
             ConfigurationError: the device has failed.
         """
         return self._flat(
-            self._take([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None)
+            self._ingest([self._grouping.part(motor)], 'voltage', stamp_ns, [voltage_v], None)
         )
 
     def torque(
@@ -128,16 +128,18 @@ class Observer:
             ConfigurationError: the device has failed, or a speed that must be measured is missing.
         """
         return self._flat(
-            self._take([self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s])
+            self._ingest(
+                [self._grouping.part(motor)], 'torque', stamp_ns, [torque_nm], [speed_rad_s]
+            )
         )
 
     def speed(self, motor: str, stamp_ns: int, speed_rad_s: float) -> list[Result]:
         """Take one speed in rad/s, where it is a signal of its own; return what it has led to."""
         return self._flat(
-            self._take([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None)
+            self._ingest([self._grouping.part(motor)], 'speed', stamp_ns, [speed_rad_s], None)
         )
 
-    def take(
+    def ingest(
         self, signal: str, names: tuple[str, ...], stamp_ns: int, values: Values,
         speeds: Values | None = None
     ) -> list[GroupResult]:  # fmt: skip
@@ -153,7 +155,7 @@ class Observer:
         Returns:
             What the samples that it completes have led to, group by group.
         """
-        return self._take(
+        return self._ingest(
             self._grouping.parts(signal, names, speeds), signal, stamp_ns, values, speeds
         )
 
@@ -168,7 +170,7 @@ class Observer:
     def counts(self, motor: str) -> PairingCounts:
         """Return what became of a motor's messages."""
         group, place = self._grouping.place(motor)
-        return group.pairing.of(place)
+        return group.pairing.counts_for(place)
 
     def flush(self) -> list[Result]:
         """Learn what still waits for a voltage (end of a bag)."""
@@ -209,7 +211,7 @@ class Observer:
         if group.is_stopped:
             return
         incident = Incident.from_error(group, error, samples)
-        counts = [group.pairing.of(place) for place in range(len(group.names))]
+        counts = [group.pairing.counts_for(place) for place in range(len(group.names))]
         if group.observer is not None:
             with suppress(Exception):  # it is broken
                 group.observer.close()
@@ -235,7 +237,7 @@ class Observer:
             return None
         return None if prediction is None else prediction.torque_nm
 
-    def foresee(self, group: Group) -> None:
+    def precompute_forecast(self, group: Group) -> None:
         """Work out a group's next prediction in advance, where its stamp can be foretold.
 
         Changes nothing but when it is done: for whoever has time now and none when the next voltage
@@ -248,7 +250,7 @@ class Observer:
             and newest[0] == pairing.newest_sample_ns
         ):
             try:
-                group.observer.foresee(newest[1])
+                group.observer.precompute_forecast(newest[1])
             except ConfigurationError:
                 raise
             except Exception as error:
@@ -434,7 +436,7 @@ class Observer:
         for group, observer in replacements:  # all good: take over
             self._flush(group)  # what still waited belongs to the old signal history
             if group.observer is not None:
-                self.contain(group, group.observer.settle)
+                self.contain(group, group.observer.run_deferred)
             if group.observer is not None:
                 group.observer.close()
             if isinstance(group.pairing, StoppedPairing):  # what is restored did not fail
@@ -485,7 +487,7 @@ class Observer:
         """Every group once; a motor that comes alone is a group of its own."""
         return self._grouping.groups
 
-    def _take(
+    def _ingest(
         self, parts: Sequence[Part], signal: str, stamp_ns: int, values: Values,
         speeds: Values | None
     ) -> list[GroupResult]:  # fmt: skip
@@ -494,7 +496,7 @@ class Observer:
         for part in parts:
             samples: list[Sample] = []
             try:
-                samples = part.take(signal, stamp_ns, values, speeds)
+                samples = part.ingest(signal, stamp_ns, values, speeds)
                 if samples:
                     results += self._learn(part.group, samples)
             except ConfigurationError:
@@ -522,12 +524,12 @@ class Observer:
                 if again is not None and results:
                     results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
                 continue
-            aftermath, estimate = observer.step(sample)
+            deferred, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
                 GroupResult(
-                    group, sample, aftermath.prediction, observer.changed, estimate, aftermath
+                    group, sample, deferred.prediction, observer.changed, estimate, deferred
                 )
             )
             delay_s = None

@@ -78,7 +78,7 @@ class ResidualAlarm:
 
     def _all(self, value: Any) -> Any:
         """Return a value for every motor: plain for a single one, an array for several."""
-        return self._axis.take(np.full(self._axis.motors, value))
+        return self._axis.to_operand(np.full(self._axis.motors, value))
 
     def relearn(self) -> None:
         """Forget what is known of the residual, and let the alarm fall; what was counted stays."""
@@ -95,31 +95,34 @@ class ResidualAlarm:
     @property
     def raised(self) -> NDArray[np.bool_]:
         """For which motors the alarm stands, shape (motor,)."""
-        return self._axis.give(self._raised)
+        return self._axis.to_array(self._raised)
 
     @property
     def count(self) -> NDArray[np.int_]:
         """How often it was raised, shape (motor,)."""
-        return self._axis.give(self._count)
+        return self._axis.to_array(self._count)
 
     @property
     def armed(self) -> NDArray[np.bool_]:
         """Whether enough is known of the residual to judge it, shape (motor,)."""
-        return self._axis.give(self._learnt >= self.rules.learn)
+        return self._axis.to_array(self._learnt >= self.rules.learn)
 
     @property
     def spread(self) -> Array:
         """Standard deviation of the residual in N m, shape (motor,); NaN while nothing is known."""
-        sample_count, variance = self._axis.give(self._learnt), self._axis.give(self._variance)
+        sample_count, variance = (
+            self._axis.to_array(self._learnt),
+            self._axis.to_array(self._variance),
+        )
         spread: Array = np.sqrt(np.where(sample_count > 0, variance, np.nan))
         return spread
 
     @property
     def level(self) -> Array:
         """The larger sum relative to the threshold, shape (motor,); at 1 the alarm is raised."""
-        return self._axis.give(self._axis.ops.maximum(self._up, self._down) / self._threshold)
+        return self._axis.to_array(self._axis.ops.maximum(self._up, self._down) / self._threshold)
 
-    def take(
+    def update(
         self, residual_nm: Array, interval_s: Array, is_identified: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
         """Take one sample's residuals; return for which motors the alarm stands.
@@ -135,9 +138,9 @@ class ResidualAlarm:
         """
         axis, ops = self._axis, self._axis.ops
         measured_residual, interval, is_known = (
-            axis.take(residual_nm),
-            axis.take(interval_s),
-            axis.take(is_identified),
+            axis.to_operand(residual_nm),
+            axis.to_operand(interval_s),
+            axis.to_operand(is_identified),
         )
         usable = ops.isfinite(measured_residual) & (interval > 0.0)
         residual = ops.where(usable, measured_residual, 0.0)
@@ -204,7 +207,8 @@ class ResidualAlarm:
         """Everything learnt of one motor, for a checkpoint."""
         motor_slice = slice(motor, motor + 1)
         values = {
-            name: self._axis.give(getattr(self, f'_{name}'))[motor_slice].copy() for name in _ARRAYS
+            name: self._axis.to_array(getattr(self, f'_{name}'))[motor_slice].copy()
+            for name in _ARRAYS
         }
         sums = np.stack([values.pop('up'), values.pop('down')])
         return {'sums': sums, **values, 'taken': np.array(self._taken)}
@@ -218,9 +222,9 @@ class ResidualAlarm:
         check_arrays(arrays, _SAVED)
         values = {**arrays, 'up': arrays['sums'][0], 'down': arrays['sums'][1]}
         for name in _ARRAYS:
-            all_told = self._axis.give(getattr(self, f'_{name}')).copy()
+            all_told = self._axis.to_array(getattr(self, f'_{name}')).copy()
             all_told[motor] = values[name][0]
-            setattr(self, f'_{name}', self._axis.take(all_told))
+            setattr(self, f'_{name}', self._axis.to_operand(all_told))
         self._taken = int(arrays['taken'])
 
 

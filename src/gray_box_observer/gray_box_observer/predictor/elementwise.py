@@ -71,7 +71,7 @@ class Axis:
             self.arrays = TorchOps(str(device))
         self.ops: Any = Floats if self.single else self.arrays
 
-    def take(self, signal: NDArray[Any]) -> Any:
+    def to_operand(self, signal: NDArray[Any]) -> Any:
         """Turn shape (motor,) into what is computed with."""
         return signal[0].item() if self.single else self.array(signal)
 
@@ -93,7 +93,7 @@ class Axis:
             known=dict(zip(white_box.known, known_values, strict=True)),
         )
 
-    def give(self, value: Any) -> NDArray[Any]:
+    def to_array(self, value: Any) -> NDArray[Any]:
         """Turn it back into shape (motor,)."""
         if self._on_device:
             array: NDArray[Any] = value.cpu().numpy()

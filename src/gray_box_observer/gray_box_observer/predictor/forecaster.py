@@ -11,7 +11,7 @@ from gray_box_observer.white_box.interface import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ForecastRequest:
     """One interval whose end is asked for.
 
     Attributes:
@@ -36,7 +36,7 @@ class Question:
 class Forecaster(Protocol):
     """Streams one network over the samples of a group of motors."""
 
-    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+    def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
         """Return the torque at the end of an interval, (motor,), NaN: unknown; changes nothing.
 
         The memory is what :meth:`remember` takes if the sample comes.

@@ -62,7 +62,7 @@ class Weights:
         )
 
     @classmethod
-    def of(
+    def from_arrays(
         cls, arrays: Mapping[str, Any], hidden: int | None = None, inputs: int | None = None
     ) -> Weights:
         """Take the network's arrays out of others.

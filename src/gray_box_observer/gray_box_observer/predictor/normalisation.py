@@ -47,7 +47,7 @@ class Range:
         )
 
     @classmethod
-    def of(cls, values: Array) -> Range:
+    def from_data(cls, values: Array) -> Range:
         """Return the range of the finite values; a tiny one around zero where there are none."""
         finite = values[np.isfinite(values)]
         if finite.size == 0:
@@ -87,10 +87,12 @@ class Normalisation:
         )
 
     @classmethod
-    def of(cls, voltage_v: Array, torque_nm: Array, speed_rad_s: Array | None) -> Normalisation:
+    def from_data(
+        cls, voltage_v: Array, torque_nm: Array, speed_rad_s: Array | None
+    ) -> Normalisation:
         """Return the ranges of these data."""
-        speed = None if speed_rad_s is None else Range.of(speed_rad_s)
-        return cls(Range.of(voltage_v), Range.of(torque_nm), speed)
+        speed = None if speed_rad_s is None else Range.from_data(speed_rad_s)
+        return cls(Range.from_data(voltage_v), Range.from_data(torque_nm), speed)
 
 
 NARROWEST = 1e-12

@@ -14,7 +14,7 @@ import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
-from gray_box_observer.predictor.forecaster import Forecaster, Question
+from gray_box_observer.predictor.forecaster import Forecaster, ForecastRequest
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.network_inputs import InputLayout, Variant
@@ -134,30 +134,30 @@ class Predictor:
             voltage_v: shape (motor,): mean voltage over it.
             theta: shape (motor, parameter): context nodes before the sample is learnt.
         """
-        question = self._question(interval_s, voltage_v, theta)
-        if question is None:
+        request = self._request(interval_s, voltage_v, theta)
+        if request is None:
             blank = np.full(self._motors, np.nan)
             return Prediction(blank, lambda: blank, None, None)
-        rollout = partial(self._rollout, question, self._rollout_nm)
-        torque_nm, memory = self._forecaster.forecast(question)
-        correction_nm, recollection = self.residual.correct(question, torque_nm)
+        rollout = partial(self._rollout, request, self._rollout_nm)
+        torque_nm, memory = self._forecaster.forecast(request)
+        correction_nm, recollection = self.residual.correct(request, torque_nm)
         if correction_nm is None:
-            return Prediction(torque_nm, rollout, memory, question.way)
+            return Prediction(torque_nm, rollout, memory, request.way)
         return Prediction(
-            torque_nm + correction_nm, rollout, memory, question.way, torque_nm, recollection
+            torque_nm + correction_nm, rollout, memory, request.way, torque_nm, recollection
         )
 
-    def _rollout(self, question: Question, from_nm: Array) -> Array:
+    def _rollout(self, request: ForecastRequest, from_nm: Array) -> Array:
         """Torque of the white box alone at the end of an interval, (motor,); NaN: none."""
         axis, ops = self._axis, self._axis.ops
-        start = ops.where(question.usable, self._white_box.state(axis.take(from_nm)), 0.0)
-        length_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
+        start = ops.where(request.usable, self._white_box.state(axis.to_operand(from_nm)), 0.0)
+        length_s = ops.where(request.usable, axis.to_operand(request.interval_s), 0.0)
         if axis.single:
-            end = flow(ops, self._white_box, question.way, start, length_s)
+            end = flow(ops, self._white_box, request.way, start, length_s)
         else:
-            end = flow_each(ops, self._white_box, question.way, start, length_s)
-        rollout_nm: Array = axis.give(
-            self._white_box.output(ops.where(question.usable, end, np.nan))
+            end = flow_each(ops, self._white_box, request.way, start, length_s)
+        rollout_nm: Array = axis.to_array(
+            self._white_box.output(ops.where(request.usable, end, np.nan))
         )
         return rollout_nm
 
@@ -189,18 +189,18 @@ class Predictor:
                 f'variant {self._rules.variant.value} forecasts the next sample only; for a '
                 'horizon use variant physics'
             )
-        question = self._question(np.full(self._motors, horizon_s), voltage_v, theta)
-        if question is None or (since is not None and since.memory is None):
+        request = self._request(np.full(self._motors, horizon_s), voltage_v, theta)
+        if request is None or (since is not None and since.memory is None):
             return np.full(self._motors, np.nan)
         if since is not None and since.memory is not None:
-            question = replace(question, origin=(_physics_of(since), since.memory))
-        torque_nm = self._forecaster.forecast(question)[0]
+            request = replace(request, origin=(_physics_of(since), since.memory))
+        torque_nm = self._forecaster.forecast(request)[0]
         correction = self.residual.correction
-        if correction is None or not self.residual.speaks:
+        if correction is None or not self.residual.is_active:
             return torque_nm
-        path_nm = self._forecaster.path(question, correction.instants_s(horizon_s))
+        path_nm = self._forecaster.path(request, correction.instants_s(horizon_s))
         return torque_nm + self.residual.along(
-            question, path_nm, None if since is None else since.residual_memory
+            request, path_nm, None if since is None else since.residual_memory
         )
 
     def learn(
@@ -256,7 +256,9 @@ class Predictor:
         }
         self.scores.add(sample.torque_nm, rivals)
         self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
-        self.training.take(sample, self._previous_speed, _physics_of(prediction), theta, covariance)
+        self.training.update(
+            sample, self._previous_speed, _physics_of(prediction), theta, covariance
+        )
 
     def state(self, motor: int = 0) -> dict[str, Array]:
         """One motor's network, learnt additions, and state of training, as arrays."""
@@ -281,17 +283,17 @@ class Predictor:
             self.residual.adopt(arrays)
         self.training.restore(arrays, motor)
 
-    def _question(self, interval_s: Array, voltage_v: Array, theta: Array) -> Question | None:
+    def _request(self, interval_s: Array, voltage_v: Array, theta: Array) -> ForecastRequest | None:
         """Say where an interval leads; None where no motor has a known start and voltage."""
         axis, ops = self._axis, self._axis.ops
-        voltage, speed = axis.take(voltage_v), 0.0
+        voltage, speed = axis.to_operand(voltage_v), 0.0
         usable = (
-            (axis.take(interval_s) > 0.0)
-            & ops.isfinite(axis.take(self._rollout_nm))
+            (axis.to_operand(interval_s) > 0.0)
+            & ops.isfinite(axis.to_operand(self._rollout_nm))
             & ops.isfinite(voltage)
         )
         if self._speed_measured:
-            speed = axis.take(self._previous_speed)
+            speed = axis.to_operand(self._previous_speed)
             usable = usable & ops.isfinite(speed)
         if not ops.any(usable):
             return None
@@ -306,7 +308,9 @@ class Predictor:
             way = course(
                 ops, self._white_box, columns, voltage, speed, 0.0 if way is None else way.steady_a
             )
-        return Question(interval_s, axis.give(voltage), axis.give(speed), theta, way, usable)
+        return ForecastRequest(
+            interval_s, axis.to_array(voltage), axis.to_array(speed), theta, way, usable
+        )
 
 
 def _of_present(sample: Sample, now: Array, before: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 
 from gray_box_observer.predictor import lag_features
 from gray_box_observer.predictor.elementwise import Axis
-from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.linear_part import BENDS, FEATURES, LinearPart, features
 from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
 from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays, positive
@@ -57,7 +57,7 @@ SHORTEST_S = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Correction:
+class ResidualModel:
     """A learnt correction.
 
     Attributes:
@@ -127,7 +127,7 @@ class Correction:
         return {f'{PREFIX}{name}': np.asarray(value, dtype=float) for name, value in arrays.items()}
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Any]) -> Correction | None:
+    def from_arrays(cls, arrays: Mapping[str, Any]) -> ResidualModel | None:
         """Take the correction out of others; None where there is none."""
         if f'{PREFIX}share' not in arrays:
             return None
@@ -142,7 +142,15 @@ class Correction:
         linear = LinearPart(
             **{name[7:]: array for name, array in own.items() if name.startswith('linear_')}
         )
-        return cls(Weights.of(own), linear, own['size'], limit_a, share, own['support'], interval_s)
+        return cls(
+            Weights.from_arrays(own),
+            linear,
+            own['size'],
+            limit_a,
+            share,
+            own['support'],
+            interval_s,
+        )
 
     def instants_s(self, horizon_s: float) -> Array:
         """Return when to ask it in a horizon: at its own pace, ASKED times at most, at the end.
@@ -221,38 +229,38 @@ class ResidualForecaster:
         self._motors = motors
         self._axis = Axis(motors)
         self._memory: Recollection | None = None
-        self.correction: Correction | None = None
+        self.correction: ResidualModel | None = None
         self._square_nm2 = np.zeros(motors)
 
     @property
-    def speaks(self) -> bool:
+    def is_active(self) -> bool:
         """Whether anything was learnt that helps."""
         return self.correction is not None and self.correction.share > 0.0
 
     def correct(
-        self, question: Question, torque_nm: Array
+        self, request: ForecastRequest, torque_nm: Array
     ) -> tuple[Array | None, Recollection | None]:
         """Return the correction of a forecast in N m, shape (motor,), and the memory it leaves.
 
         None where nothing was learnt, or nothing that helps.
         """
         model, memory = self.correction, self._memory
-        if model is None or not self.speaks or memory is None:
+        if model is None or not self.is_active or memory is None:
             return None, None
         is_known = np.isfinite(torque_nm)
         current: Array = self._white_box.state(np.where(is_known, torque_nm, 0.0))
-        steady = self._axis.give(question.way.steady_a)
-        signals = question.voltage_v, current, steady, question.speed_rad_s
+        steady = self._axis.to_array(request.way.steady_a)
+        signals = request.voltage_v, current, steady, request.speed_rad_s
         readout, network = step(model.weights, memory.network, model.inputs(*signals))
-        traces = self._followed(question, memory, model)
+        traces = self._followed(request, memory, model)
         correction = self._white_box.output(model.current(readout, features(*signals, traces)))
         return np.where(is_known, correction, 0.0), Recollection(network, traces)
 
-    def along(self, question: Question, path_nm: Array, memory: Recollection | None) -> Array:
+    def along(self, request: ForecastRequest, path_nm: Array, memory: Recollection | None) -> Array:
         """Return the correction after a held voltage in N m, shape (motor,); changes nothing.
 
         Args:
-            question: what is held, and how long.
+            request: what is held, and how long.
             path_nm: shape (motor, instant): what the physics forecasts at
                 :meth:`Correction.instants_s`.
             memory: what was remembered before; None: after the last sample.
@@ -261,24 +269,26 @@ class ResidualForecaster:
         if model is None or memory is None:
             return np.zeros(self._motors)
         current = self._white_box.state(np.nan_to_num(path_nm))
-        steady = self._axis.give(question.way.steady_a)
+        steady = self._axis.to_array(request.way.steady_a)
         signals = (
             np.asarray(signal)[:, None]
-            for signal in (question.voltage_v, steady, question.speed_rad_s)
+            for signal in (request.voltage_v, steady, request.speed_rad_s)
         )
         voltage_v, steady_a, speed_rad_s = signals
         inputs, network = model.inputs(voltage_v, current, steady_a, speed_rad_s), memory.network
         for k in range(inputs.shape[1]):
             readout, network = step(model.weights, network, inputs[:, k])
-        end = question.voltage_v, current[:, -1], steady, question.speed_rad_s
-        columns = features(*end, self._followed(question, memory, model))
+        end = request.voltage_v, current[:, -1], steady, request.speed_rad_s
+        columns = features(*end, self._followed(request, memory, model))
         return self._white_box.output(model.current(readout, columns))
 
-    def _followed(self, question: Question, memory: Recollection, model: Correction) -> Array:
+    def _followed(
+        self, request: ForecastRequest, memory: Recollection, model: ResidualModel
+    ) -> Array:
         """Traces at the end of an interval."""
-        intervals = question.interval_s / model.interval_s
+        intervals = request.interval_s / model.interval_s
         return lag_features.followed(
-            memory.traces, question.voltage_v, question.speed_rad_s, intervals
+            memory.traces, request.voltage_v, request.speed_rad_s, intervals
         )
 
     def remember(
@@ -311,11 +321,11 @@ class ResidualForecaster:
                 nothing was said, nothing was traced, and what the network remembered is long past.
                 None: a history begins.
         """
-        model = Correction.of(arrays)
+        model = ResidualModel.from_arrays(arrays)
         if model is None:
             return
         blank = Recollection.blank(self._motors, model.weights.hidden)
-        before = self._memory if self.speaks and self._memory is not None else blank
+        before = self._memory if self.is_active and self._memory is not None else blank
         traced = blank.traces if newest is None else _traced(newest, model.interval_s)
         self.correction, self._memory = model, Recollection(before.network, traced)
 

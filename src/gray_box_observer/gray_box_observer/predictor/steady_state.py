@@ -79,7 +79,7 @@ class Course:
     settling: Any
     near_a: Any
 
-    def of(self, index: NDArray[np.intp]) -> Course:
+    def select(self, index: NDArray[np.intp]) -> Course:
         """Return the courses of the chosen motors; only of arrays."""
         return Course(
             [parameter[index] for parameter in self.theta],
@@ -197,7 +197,7 @@ def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s
     for count in ops.unique(counts).tolist():
         motors = ops.flatnonzero(counts == count)
         end[motors] = _followed(
-            ops, white_box.of_motors(motors), way.of(motors), begin.of(motors), int(count)
+            ops, white_box.of_motors(motors), way.select(motors), begin.select(motors), int(count)
         )
     return end
 
@@ -214,7 +214,7 @@ class _Begin:
     fastest: Any
     length: Any
 
-    def of(self, index: NDArray[np.intp]) -> _Begin:
+    def select(self, index: NDArray[np.intp]) -> _Begin:
         """Return the chosen motors; only of arrays."""
         return _Begin(*(part[index] for part in (self.state, self.here, self.fastest, self.length)))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
-from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.network import Mask, Memory, Weights, advance, check_weights, step
 from gray_box_observer.predictor.steady_state import INPUTS, Course, after, relaxation
 from gray_box_observer.white_box.interface import Array, WhiteBox
@@ -31,35 +31,35 @@ class RelaxingForecaster:
         self._white_box = self._axis.white_box(white_box)
         self._run(weights)
         self._memory = self._blank()
-        self._current = self._axis.take(np.full(motors, np.nan))
+        self._current = self._axis.to_operand(np.full(motors, np.nan))
 
-    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+    def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
         """Let the current relax over the interval, in one step however long it is."""
         axis, ops = self._axis, self._axis.ops
-        current, memory = self._origin(question)
-        start = ops.where(question.usable, current, 0.0)
-        interval_s = ops.where(question.usable, axis.take(question.interval_s), 0.0)
-        interval = relaxation(ops, self._white_box, question.way, start, interval_s)
+        current, memory = self._origin(request)
+        start = ops.where(request.usable, current, 0.0)
+        interval_s = ops.where(request.usable, axis.to_operand(request.interval_s), 0.0)
+        interval = relaxation(ops, self._white_box, request.way, start, interval_s)
         columns = interval.inputs(ops)
         inputs = np.array([columns]) if axis.single else ops.stack(columns).T
         readout, memory = advance(axis.arrays, self._matrices, memory, inputs)
-        end = after(ops, interval, axis.take(readout))
-        torque_nm = self._white_box.output(ops.where(question.usable, end, np.nan))
-        return axis.give(torque_nm), memory
+        end = after(ops, interval, axis.to_operand(readout))
+        torque_nm = self._white_box.output(ops.where(request.usable, end, np.nan))
+        return axis.to_array(torque_nm), memory
 
-    def path(self, question: Question, instants_s: Array) -> Array:
+    def path(self, request: ForecastRequest, instants_s: Array) -> Array:
         """Forecast torques along a held voltage, each in one step from the motor's state.
 
         Args:
-            question: what is held; the length of its interval is left aside.
+            request: what is held; the length of its interval is left aside.
             instants_s: shape (instant,): time since the start.
 
         Returns:
-            Shape (motor, instant), in N m; NaN where the question cannot be answered.
+            Shape (motor, instant), in N m; NaN where the request cannot be answered.
         """
-        current, memory = self._origin(question)
+        current, memory = self._origin(request)
         motors, count = memory.hidden.shape[0], instants_s.size
-        usable, way = np.reshape(question.usable, (motors, 1)), question.way
+        usable, way = np.reshape(request.usable, (motors, 1)), request.way
         if not self._axis.single:
             theta = [column[:, None] for column in way.theta]
             way = Course(theta, *(signal[:, None] for signal in way.signals))
@@ -75,12 +75,12 @@ class RelaxingForecaster:
         end = after(np, interval, readout.reshape(motors, count))
         return self._white_box.output(np.where(usable, end, np.nan))
 
-    def _origin(self, question: Question) -> tuple[Any, Memory]:
+    def _origin(self, request: ForecastRequest) -> tuple[Any, Memory]:
         """Current and memory at the start of the interval."""
-        if question.origin is None:
+        if request.origin is None:
             return self._current, self._memory
-        torque_nm, memory = question.origin
-        return self._white_box.state(self._axis.take(torque_nm)), memory
+        torque_nm, memory = request.origin
+        return self._white_box.state(self._axis.to_operand(torque_nm)), memory
 
     def remember(
         self,
@@ -97,7 +97,7 @@ class RelaxingForecaster:
         if begins.any():
             torque_nm = np.where(begins, measured_nm, torque_nm)
             self._memory = self._memory.cleared(axis.array(begins), axis.arrays)
-        self._current = self._white_box.state(axis.take(torque_nm))
+        self._current = self._white_box.state(axis.to_operand(torque_nm))
         if present is not None:
             present = axis.array(present)
             self._memory = self._memory.where(present, before[0], axis.arrays)
@@ -105,7 +105,7 @@ class RelaxingForecaster:
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a better network run from here on."""
-        self._run(Weights.of(result))
+        self._run(Weights.from_arrays(result))
 
     def _run(self, weights: Weights) -> None:
         self._weights = weights
@@ -129,7 +129,7 @@ class RelaxingForecaster:
                 'variant'
             )
         check_weights(arrays)
-        self._run(Weights.of(arrays, self._weights.hidden, INPUTS))
+        self._run(Weights.from_arrays(arrays, self._weights.hidden, INPUTS))
         self._memory = self._blank()
 
     def start(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ NEAR_S = 0.1
 one is near."""
 
 
-class Chore:
+class PeriodicTask:
     """A periodic task: runs after a message while the next is far, or by a timer if none come.
 
     A timer knows nothing of messages: what it does just before one comes keeps that one waiting.
@@ -41,7 +41,7 @@ class Chore:
         self._done_s = time.monotonic()
         self._action()
 
-    def ring(self) -> None:
+    def on_timer(self) -> None:
         """For the timer: run, or leave it to messages if one is near and none stayed away.
 
         A timer that has fallen behind finds it done: not once more for that.
@@ -54,7 +54,7 @@ class Chore:
         else:
             self._left_s = now_s
 
-    def meet(self, *, quiet: bool) -> bool:
+    def on_message(self, *, quiet: bool) -> bool:
         """Do it if it is due or late; tell whether it was done. For whoever has served a message.
 
         Args:

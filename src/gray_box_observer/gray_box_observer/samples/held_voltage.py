@@ -83,7 +83,7 @@ class HeldVoltage:
         """How long a voltage of one motor of a group may be missing before it is overdue, s."""
         return self._rhythm.silence_s if self._rhythm.regular else math.inf
 
-    def take(self, stamp_ns: int, voltage_v: Any) -> None:
+    def update(self, stamp_ns: int, voltage_v: Any) -> None:
         """Let a voltage be in force from a stamp on that is newer than all before."""
         pause = None
         if self.newest_ns is not None:
@@ -91,7 +91,7 @@ class HeldVoltage:
             if interval_s > rhythm.silence_s:
                 pause = _Pause(rhythm.silence_s, rhythm.regular)
                 self._pauses += 1
-            rhythm.take(interval_s)
+            rhythm.update(interval_s)
         self.newest_ns = stamp_ns
         self._coming.append((stamp_ns, voltage_v, pause))
         if (

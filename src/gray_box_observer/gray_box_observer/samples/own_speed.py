@@ -23,7 +23,7 @@ class OwnSpeed:
         self._coming: deque[tuple[int, float]] = deque()
         self.newest_ns: int | None = None
 
-    def take(self, stamp_ns: int, speed_rad_s: float) -> None:
+    def update(self, stamp_ns: int, speed_rad_s: float) -> None:
         """Take one speed in rad/s, newer than all before."""
         self.newest_ns = stamp_ns
         self._coming.append((stamp_ns, speed_rad_s))

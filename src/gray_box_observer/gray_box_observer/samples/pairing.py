@@ -108,7 +108,7 @@ class Pairing:
         self.history = RawHistory(motors)
         self._speeds = OwnSpeed()
         self._learn_habits()
-        self.take: dict[str, Callable[..., list[Sample]]] = {
+        self.ingest_signal: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
             'speed': self.speed,
@@ -187,14 +187,14 @@ class Pairing:
         """
         certain_ns = until_ns + min(0, nanoseconds(delay_s) - self._delay_ns)
         events = list(self.history.events(nanoseconds(delay_s)))
-        counts, waiting_before = self.of(0), self.waiting
+        counts, waiting_before = self.counts_for(0), self.waiting
         self._set_delay(delay_s)
         self._learn_habits()
         self._restart()
         self.history.clear()
         samples: list[Sample] = []
         for signal, stamp_ns, values in events:
-            samples += self.take[signal](stamp_ns, *values)
+            samples += self.ingest_signal[signal](stamp_ns, *values)
         self.count_as([counts])
         self.used += waiting_before - self.waiting
         self._repeated_until_ns = until_ns
@@ -220,8 +220,8 @@ class Pairing:
             picked: list[Any] = [
                 np.asarray(value)[index] if np.ndim(value) else value for value in values
             ]
-            pairing.take[signal](stamp_ns, *picked)
-        pairing.count_as([self.of(motor) for motor in motors])
+            pairing.ingest_signal[signal](stamp_ns, *picked)
+        pairing.count_as([self.counts_for(motor) for motor in motors])
         return pairing
 
     def count_as(self, counts: Sequence[PairingCounts]) -> None:
@@ -260,7 +260,7 @@ class Pairing:
             return []
         self.taken_voltage += 1
         self.history.voltage(raw_ns, voltage_v)
-        self._voltages.take(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
+        self._voltages.update(stamp_ns, self._joining.filled(stamp_ns, voltage_v, self._voltages))
         return samples + self._complete(self._known_ns()) if self._torques else samples
 
     def speed(self, stamp_ns: int, speed_rad_s: float) -> list[Sample]:
@@ -271,7 +271,7 @@ class Pairing:
         if samples is None:
             return []
         self.history.speed(stamp_ns, speed_rad_s)
-        self._speeds.take(stamp_ns, speed_rad_s)
+        self._speeds.update(stamp_ns, speed_rad_s)
         return samples + self._complete(self._known_ns())
 
     def torque(
@@ -294,7 +294,7 @@ class Pairing:
             return []
         self.history.torque(stamp_ns, torque_nm, speed_rad_s)
         if self._newest_torque_ns is not None:
-            self._torque_rhythm.take(seconds(stamp_ns - self._newest_torque_ns))
+            self._torque_rhythm.update(seconds(stamp_ns - self._newest_torque_ns))
         self._newest_torque_ns = stamp_ns
         self._torques.append((stamp_ns, torque_nm, speed_rad_s))
         samples += self._complete(self._known_ns())
@@ -349,7 +349,7 @@ class Pairing:
             stamp_ns - start_ns, voltages.mean(start_ns, stamp_ns), self._gap_ns
         )
 
-    def of(self, motor: int) -> PairingCounts:
+    def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         missed_counts, lost_count = self._joining.missed(motor), self._joining.lost(motor)
         received_voltage, refusal_counts = (

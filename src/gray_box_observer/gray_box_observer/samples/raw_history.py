@@ -77,7 +77,7 @@ class _Numbers:
         self._values = array('d')  # row after row
 
     @classmethod
-    def of(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
+    def from_arrays(cls, stamps: NDArray[np.int64], values: Array, most: int) -> _Numbers:
         """Remember rows, values of shape (value, row), in one piece; no more than ``most``."""
         rows = cls(values.shape[0], most)
         rows._stamps.frombytes(stamps.tobytes())
@@ -136,14 +136,16 @@ class _Arrays:
         """Forget every row."""
         self._rows.clear()
 
-    def of(self, motor: int) -> _Numbers:
+    def select_motor(self, motor: int) -> _Numbers:
         """Rows of one motor that have its first value, copied at once, as a sample waits."""
         if not self._rows:
             return _Numbers(self._width, self._most)
         stamps, *columns = zip(*self._rows, strict=True)
         values = np.array([[_value(value, motor) for value in column] for column in columns])
         usable = ~np.isnan(values[0])
-        return _Numbers.of(np.array(stamps, dtype=np.int64)[usable], values[:, usable], self._most)
+        return _Numbers.from_arrays(
+            np.array(stamps, dtype=np.int64)[usable], values[:, usable], self._most
+        )
 
 
 def _value(value: Any, motor: int) -> float:
@@ -209,13 +211,16 @@ class RawHistory:
         rows.sort(key=lambda row: row[:2])
         return (event for _, _, event in rows)
 
-    def of(self, motor: int) -> RawHistory:
+    def select_motor(self, motor: int) -> RawHistory:
         """Return the remembered rows of one motor of a group, without unusable ones."""
         history = RawHistory()
         history.restarts = self.restarts
         if not isinstance(self._torques, _Arrays) or not isinstance(self._voltages, _Arrays):
             raise GrayBoxError('a single motor has signals of its own, expected .signals')
-        history._voltages, history._torques = self._voltages.of(motor), self._torques.of(motor)
+        history._voltages, history._torques = (
+            self._voltages.select_motor(motor),
+            self._torques.select_motor(motor),
+        )
         return history
 
     def signals(self, until_ns: int, delay_ns: int) -> RawSignals | None:
@@ -229,7 +234,9 @@ class RawHistory:
             The signals, None where there are less than two torques or no voltage.
         """
         if not isinstance(self._torques, _Numbers) or not isinstance(self._voltages, _Numbers):
-            raise GrayBoxError('a group has the signals of its motors, expected .of(motor).signals')
+            raise GrayBoxError(
+                'a group has the signals of its motors, expected .select_motor(motor).signals'
+            )
         stamps, (torque, speed) = self._torques.until(until_ns, TORQUES)
         since, (voltage,) = self._voltages.until(until_ns - delay_ns, VOLTAGES)
         if stamps.size < 2 or not since.size:

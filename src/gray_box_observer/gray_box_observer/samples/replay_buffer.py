@@ -234,7 +234,7 @@ class ReplayBuffer:
         return self.newest(int(counts.min()), motors).copy()
 
     @classmethod
-    def of(cls, samples: Sequence[Sample]) -> ReplayBuffer:
+    def from_samples(cls, samples: Sequence[Sample]) -> ReplayBuffer:
         """Return a buffer of just these samples; a missing speed repeats the previous one."""
         buffer = cls(samples[0].torque_nm.size, len(samples))
         speed = samples[0].speed_rad_s

@@ -54,7 +54,7 @@ class Rhythm:
         """Whether the signal has long come without silence, not only when it changes."""
         return self._unbroken >= REGULAR
 
-    def take(self, interval_s: float) -> None:
+    def update(self, interval_s: float) -> None:
         """Take one sample's interval since the one before, in s; 0 at the start of a history."""
         if interval_s <= 0.0:
             self.pauses += 1

@@ -59,7 +59,7 @@ class Sample(NamedTuple):
         still = None if self.present is None else is_waiting & ~self.present
         return self.beginning(is_waiting), None if still is None or not np.any(still) else still
 
-    def of(self, index: NDArray[np.intp]) -> Sample:
+    def select(self, index: NDArray[np.intp]) -> Sample:
         """Return the sample of the chosen motors."""
         voltage_v, torque_nm, speed_rad_s = (
             x[index] for x in (self.voltage_v, self.torque_nm, self.speed_rad_s)

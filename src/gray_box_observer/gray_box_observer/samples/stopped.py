@@ -39,7 +39,7 @@ class StoppedPairing:
         }
         self.received_voltage = max(one.received_voltage for one in counts)
         self.received_torque = max(one.received_torque for one in counts)
-        self.take: dict[str, Callable[..., list[Sample]]] = {
+        self.ingest_signal: dict[str, Callable[..., list[Sample]]] = {
             'voltage': self.voltage,
             'torque': self.torque,
             'speed': self.speed,
@@ -71,7 +71,7 @@ class StoppedPairing:
         self._came[signal] += 1 if absent is None else ~absent
         return []
 
-    def of(self, motor: int) -> PairingCounts:
+    def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
         counts = self._counts[motor]
         refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}

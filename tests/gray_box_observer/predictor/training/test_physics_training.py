@@ -18,15 +18,15 @@ from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.training import worker_messages
 from gray_box_observer.predictor.training.histories import newest_history
 from gray_box_observer.predictor.training.physics_batches import (
-    Lesson,
+    TrainingBatch,
     exact_run,
     free_run,
     free_run_error,
-    lesson,
+    training_batch,
 )
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.training.synthetic_sequences import draw_around, draw_family
-from gray_box_observer.predictor.training.teaching import Pupil, defect_loss
+from gray_box_observer.predictor.training.teaching import TrainableNetwork, defect_loss
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.dynamics import rate
@@ -78,7 +78,7 @@ def drawn(seed: int = 0, count: int = 40, length: int = 12) -> Any:
 
 def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> None:
     weights, sequences = Weights.initial(5, 4, 1), drawn()
-    taught = lesson(weights, sequences)
+    taught = training_batch(weights, sequences)
     predicted, _ = free_run(weights, sequences)
     starts = np.concatenate([sequences.start_a[:, None], predicted[:, :-1]], axis=1)
     size = (starts / taught.intervals.state)[:, :1]
@@ -97,7 +97,7 @@ def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> Non
 
 
 def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None:
-    taught = lesson(fresh(4, 0), drawn())
+    taught = training_batch(fresh(4, 0), drawn())
     exact = replace(taught, moved=taught.intervals.distance * np.expm1(-taught.intervals.duration))
     linear = replace(exact.intervals, settling=0.0 * taught.moved, halfway=0.0 * taught.moved)
     readout = torch.zeros(taught.moved.shape)
@@ -106,19 +106,19 @@ def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None
 
 
 def test_the_pupil_says_in_torch_what_the_streamed_network_says() -> None:
-    taught = lesson(Weights.initial(5, 6, 3), drawn())
-    pupil = Pupil(Weights.initial(5, 6, 3), 0.01, 1.0)
+    taught = training_batch(Weights.initial(5, 6, 3), drawn())
+    trainable = TrainableNetwork(Weights.initial(5, 6, 3), 0.01, 1.0)
     with torch.no_grad():
-        said = pupil._network(torch.as_tensor(taught.inputs, dtype=torch.float32)).numpy()
+        said = trainable._network(torch.as_tensor(taught.inputs, dtype=torch.float32)).numpy()
     memory = Memory.blank(taught.inputs.shape[0], 6)
     for k in range(taught.inputs.shape[1]):
-        output, memory = step(pupil.weights, memory, taught.inputs[:, k])
+        output, memory = step(trainable.weights, memory, taught.inputs[:, k])
         np.testing.assert_allclose(output, said[:, k], atol=1e-5)
 
 
 def test_lessons_join_sequence_by_sequence() -> None:
-    parts = [lesson(fresh(3, 0), drawn(seed, 4)) for seed in range(2)]
-    joined = Lesson.joined(parts)
+    parts = [training_batch(fresh(3, 0), drawn(seed, 4)) for seed in range(2)]
+    joined = TrainingBatch.joined(parts)
     np.testing.assert_array_equal(joined.moved[4:], parts[1].moved)
     np.testing.assert_array_equal(joined.intervals.duration[:4], parts[0].intervals.duration)
 
@@ -126,10 +126,10 @@ def test_lessons_join_sequence_by_sequence() -> None:
 def test_teaching_lowers_the_error_on_motors_that_never_taught() -> None:
     random, held_out = np.random.default_rng(3), drawn(99, 200, 16)
     exact, weights = exact_run(held_out), fresh(6, 0)
-    pupil = Pupil(weights, 0.02, 1.0)
+    trainable = TrainableNetwork(weights, 0.02, 1.0)
     for _ in range(60):
-        pupil.learn(lesson(pupil.weights, draw_family(random, 48, 16)))
-    assert free_run_error(pupil.weights, held_out, exact) < 0.7 * free_run_error(
+        trainable.learn(training_batch(trainable.weights, draw_family(random, 48, 16)))
+    assert free_run_error(trainable.weights, held_out, exact) < 0.7 * free_run_error(
         weights, held_out, exact
     )
 
@@ -217,8 +217,8 @@ def test_half_of_what_is_taught_is_of_all_the_family(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
     trainer: Any = PhysicsTrainer(configuration(thesis_box))
-    trainer._pupil = trainer._enrol()
-    taught = trainer._lesson(job_of(samples, HARD), HARD)
+    trainer._trainable = trainer._enrol()
+    taught = trainer._training_batch(job_of(samples, HARD), HARD)
     own, other = (
         taught.intervals.duration[: FRESH.minibatch],
         taught.intervals.duration[FRESH.minibatch :],
@@ -379,7 +379,7 @@ def test_another_trainer_goes_on_from_what_a_result_tells(
     one, other = (PhysicsTrainer(configuration(thesis_box, seed=seed)) for seed in (5, 5))
     results = [one.train(job_of(samples, HARD)) for _ in range(4)]
     running = next((r for r in reversed(results[:2]) if 'input' in r), None)
-    weights = fresh(FRESH.hidden, 5) if running is None else Weights.of(running)
+    weights = fresh(FRESH.hidden, 5) if running is None else Weights.from_arrays(running)
     handed = {f'start_{name}': array for name, array in weights.arrays().items()}
     handed |= {
         f'start_{name}': array for name, array in results[1].items() if name.startswith('learning_')

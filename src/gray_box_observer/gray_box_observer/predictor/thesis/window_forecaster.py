@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor.forecaster import Question
+from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
 from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation, saved_ranges
@@ -33,12 +33,12 @@ class WindowForecaster:
         self._memory: Memory | None = None
         self._warm = np.zeros(motors, dtype=int)
 
-    def forecast(self, question: Question) -> tuple[Array, Memory | None]:
+    def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
         """Run the network one sample on."""
         if self._weights is None or self._normalisation is None or self._memory is None:
             return np.full(self._motors, np.nan), None
         columns = self._layout.columns(
-            self._normalisation, question.voltage_v, question.speed_rad_s, question.theta
+            self._normalisation, request.voltage_v, request.speed_rad_s, request.theta
         )
         output, memory = step(self._weights, self._memory, np.stack(columns, axis=-1))
         torque = self._normalisation.torque.denormalise(output)
@@ -61,7 +61,7 @@ class WindowForecaster:
 
     def adopt(self, result: dict[str, Any]) -> None:
         """Let a trained network run, with the ranges it was trained by."""
-        self._weights = Weights.of(result)
+        self._weights = Weights.from_arrays(result)
         self._normalisation = Normalisation.from_dict(result['ranges'])
         if self._memory is None:
             self._begin(self._weights)
@@ -86,7 +86,7 @@ class WindowForecaster:
                 'see variant'
             )
         check_weights(arrays)
-        weights = Weights.of(arrays, self._rules.hidden, self._layout.width)
+        weights = Weights.from_arrays(arrays, self._rules.hidden, self._layout.width)
         ranges = saved_ranges(arrays, 'range_', speed=self._layout.sees_speed)
         self._weights = weights
         self._normalisation = Normalisation.from_dict(ranges)

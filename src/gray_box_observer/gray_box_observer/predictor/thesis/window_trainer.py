@@ -96,7 +96,9 @@ class WindowTrainer:
         """Go on from a saved network, and from :meth:`_state` where that was saved too."""
         self._begin()
         self._network.load(
-            Weights.of({name: job[f'start_{name}'] for name in Weights.__dataclass_fields__})
+            Weights.from_arrays(
+                {name: job[f'start_{name}'] for name in Weights.__dataclass_fields__}
+            )
         )
         self._normalisation = Normalisation.from_dict(job['start_ranges'])
         arrays = {
@@ -145,7 +147,7 @@ class WindowTrainer:
         voltage = job['voltage_v'][job['interval_s'] > 0.0]
         if self._normalisation is None:
             speed = job['speed_rad_s'] if self._white_box.speed_measured else None
-            self._normalisation = Normalisation.of(voltage, job['torque_nm'], speed)
+            self._normalisation = Normalisation.from_data(voltage, job['torque_nm'], speed)
             return
         new = self._normalisation.grown(voltage, job['torque_nm'], job['speed_rad_s'])
         if new != self._normalisation:

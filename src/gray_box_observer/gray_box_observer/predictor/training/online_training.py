@@ -76,7 +76,7 @@ class OnlineTraining:
         self._job: dict[str, Any] = {}
         self._learning: dict[str, Array] = {}
 
-    def take(
+    def update(
         self,
         sample: Sample,
         speed_rad_s: Array,
@@ -298,7 +298,7 @@ class OnlineTraining:
         job, self._job = self._job, {}
         motor = int(job['motor'])
         if (
-            'input' in result and not Weights.of(result).finite
+            'input' in result and not Weights.from_arrays(result).finite
         ):  # the trainer begins anew from the network that runs
             self._learning, self._start_from = {}, self._forecaster.start()
             return

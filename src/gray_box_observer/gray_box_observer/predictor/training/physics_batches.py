@@ -26,7 +26,7 @@ EXACT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Lesson:
+class TrainingBatch:
     """Intervals along the network's own prediction, each with where the white box would have gone.
 
     Attributes:
@@ -41,7 +41,7 @@ class Lesson:
     moved: Array
 
     @classmethod
-    def joined(cls, parts: list[Lesson]) -> Lesson:
+    def joined(cls, parts: list[TrainingBatch]) -> TrainingBatch:
         """Return the sequences of several lessons of equal length as one."""
         intervals = Relaxation(
             **{
@@ -102,7 +102,7 @@ def free_run_error(weights: Weights, sequences: Sequences, exact_a: Array) -> fl
     return float(np.mean(error / spread(sequences, exact_a)))
 
 
-def lesson(weights: Weights, sequences: Sequences) -> Lesson:
+def training_batch(weights: Weights, sequences: Sequences) -> TrainingBatch:
     """Run the network freely; ask the white box where each interval should have ended."""
     predicted_a, parts = free_run(weights, sequences)
     size = spread(sequences, predicted_a)[:, None]
@@ -120,7 +120,7 @@ def lesson(weights: Weights, sequences: Sequences) -> Lesson:
             for f in fields(Relaxation)
         }
     )
-    return Lesson(inputs, scaled_intervals, targets)
+    return TrainingBatch(inputs, scaled_intervals, targets)
 
 
 def steady_currents(sequences: Sequences) -> Array:

@@ -18,11 +18,11 @@ from gray_box_observer.predictor.predictor_settings import TrainingRules
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import histories, newest_history
 from gray_box_observer.predictor.training.physics_batches import (
-    Lesson,
+    TrainingBatch,
     exact_run,
     free_run,
     free_run_error,
-    lesson,
+    training_batch,
 )
 from gray_box_observer.predictor.training.residual_trainer import ResidualTrainer
 from gray_box_observer.predictor.training.synthetic_sequences import (
@@ -35,7 +35,7 @@ from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
 if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
-    from gray_box_observer.predictor.training.teaching import Pupil
+    from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
 LENGTH = 24
 """Intervals of a drawn sequence."""
@@ -69,7 +69,7 @@ class PhysicsTrainer:
         self._seed = int(configuration['seed'])
         self._random = np.random.default_rng([self._seed, 1])
         self._running = first_network(self._rules, self._seed)
-        self._pupil: Pupil | None = None
+        self._trainable: TrainableNetwork | None = None
         self._refused = 0
         self._residual = ResidualTrainer(self._seed, self._rules.device)
         self._family = _HeldOut(
@@ -114,16 +114,17 @@ class PhysicsTrainer:
         now = own.error(self._running)
         if now <= ENOUGH:
             return {'windows': 0, 'settled': True, 'error': now}
-        if self._pupil is None:
-            self._pupil = self._enrol()
+        if self._trainable is None:
+            self._trainable = self._enrol()
         losses = [
-            self._pupil.learn(self._lesson(job, range_seen)) for _ in range(self._rules.steps)
+            self._trainable.learn(self._training_batch(job, range_seen))
+            for _ in range(self._rules.steps)
         ]
         answer: Message = {
             'windows': 2 * self._rules.steps * self._rules.minibatch,
             'loss': float(np.mean(losses)),
         }
-        candidate = self._pupil.weights
+        candidate = self._trainable.weights
         if self._better(candidate, own, now, job):
             self._running, self._refused = candidate, 0
             answer |= self._running.arrays()
@@ -131,17 +132,19 @@ class PhysicsTrainer:
             self._refused += 1
         is_settled = self._refused >= self._rules.patience
         if is_settled:
-            self._pupil, self._refused = None, 0
+            self._trainable, self._refused = None, 0
         return {**answer, 'settled': is_settled, 'error': own.error(self._running)}
 
     def _state(self) -> dict[str, Array]:
         """Everything but the running network that the next job depends on."""
-        pupil = (
-            {} if self._pupil is None else {f'pupil_{k}': v for k, v in self._pupil.state().items()}
+        trainable = (
+            {}
+            if self._trainable is None
+            else {f'pupil_{k}': v for k, v in self._trainable.state().items()}
         )
         residual = {f'residual_{k}': v for k, v in self._residual.state().items()}
         return {
-            **pupil,
+            **trainable,
             **residual,
             'refused': np.array(self._refused),
             'random': random_state.pack(self._random),
@@ -149,7 +152,7 @@ class PhysicsTrainer:
 
     def _restore(self, arrays: dict[str, Array]) -> None:
         """Take back what :meth:`_state` gave; start over where that was not saved."""
-        self._pupil = None
+        self._trainable = None
         self._residual = ResidualTrainer(self._seed, self._rules.device)
         if 'random' not in arrays:
             return
@@ -157,18 +160,22 @@ class PhysicsTrainer:
         self._residual.restore(
             {name[9:]: array for name, array in arrays.items() if name.startswith('residual_')}
         )
-        pupil = {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
-        if pupil:
-            from gray_box_observer.predictor.training.teaching import Pupil
+        trainable = {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
+        if trainable:
+            from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
             rules = self._rules
-            self._pupil = Pupil.of(pupil, rules.learning_rate, rules.gradient_clip, rules.device)
+            self._trainable = TrainableNetwork.from_arrays(
+                trainable, rules.learning_rate, rules.gradient_clip, rules.device
+            )
 
-    def _enrol(self) -> Pupil:
-        from gray_box_observer.predictor.training.teaching import Pupil
+    def _enrol(self) -> TrainableNetwork:
+        from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
         rules = self._rules
-        return Pupil(self._running, rules.learning_rate, rules.gradient_clip, rules.device)
+        return TrainableNetwork(
+            self._running, rules.learning_rate, rules.gradient_clip, rules.device
+        )
 
     def _draw(
         self, random: np.random.Generator, job: Message, range_seen: OperatingRange, count: int
@@ -186,15 +193,17 @@ class PhysicsTrainer:
             LENGTH,
         )
 
-    def _lesson(self, job: Message, range_seen: OperatingRange) -> Lesson:
+    def _training_batch(self, job: Message, range_seen: OperatingRange) -> TrainingBatch:
         """Half of the lessons are of these motors, half of all: no regime is forgotten."""
-        assert self._pupil is not None
-        weights, count = self._pupil.weights, self._rules.minibatch
+        assert self._trainable is not None
+        weights, count = self._trainable.weights, self._rules.minibatch
         sequence_sets = [
             self._draw(self._random, job, range_seen, count),
             draw_family(self._random, count, LENGTH),
         ]
-        return Lesson.joined([lesson(weights, sequences) for sequences in sequence_sets])
+        return TrainingBatch.joined(
+            [training_batch(weights, sequences) for sequences in sequence_sets]
+        )
 
     def _better(self, candidate: Weights, own: _HeldOut, now: float, job: Message) -> bool:
         """Whether a network beats the running one on drawn data and is no worse on measured."""

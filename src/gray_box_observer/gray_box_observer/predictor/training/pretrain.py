@@ -19,7 +19,12 @@ from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor.initial_network import SHIPPED, fresh, save
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.predictor_settings import TrainingRules
-from gray_box_observer.predictor.training.physics_batches import exact_run, free_run, lesson, spread
+from gray_box_observer.predictor.training.physics_batches import (
+    exact_run,
+    free_run,
+    spread,
+    training_batch,
+)
 from gray_box_observer.predictor.training.synthetic_sequences import draw_family
 from gray_box_observer.predictor.training.training_backend import TORCH_MISSING
 from gray_box_observer.white_box.interface import Array
@@ -38,17 +43,17 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
         hidden: hidden units.
         progress: yields how far training has come, 0 to 1, before each step.
     """
-    from gray_box_observer.predictor.training.teaching import Pupil
+    from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
     random = np.random.default_rng([seed, 1])
-    pupil = Pupil(fresh(hidden, seed), FIRST_RATE, TrainingRules().gradient_clip)
+    trainable = TrainableNetwork(fresh(hidden, seed), FIRST_RATE, TrainingRules().gradient_clip)
     for progress_share in progress:
         rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (
             1.0 + math.cos(math.pi * progress_share)
         )
-        pupil.optimiser.param_groups[0]['lr'] = rate
-        pupil.learn(lesson(pupil.weights, draw_family(random, SEQUENCES, LENGTH)))
-    return pupil.weights
+        trainable.optimiser.param_groups[0]['lr'] = rate
+        trainable.learn(training_batch(trainable.weights, draw_family(random, SEQUENCES, LENGTH)))
+    return trainable.weights
 
 
 def held_out_errors(weights: Weights, seed: int) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gray_box_observer.predictor import lag_features
 from gray_box_observer.predictor.linear_part import LinearPart, features
 from gray_box_observer.predictor.network import Memory, Weights, step
-from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, Correction, cells
+from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, ResidualModel, cells
 from gray_box_observer.predictor.significance import PARTS, borne_out
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import History
@@ -28,7 +28,7 @@ from gray_box_observer.settings.device import CPU
 from gray_box_observer.white_box.interface import Array
 
 if TYPE_CHECKING:  # torch is imported when there is something to learn, not before
-    from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+    from gray_box_observer.predictor.training.trainable_residual import TrainableResidual
 
 HIDDEN = 8
 LIMIT = 1.0
@@ -102,9 +102,9 @@ class ResidualTrainer:
         self._random = np.random.default_rng([seed, 5])
         self._seed = seed
         self._device = device
-        self._pupil: ResidualPupil | None = None
+        self._trainable: TrainableResidual | None = None
         self._sizes: tuple[Array, float] | None = None
-        self._best: list[Correction] = []
+        self._best: list[ResidualModel] = []
 
     def learn(
         self, weights: Weights, histories: Sequence[History], steps: int = STEPS
@@ -127,7 +127,7 @@ class ResidualTrainer:
         if sum(history.number.size for history in long_histories) < FEWEST:
             return {}
         run = _against_physics(weights, long_histories)
-        if self._pupil is None and not worth_learning(
+        if self._trainable is None and not worth_learning(
             run.residual_a[:, run.heard], run.predicted_a[:, run.heard]
         ):
             return {}
@@ -146,9 +146,9 @@ class ResidualTrainer:
     def state(self) -> dict[str, Array]:
         """Everything that the next round depends on, as arrays."""
         state: dict[str, Array] = {'random': random_state.pack(self._random)}
-        if self._pupil is not None and self._sizes is not None:
+        if self._trainable is not None and self._sizes is not None:
             state |= {'size': self._sizes[0], 'limit_a': np.array(self._sizes[1])}
-            state |= {f'pupil_{name}': array for name, array in self._pupil.state().items()}
+            state |= {f'pupil_{name}': array for name, array in self._trainable.state().items()}
         for best in self._best:
             state |= {f'best_{name}': array for name, array in best.arrays().items()}
         return state
@@ -157,30 +157,33 @@ class ResidualTrainer:
         """Take back what :meth:`state` gave."""
         self._random = random_state.unpack(arrays['random'])
         if 'size' in arrays:
-            from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+            from gray_box_observer.predictor.training.trainable_residual import TrainableResidual
 
             self._sizes = arrays['size'].copy(), float(arrays['limit_a'])
-            self._pupil = ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
-            self._pupil.restore(
+            self._trainable = TrainableResidual(INPUTS, HIDDEN, self._seed, self._device)
+            self._trainable.restore(
                 {name[6:]: array for name, array in arrays.items() if name.startswith('pupil_')}
             )
-        best = Correction.of(
+        best = ResidualModel.from_arrays(
             {name[5:]: array for name, array in arrays.items() if name.startswith('best_')}
         )
         self._best = [] if best is None else [best]
 
-    def _taught(self, run: _Run, steps: int) -> Correction:
+    def _taught(self, run: _Run, steps: int) -> ResidualModel:
         """Teach on all blocks but the judging ones."""
-        from gray_box_observer.predictor.training.trainable_residual import ResidualPupil
+        from gray_box_observer.predictor.training.trainable_residual import TrainableResidual
 
         now = _sizes(run)
-        if self._pupil is None or self._sizes is None or _outgrown(self._sizes, now):
-            self._sizes, self._pupil = now, ResidualPupil(INPUTS, HIDDEN, self._seed, self._device)
+        if self._trainable is None or self._sizes is None or _outgrown(self._sizes, now):
+            self._sizes, self._trainable = (
+                now,
+                TrainableResidual(INPUTS, HIDDEN, self._seed, self._device),
+            )
         size, limit_a = self._sizes
         pace_s = float(np.median(run.interval_s))
         support = np.zeros((BINS, BINS))
-        blank = Correction(
-            self._pupil.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s
+        blank = ResidualModel(
+            self._trainable.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s
         )
         teaching = ~judging(run.number) & run.heard
         at = (
@@ -191,10 +194,10 @@ class ResidualTrainer:
         columns, targets = _features(run, pace_s), run.residual_a / limit_a
         linear = LinearPart.learnt(columns[:, teaching], targets[:, teaching])
         inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
-        self._pupil.learn(
+        self._trainable.learn(
             self._random, inputs, targets - linear.say(columns), teaching, run.anew, steps
         )
-        return replace(blank, weights=self._pupil.weights, linear=linear)
+        return replace(blank, weights=self._trainable.weights, linear=linear)
 
 
 def _sizes(run: _Run) -> tuple[Array, float]:
@@ -214,7 +217,7 @@ def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
     return bool(np.any(new[0] > OUTGROWN * old[0]) or new[1] > OUTGROWN * old[1])
 
 
-def _judge(correction: Correction, run: _Run) -> tuple[Correction, float]:
+def _judge(correction: ResidualModel, run: _Run) -> tuple[ResidualModel, float]:
     """Return the correction with the share that judging blocks support, and its error."""
     output = _said(replace(correction, share=1.0), run)
     judges = judging(run.number) & run.heard
@@ -298,7 +301,7 @@ def _features(run: _Run, pace_s: float) -> Array:
     return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, traces)
 
 
-def _said(correction: Correction, run: _Run) -> Array:
+def _said(correction: ResidualModel, run: _Run) -> Array:
     """What a correction says along the histories, by the code that streams, shape (motor, time)."""
     inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
     memory, readout = (

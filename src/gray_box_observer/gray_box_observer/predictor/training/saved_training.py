@@ -47,7 +47,7 @@ def check_learning(arrays: Arrays, variant: Variant) -> None:
     check_words(arrays, f'{LEARNING}random')
     if variant is Variant.PHYSICS:
         check_arrays(arrays, {'refused': counts()}, LEARNING)
-        _check_pupil(
+        _check_trainable(
             arrays, f'{LEARNING}pupil_', arrays['input'].shape[1] if 'input' in arrays else None
         )
         _check_residual(arrays, f'{LEARNING}residual_')
@@ -66,15 +66,15 @@ def check_learning(arrays: Arrays, variant: Variant) -> None:
 def _check_residual(arrays: Arrays, prefix: str) -> None:
     """Refuse what is no state of a trainer of the residual."""
     check_words(arrays, f'{prefix}random')
-    pupil = _check_pupil(arrays, f'{prefix}pupil_', INPUTS)
-    if pupil != (f'{prefix}size' in arrays):
+    trainable = _check_trainable(arrays, f'{prefix}pupil_', INPUTS)
+    if trainable != (f'{prefix}size' in arrays):
         raise CheckpointError(f'{prefix}pupil_ and {prefix}size do not stand together')
-    if pupil:
+    if trainable:
         check_arrays(arrays, {'size': positive(3), 'limit_a': positive()}, prefix)
     check_correction(arrays, f'{prefix}best_')
 
 
-def _check_pupil(arrays: Arrays, prefix: str, inputs: int | None) -> bool:
+def _check_trainable(arrays: Arrays, prefix: str, inputs: int | None) -> bool:
     """Refuse what is no network under training; tell whether there is one."""
     has_network = any(name.startswith(prefix) for name in arrays)
     if has_network:

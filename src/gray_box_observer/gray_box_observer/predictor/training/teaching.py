@@ -9,7 +9,7 @@ import torch
 
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.steady_state import Relaxation, exponent
-from gray_box_observer.predictor.training.physics_batches import Lesson
+from gray_box_observer.predictor.training.physics_batches import TrainingBatch
 from gray_box_observer.predictor.training.torch_network import (
     TorchNetwork,
     give_moments,
@@ -22,7 +22,7 @@ SHORTEST = 1e-3
 """Shortest interval, in time constants, whose defect counts in full."""
 
 
-def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
+def defect_loss(training_batch: TrainingBatch, readout: torch.Tensor) -> torch.Tensor:
     """Mean of ``|i1 - Phi_h(i0)|``, the ODE's defect in exact-time form (thesis 4.2.4).
 
     It is in units of each sequence's spread.
@@ -32,15 +32,18 @@ def defect_loss(lesson: Lesson, readout: torch.Tensor) -> torch.Tensor:
     ones.
 
     Args:
-        lesson: intervals along the network's own prediction; they are held while the weights are
-            changed.
+        training_batch: intervals along the network's own prediction; they are held while the
+            weights are changed.
         readout: shape (sequence, time): the network's answers.
     """
     interval = Relaxation(
-        **{f.name: _like(readout, getattr(lesson.intervals, f.name)) for f in fields(Relaxation)}
+        **{
+            f.name: _like(readout, getattr(training_batch.intervals, f.name))
+            for f in fields(Relaxation)
+        }
     )
     movement = interval.distance * torch.expm1(-exponent(torch, interval, readout))
-    defect = movement - _like(readout, lesson.moved)
+    defect = movement - _like(readout, training_batch.moved)
     adds_up = -torch.expm1(-interval.duration.clamp_min(SHORTEST))
     loss: torch.Tensor = (defect.abs() / adds_up).mean()
     return loss
@@ -51,7 +54,7 @@ def _like(tensor: torch.Tensor, array: Array) -> torch.Tensor:
     return torch.as_tensor(array, dtype=torch.float32, device=tensor.device)
 
 
-class Pupil:
+class TrainableNetwork:
     """A network under training with its optimiser.
 
     Args:
@@ -65,7 +68,7 @@ class Pupil:
         self, weights: Weights, learning_rate: float, gradient_clip: float, device: str = CPU
     ) -> None:
         torch.set_num_threads(1)  # several cost more than so small a network needs in all
-        self._network = TorchNetwork.of(weights, device)
+        self._network = TorchNetwork.from_weights(weights, device)
         self._clip = gradient_clip
         self.optimiser = torch.optim.Adam(self._network.trainable(), learning_rate)
 
@@ -79,19 +82,19 @@ class Pupil:
         return {**self.weights.arrays(), **moments_of(self.optimiser)}
 
     @classmethod
-    def of(
+    def from_arrays(
         cls, arrays: Mapping[str, Array], learning_rate: float, gradient_clip: float,
         device: str = CPU
-    ) -> Pupil:  # fmt: skip
+    ) -> TrainableNetwork:  # fmt: skip
         """Return the pupil that goes on from what :meth:`state` gave."""
-        pupil = cls(Weights.of(arrays), learning_rate, gradient_clip, device)
-        give_moments(pupil.optimiser, arrays)
-        return pupil
+        trainable = cls(Weights.from_arrays(arrays), learning_rate, gradient_clip, device)
+        give_moments(trainable.optimiser, arrays)
+        return trainable
 
-    def learn(self, lesson: Lesson) -> float:
+    def learn(self, training_batch: TrainingBatch) -> float:
         """Take one Adam step; return the loss before it."""
-        readout = self._network(self._network.single(lesson.inputs))
-        loss = defect_loss(lesson, readout)
+        readout = self._network(self._network.single(training_batch.inputs))
+        loss = defect_loss(training_batch, readout)
         self.optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), self._clip)

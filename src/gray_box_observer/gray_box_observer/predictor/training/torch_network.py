@@ -52,7 +52,7 @@ class TorchNetwork(torch.nn.Module):
         self.to(device)
 
     @classmethod
-    def of(cls, weights: Weights, device: str = CPU) -> TorchNetwork:
+    def from_weights(cls, weights: Weights, device: str = CPU) -> TorchNetwork:
         """Return the network with these weights."""
         network = cls(weights.input.shape[1], weights.hidden, device)
         network.load(weights)

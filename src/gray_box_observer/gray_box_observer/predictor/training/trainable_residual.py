@@ -35,7 +35,7 @@ DECAY = 1e-3
 """Pull of the weights towards zero: what data do not ask for is not said."""
 
 
-class ResidualPupil:
+class TrainableResidual:
     """A network that begins by correcting nothing.
 
     Args:
@@ -49,7 +49,7 @@ class ResidualPupil:
         torch.set_num_threads(1)
         fresh = Weights.initial(inputs, hidden, seed)
         mute = replace(fresh, output=np.zeros_like(fresh.output), output_bias=np.zeros(1))
-        self._network = TorchNetwork.of(mute, device)
+        self._network = TorchNetwork.from_weights(mute, device)
         self._optimiser = torch.optim.AdamW(
             self._network.trainable(), LEARNING_RATE, weight_decay=DECAY
         )
@@ -65,7 +65,7 @@ class ResidualPupil:
 
     def restore(self, arrays: Mapping[str, Array]) -> None:
         """Go on from what :meth:`state` gave."""
-        self._network.load(Weights.of(arrays))
+        self._network.load(Weights.from_arrays(arrays))
         give_moments(self._optimiser, arrays)
 
     def learn(

@@ -8,7 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from gray_box_observer.checkpoints.checkpoint_manager import CheckpointKeeper
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.observer.diagnostics import NAMESAKE, Situation, idle_status, status_of
@@ -53,13 +53,15 @@ class Diagnoser:
         topic = topics.DIAGNOSTICS
         self._publisher = advertise(node.create_publisher, topic.type, topic.name, topic.qos)
 
-    def tell(self, state: str, observer: Observer | None, intake: Intake | None) -> Traffic | None:
+    def publish(
+        self, state: str, observer: Observer | None, message_input: MessageInput | None
+    ) -> Traffic | None:
         """Publish one round; return what has come since the last one, where the node is configured.
 
         Args:
             state: of the node's life cycle.
             observer: of the node; None where it is not configured.
-            intake: likewise.
+            message_input: likewise.
         """
         array, traffic = DiagnosticArray(), None
         clock = self._node.get_clock()
@@ -67,16 +69,16 @@ class Diagnoser:
         array.header.stamp = now.to_msg()
         name = self._node.get_fully_qualified_name()
         has_namesake = self._has_namesake(name)
-        if observer is None or intake is None:
+        if observer is None or message_input is None:
             array.status = [idle_status(motor, name, state, {}) for motor in self._next()]
         else:
-            self._warn_of_strangers(observer, intake)
-            traffic = self._meter.read(observer, intake)
+            self._warn_of_strangers(observer, message_input)
+            traffic = self._meter.read(observer, message_input)
             situation = Situation(
                 name,
                 state,
                 observer,
-                intake,
+                message_input,
                 self._inputs,
                 self._meter,
                 traffic,
@@ -111,10 +113,10 @@ class Diagnoser:
         self._has_warned_of_namesake = has_namesake
         return has_namesake
 
-    def _warn_of_strangers(self, observer: Observer, intake: Intake) -> None:
+    def _warn_of_strangers(self, observer: Observer, message_input: MessageInput) -> None:
         """Warn once where messages name other motors while a configured one is never named."""
         for name in ('voltage', 'torque'):
-            strangers = sorted(intake.signals[name].unknown)
+            strangers = sorted(message_input.signals[name].unknown)
             silent = [
                 motor
                 for motor in self._motors
@@ -123,7 +125,7 @@ class Diagnoser:
             if strangers and silent and not self._has_warned_of_strangers:
                 self._has_warned_of_strangers = True
                 self._node.get_logger().warning(
-                    f'{intake.signals[name].topic} speaks of '
+                    f'{message_input.signals[name].topic} speaks of '
                     f'{printable(", ".join(strangers[:5]))} and not of '
                     f'{", ".join(silent)}: give the parameter motors the names in the messages'
                 )

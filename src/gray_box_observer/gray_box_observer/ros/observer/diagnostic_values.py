@@ -49,7 +49,7 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
 def _counts(motor: str, now: Situation) -> dict[str, str]:
     pairing, rhythm = now.observer.counts(motor), now.meter.rhythms.get(motor)
     rejections: Counter[str] = Counter({reason.value: n for reason, n in pairing.rejected.items()})
-    for counts in now.intake.rejected.values():
+    for counts in now.message_input.rejected.values():
         rejections.update({reason.value: n for reason, n in counts.items()})
     newest_ns = now.meter.newest_ns.get(motor)
     return {
@@ -76,12 +76,12 @@ def _counts(motor: str, now: Situation) -> dict[str, str]:
 
 def _balance(motor: str, now: Situation) -> dict[str, str]:
     """Where every message went: nothing may be lost without a trace (docs/FAULTS.md)."""
-    pairing, intake = now.observer.counts(motor), now.intake
+    pairing, message_input = now.observer.counts(motor), now.message_input
     values = {'voltages taken': str(pairing.taken_voltage)}
     for name in ('voltage', 'torque'):
-        values[f'{name} topic: messages'] = str(intake.received[name])
-        values[f'{name} topic: unreadable'] = str(intake.rejected[name].total())
-        values[f'{name} topic: of no motor here'] = str(intake.others[name])
+        values[f'{name} topic: messages'] = str(message_input.received[name])
+        values[f'{name} topic: unreadable'] = str(message_input.rejected[name].total())
+        values[f'{name} topic: of no motor here'] = str(message_input.others[name])
         refusals = sorted((reason.value, n) for reason, n in pairing.refused[name].items())
         values[f'{name} messages refused'] = (
             ', '.join(f'{reason}: {n}' for reason, n in refusals) or 'none'

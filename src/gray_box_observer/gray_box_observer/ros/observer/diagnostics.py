@@ -16,7 +16,7 @@ from gray_box_observer.context_nodes import Verdict
 from gray_box_observer.fit_test import FitVerdict
 from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.ros.observer.diagnostic_values import values_of
@@ -71,7 +71,7 @@ class Situation:
     Attributes:
         node: fully qualified name.
         state: of the life cycle.
-        observer, intake, inputs: of the node.
+        observer, message_input, inputs: of the node.
         meter: what it has measured since it began.
         traffic: what came in during the last period.
         checkpoint_failure: why the newest checkpoint could not be written; None where it could.
@@ -84,7 +84,7 @@ class Situation:
     node: str
     state: str
     observer: Observer
-    intake: Intake
+    message_input: MessageInput
     inputs: Inputs
     meter: TrafficMeter
     traffic: Traffic
@@ -166,20 +166,25 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
     silent = [n for n in ('voltage', 'torque') if getattr(pairing, f'received_{n}') == 0]
     if not silent:
         return None
-    trouble = now.inputs.trouble(n for n in silent if not now.intake.received[n])
+    trouble = now.inputs.trouble(n for n in silent if not now.message_input.received[n])
     if trouble is not None:
         level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
         return level, f'nothing received for this motor: {trouble.message}'
-    if any(now.intake.rejected[n] for n in silent):
+    if any(now.message_input.rejected[n] for n in silent):
         complaint = next(
-            (f' ({now.intake.complaints[n]})' for n in silent if n in now.intake.complaints), ''
+            (
+                f' ({now.message_input.complaints[n]})'
+                for n in silent
+                if n in now.message_input.complaints
+            ),
+            '',
         )
         return _refused(motor, now) or (
             DiagnosticStatus.STALE,
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
-    topics = ' and '.join(now.intake.signals[n].topic for n in silent)
-    strangers = sorted({name for n in silent for name in now.intake.signals[n].unknown})
+    topics = ' and '.join(now.message_input.signals[n].topic for n in silent)
+    strangers = sorted({name for n in silent for name in now.message_input.signals[n].unknown})
     remedy = (
         f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors'
         if strangers
@@ -218,7 +223,7 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
         level = DiagnosticStatus.ERROR if trouble.broken else DiagnosticStatus.STALE
         return level, f'no new sample: {trouble.message}'
     topics = [
-        f'{now.intake.signals[n].topic} '
+        f'{now.message_input.signals[n].topic} '
         f'{"speaks of it no more" if now.traffic.messages[n] else "has fallen silent"}'
         for n in silent
     ]

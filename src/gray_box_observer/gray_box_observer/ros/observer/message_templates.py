@@ -21,7 +21,7 @@ from gray_box_observer.white_box import Parameter
 from gray_box_observer.white_box.interface import Array
 
 MAX_FORMS = 64
-"""Lists of names of which a form is kept."""
+"""Lists of names of which a template is kept."""
 
 MAX_FORM_BYTES = 8_000_000
 """What these forms may take together."""
@@ -34,7 +34,7 @@ _STAMP_AT = 4
 """Behind the four bytes that begin every serialised message; a JointState begins with its stamp."""
 
 
-class Form:
+class MessageTemplate:
     """One serialised message, and where its numbers stand in it.
 
     Args:
@@ -49,14 +49,14 @@ class Form:
         # a view, for it cannot be made longer or shorter, as a slice of the message would be
         self._numbers = memoryview(self.data)[at : at + marks.itemsize * count]
 
-    def told(self, numbers: Array) -> bytes:
+    def render(self, numbers: Array) -> bytes:
         """Return the message with these numbers.
 
         Args:
-            numbers: of double precision, as many as the form has, in any shape.
+            numbers: of double precision, as many as the template has, in any shape.
 
         Raises:
-            ValueError: they are of another number or precision; the form stays what it was.
+            ValueError: they are of another number or precision; the template stays what it was.
         """
         self._numbers[:] = numbers.tobytes()
         return bytes(self.data)
@@ -66,9 +66,11 @@ class TorqueMessages:
     """Torques in N m at their stamp as serialised JointState; a template per list of names."""
 
     def __init__(self) -> None:
-        self._forms: BoundedCache[tuple[str, ...], Form] = BoundedCache(MAX_FORMS, MAX_FORM_BYTES)
+        self._templates: BoundedCache[tuple[str, ...], MessageTemplate] = BoundedCache(
+            MAX_FORMS, MAX_FORM_BYTES
+        )
 
-    def told(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
+    def render(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
         """Return the message of the motors with a torque; None without one or a valid stamp.
 
         Args:
@@ -85,20 +87,22 @@ class TorqueMessages:
         seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
         if not names or seconds not in _SECONDS:
             return None
-        form = self._forms.get(names)
-        if form is None:
-            form = Form(lambda effort: JointState(name=names, effort=effort), len(names))
-            self._forms.remember(names, form, len(form.data) + size_of_names(names))
-        _STAMP.pack_into(form.data, _STAMP_AT, seconds, nanoseconds)
-        return form.told(torque_nm)
+        template = self._templates.get(names)
+        if template is None:
+            template = MessageTemplate(
+                lambda effort: JointState(name=names, effort=effort), len(names)
+            )
+            self._templates.remember(names, template, len(template.data) + size_of_names(names))
+        _STAMP.pack_into(template.data, _STAMP_AT, seconds, nanoseconds)
+        return template.render(torque_nm)
 
 
-def value_form() -> Form:
-    """Return the form of one parameter's value in SI units."""
-    return Form(lambda numbers: Float64(data=numbers[0]), 1)
+def value_template() -> MessageTemplate:
+    """Return the template of one parameter's value in SI units."""
+    return MessageTemplate(lambda numbers: Float64(data=numbers[0]), 1)
 
 
-def covariance_form(parameters: tuple[Parameter, ...]) -> Form:
+def covariance_template(parameters: tuple[Parameter, ...]) -> MessageTemplate:
     """Return the template of a covariance: square, row-major, labelled by parameter names."""
     label, n = ','.join(p.name for p in parameters), len(parameters)
 
@@ -110,7 +114,7 @@ def covariance_form(parameters: tuple[Parameter, ...]) -> Form:
         ]
         return message
 
-    return Form(make, n * n)
+    return MessageTemplate(make, n * n)
 
 
 def yes_and_no() -> dict[bool, bytes]:

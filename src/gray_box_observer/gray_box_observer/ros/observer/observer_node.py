@@ -22,7 +22,7 @@ from gray_box_observer.checkpoints.checkpoint_manager import CheckpointKeeper
 from gray_box_observer.context_nodes.native import regular_block
 from gray_box_observer.errors import ConfigurationError, GrayBoxError
 from gray_box_observer.observer.incident import in_words
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import ProcessTraining
@@ -34,7 +34,7 @@ from gray_box_observer.ros.observer.diagnoser import Diagnoser
 from gray_box_observer.ros.observer.topic_inputs import Inputs
 from gray_box_observer.ros.observer.topic_outputs import Outputs
 from gray_box_observer.ros.observer.traffic import TrafficMeter
-from gray_box_observer.ros.periodic_task import Chore
+from gray_box_observer.ros.periodic_task import PeriodicTask
 from gray_box_observer.ros.qos import unused_overrides
 from gray_box_observer.ros.running import Stop, make_executor, parse_arguments, run_node
 from gray_box_observer.safe_io.printable import printable
@@ -80,15 +80,15 @@ class ObserverNode(LifecycleNode):
         self._inputs = Inputs(
             self,
             self._configuration,
-            self._take,
+            self._ingest,
             self._refuse,
             writers=lambda: keeper.thread_numbers,
         )
         self._observer: Observer | None = None
-        self._intake: Intake | None = None
+        self._message_input: MessageInput | None = None
         self._outputs: Outputs | None = None
         self._meter = TrafficMeter()
-        self._unsettled: list[GroupResult] = []
+        self._deferred_results: list[GroupResult] = []
         self._reported: set[str] = set()
         # operators and disks live by the clock on the wall, also where /clock stands still
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -102,7 +102,7 @@ class ObserverNode(LifecycleNode):
             self._why_silent,
             speed_has_topic=bool(self._configuration['speed.topic']),
         )
-        self._chores: dict[str, Chore] = {}
+        self._tasks: dict[str, PeriodicTask] = {}
         self._time('diagnostics', DIAGNOSTICS_PERIOD_S, self._tell)
         if self._configuration['estimates_period_s'] > 0.0:
             self._time('estimates', self._configuration['estimates_period_s'], self._tell_estimates)
@@ -169,7 +169,7 @@ class ObserverNode(LifecycleNode):
                 action()
             except Exception:
                 self.get_logger().error(traceback.format_exc())
-        self._observer = self._intake = None
+        self._observer = self._message_input = None
         self._state = 'unconfigured'
         super().on_deactivate(state)  # publishers
         return Transition.SUCCESS
@@ -271,51 +271,54 @@ class ObserverNode(LifecycleNode):
         if self._outputs is not None:
             self._outputs.retract()
 
-    def _take(self, name: str, message: Any, arrival_ns: int) -> None:
+    def _ingest(self, name: str, message: Any, arrival_ns: int) -> None:
         if (
             self._observer is None
-            or self._intake is None
+            or self._message_input is None
             or self._outputs is None
             or self._stop.requested
         ):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
         try:
-            input_result = self._intake.take(name, message, arrival_ns)
+            input_result = self._message_input.ingest(name, message, arrival_ns)
             self._outputs.results(input_result.groups)
             if name == 'voltage' and input_result.names:
                 for group in self._observer.groups(input_result.names):
-                    self._foretell(self._observer, self._outputs, group, input_result.stamp_ns)
+                    self._publish_forecast(
+                        self._observer, self._outputs, group, input_result.stamp_ns
+                    )
             for result in input_result.groups:
-                self._observer.foresee(result.group)
-            self._meter.take(input_result.groups)
-            self._unsettled += input_result.groups
+                self._observer.precompute_forecast(result.group)
+            self._meter.update(input_result.groups)
+            self._deferred_results += input_result.groups
             if all(result.estimate is None for result in input_result.groups):
-                self._settle()  # else the next prediction comes first: an update has taken its time
+                # else the next prediction comes first: an update has taken its time
+                self._run_deferred()
             if len(self._observer.incidents) != len(self._reported):
                 self._report_incidents()
         except ConfigurationError as error:  # a field that is not there, a device that fails
             self._stop(error)
             return
         self._meter.worked(since_s)
-        self._do_chore(quiet=bool(input_result.groups) and not self._unsettled)
+        self._do_due_task(quiet=bool(input_result.groups) and not self._deferred_results)
 
     def _refuse(self, name: str, reason: Rejection) -> None:
-        if self._intake is None or self._stop.requested:
+        if self._message_input is None or self._stop.requested:
             return
-        self._intake.refuse(name, reason)
-        self._do_chore(quiet=False)
+        self._message_input.refuse(name, reason)
+        self._do_due_task(quiet=False)
 
-    def _do_chore(self, *, quiet: bool) -> None:
+    def _do_due_task(self, *, quiet: bool) -> None:
         """Do one thing that is due, if any; the next one comes behind the other messages."""
-        for name, chore in self._chores.items():
-            if chore.meet(quiet=quiet):
-                self._chores[name] = self._chores.pop(name)
+        for name, task in self._tasks.items():
+            if task.on_message(quiet=quiet):
+                self._tasks[name] = self._tasks.pop(name)
                 return
 
-    def _settle(self) -> None:
+    def _run_deferred(self) -> None:
         """Do what samples have left to be done when all has gone out that somebody waits for."""
-        results, self._unsettled = self._unsettled, []
+        results, self._deferred_results = self._deferred_results, []
         outputs, observer = self._outputs, self._observer
         if outputs is None or observer is None:
             return
@@ -331,7 +334,9 @@ class ObserverNode(LifecycleNode):
                     raise
                 observer.stop(pending.popleft().group, error)
 
-    def _foretell(self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int) -> None:
+    def _publish_forecast(
+        self, observer: Observer, outputs: Outputs, group: Group, stamp_ns: int
+    ) -> None:
         """Publish a new voltage's predictions: at its stamp, and at a requested horizon."""
         torque_nm = observer.forecast_group(group, stamp_ns)
         if torque_nm is not None:
@@ -343,11 +348,11 @@ class ObserverNode(LifecycleNode):
 
     def _tell(self) -> None:
         """Publish diagnostics, and alarms that no further message has led to."""
-        self._settle()
+        self._run_deferred()
         if self._observer is not None and self._outputs is not None:
             for group in self._observer.every_group:
                 self._observer.contain(group, partial(self._outputs.tested, group))
-        traffic = self._diagnoser.tell(self._state, self._observer, self._intake)
+        traffic = self._diagnoser.publish(self._state, self._observer, self._message_input)
         if traffic is not None and self._observer is not None and self._state == 'active':
             self._commentary.look(self._observer, traffic)
         self._report_incidents()
@@ -408,7 +413,7 @@ class ObserverNode(LifecycleNode):
             return response
         try:
             # an alarm of what was learnt so far must not go out after what is loaded
-            self._settle()
+            self._run_deferred()
             path = action(self._observer)
         except GrayBoxError as error:
             response.success, response.message = False, str(error)
@@ -449,15 +454,15 @@ class ObserverNode(LifecycleNode):
         if self._checkpoint_timer is not None:
             self.destroy_timer(self._checkpoint_timer)
             self._checkpoint_timer = None
-            del self._chores['checkpoint']
+            del self._tasks['checkpoint']
         period_s = self._configuration['checkpoint.period_s']
         if self._keeper.automatic and self._state == 'active' and period_s > 0.0:
             self._checkpoint_timer = self._time('checkpoint', period_s, self._keep)
 
     def _time(self, name: str, period_s: float, action: Callable[[], None]) -> Timer:
         """Have something done every so often."""
-        chore = self._chores[name] = Chore(period_s, partial(self._do, action))
-        return self.create_timer(period_s, chore.ring, clock=self._steady)
+        task = self._tasks[name] = PeriodicTask(period_s, partial(self._do, action))
+        return self.create_timer(period_s, task.on_timer, clock=self._steady)
 
     def _do(self, action: Callable[[], None]) -> None:
         """Do something that may be the first to find that a device has failed."""
@@ -473,7 +478,7 @@ class ObserverNode(LifecycleNode):
         """Make an observer that knows nothing yet."""
         self._observer = Observer(self._configuration, ProcessTraining)
         self._reported = set()
-        self._intake = Intake(self._observer, self._configuration)
+        self._message_input = MessageInput(self._observer, self._configuration)
         self._meter.forget()
         self._commentary.forget()
 
@@ -525,10 +530,10 @@ class ObserverNode(LifecycleNode):
             self._outputs.retract_estimates()
 
     def _drop_observer(self) -> None:
-        self._unsettled = []
+        self._deferred_results = []
         if self._observer is not None:
             self._observer.close()
-        self._observer = self._intake = None
+        self._observer = self._message_input = None
 
     def _make_keeper(self, configuration: Configuration) -> CheckpointKeeper:
         path = configuration['checkpoint.path']

@@ -18,10 +18,10 @@ from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
-    Form,
+    MessageTemplate,
     TorqueMessages,
-    covariance_form,
-    value_form,
+    covariance_template,
+    value_template,
     yes_and_no,
 )
 from gray_box_observer.ros.qos import advertise
@@ -53,8 +53,8 @@ class Outputs:
         self._alarm = {m: LatchedTopic(node, topics.ALARM, motor=m) for m in motors}
         self._covariance = {m: LatchedTopic(node, topics.COVARIANCE, motor=m) for m in motors}
         self._fit = {m: LatchedTopic(node, topics.FIT, motor=m) for m in motors}
-        self._covariances: dict[str, Form] = {}
-        self._value, self._is = value_form(), yes_and_no()
+        self._covariances: dict[str, MessageTemplate] = {}
+        self._value, self._is = value_template(), yes_and_no()
         self._parameters = {
             m: {
                 p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p)
@@ -130,7 +130,7 @@ class Outputs:
             del awaited[next(iter(awaited))]
 
     def _predict(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bool:
-        data = self._torques.told(names, stamp_ns, torque_nm)
+        data = self._torques.render(names, stamp_ns, torque_nm)
         if data is None:
             return False
         self._predicted(data)
@@ -142,7 +142,7 @@ class Outputs:
             self._forecast = self._create(self._node, topics.FORECAST_TORQUE, active=True)
         if self._foretold.get(names) == stamp_ns:
             return
-        data = self._torques.told(names, stamp_ns, torque_nm)
+        data = self._torques.render(names, stamp_ns, torque_nm)
         if data is not None:
             self._foretold[names] = stamp_ns
             self._forecast(data)
@@ -203,12 +203,12 @@ class Outputs:
             return
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             if math.isfinite(value):
-                self._parameters[motor][parameter.name](self._value.told(value))
-        form = self._covariances.get(motor)
-        if form is None:
-            form = self._covariances[motor] = covariance_form(estimate.parameters)
+                self._parameters[motor][parameter.name](self._value.render(value))
+        template = self._covariances.get(motor)
+        if template is None:
+            template = self._covariances[motor] = covariance_template(estimate.parameters)
         if np.isfinite(estimate.covariance[0]).all():
-            self._covariance[motor](form.told(estimate.covariance[0]))
+            self._covariance[motor](template.render(estimate.covariance[0]))
         self._identified[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
@@ -224,13 +224,13 @@ class Outputs:
             self._fit[motor].retract()
         elif fit.ratio != self._published_fit.get(motor):
             self._published_fit[motor] = fit.ratio
-            self._fit[motor](self._value.told(np.array([fit.ratio])))
+            self._fit[motor](self._value.render(np.array([fit.ratio])))
 
     def _forget_fit(self, motor: str) -> None:
         """Take back the ratio, in any state of the life cycle, so that listeners hear of it."""
         if self._fit[motor].holds_value and self._published_fit.get(motor) != UNTESTED:
             self._published_fit[motor] = UNTESTED
-            self._fit[motor].correct(self._value.told(np.array([UNTESTED])))
+            self._fit[motor].correct(self._value.render(np.array([UNTESTED])))
 
     def parameters_identified(
         self, motor: str, parameters: tuple[Parameter, ...], flags: tuple[bool, ...]

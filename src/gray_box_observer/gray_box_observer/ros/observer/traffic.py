@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 
-from gray_box_observer.observer.message_input import Intake
+from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import GroupResult, Observer
 from gray_box_observer.samples import Rejection
 from gray_box_observer.samples.rhythm import Rhythm
@@ -77,7 +77,7 @@ class TrafficMeter:
         """Count the time that one message has taken, since a reading of ``time.perf_counter``."""
         self._busy_s += time.perf_counter() - since_s
 
-    def take(self, results: list[GroupResult]) -> None:
+    def update(self, results: list[GroupResult]) -> None:
         """Note what one message has led to."""
         for result in results:
             names = result.group.names
@@ -85,7 +85,7 @@ class TrafficMeter:
             if rhythm is None:  # motors that come together have one rhythm
                 rhythm = self._of_group[names] = Rhythm()
                 self.rhythms.update(dict.fromkeys(names, rhythm))
-            rhythm.take(float(result.sample.interval_s.max()))
+            rhythm.update(float(result.sample.interval_s.max()))
             self._newest_of_group[names] = result.sample.stamp_ns
 
     @property
@@ -95,14 +95,14 @@ class TrafficMeter:
             name: stamp_ns for names, stamp_ns in self._newest_of_group.items() for name in names
         }
 
-    def read(self, observer: Observer, intake: Intake) -> Traffic:
+    def read(self, observer: Observer, message_input: MessageInput) -> Traffic:
         """Return what has come since the last reading."""
         before_s, before_cpu_s = self._now
         self._now = time.monotonic(), time.process_time()
         period_s = max(self._now[0] - before_s, 1e-9)
         busy_s, self._busy_s = self._busy_s, 0.0
         unread: Counter[Rejection] = Counter()
-        for name, counts in intake.rejected.items():
+        for name, counts in message_input.rejected.items():
             unread += self._new_rejections(name, counts)
         return Traffic(
             period_s,
@@ -110,7 +110,7 @@ class TrafficMeter:
                 motor: self._motor(motor, observer, unread)
                 for motor in observer.configuration.motors
             },
-            {name: self._new('messages', name, intake.received[name]) for name in SIGNALS},
+            {name: self._new('messages', name, message_input.received[name]) for name in SIGNALS},
             (self._now[1] - before_cpu_s) / period_s,
             busy_s / period_s,
         )
