@@ -14,8 +14,8 @@ from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 OWN_RULES = {'gradient': GradientUpdate}
-if hasattr(context_nodes, 'RecursiveUpdate'):
-    OWN_RULES = {'recursive': context_nodes.RecursiveUpdate, **OWN_RULES}
+if hasattr(context_nodes, 'RecursiveEstimator'):
+    OWN_RULES = {'recursive': context_nodes.RecursiveEstimator, **OWN_RULES}
 
 
 class Online(Protocol):
@@ -78,7 +78,7 @@ class OwnRule:
     @property
     def alarms(self) -> int:
         """How often a drift was announced; the gradient rule announces none."""
-        return int(np.sum(getattr(self.rule, 'alarms', 0)))
+        return int(np.sum(getattr(self.rule, 'change_count', 0)))
 
 
 def samples_of(record: Record) -> list[Sample]:

@@ -12,10 +12,12 @@ STEP_NS = 10_000_000
 
 def rule(motors: int, replay_capacity: int = 4096) -> Any:
     """Context nodes that know nothing yet."""
-    from gray_box_observer.context_nodes import RecursiveRules, RecursiveUpdate
+    from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveRules
 
     rules = RecursiveRules(replay_capacity=replay_capacity)
-    return RecursiveUpdate(white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)), rules=rules)
+    return RecursiveEstimator(
+        white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)), rules=rules
+    )
 
 
 def white_box(motors: int) -> Any:

@@ -23,7 +23,7 @@ Samples = list[Sample]
 RULES = [
     getattr(context_nodes, name)
     for name in context_nodes.__all__
-    if name in ('GradientUpdate', 'RecursiveUpdate')
+    if name in ('GradientUpdate', 'RecursiveEstimator')
 ]
 NAMES = ('inductance', 'resistance', 'hysteresis')
 TRUTH = np.array([[0.5, 1.0, 10.0]])

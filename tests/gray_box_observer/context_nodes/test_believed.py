@@ -7,7 +7,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.context_nodes import Estimate, RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, Verdict
 from gray_box_observer.context_nodes.recursive.change_tracking import (
     FREE_EXAMINATIONS,
     LONGEST_PATIENCE,
@@ -29,11 +29,11 @@ def _learnt(
     speed: np.ndarray | None = None,
     names: tuple[str, ...] = NAMES,
     start: tuple[float, ...] = START,
-) -> RecursiveUpdate:
+) -> RecursiveEstimator:
     """Context nodes that have learnt currents, one more than the voltages between them."""
     told = {} if 'back_emf_constant' in names else {'back_emf_constant': constant}
     box = MotorWhiteBox(names, constant, told, speed_measured=speed is not None)
-    nodes = RecursiveUpdate(box, np.array([start]))
+    nodes = RecursiveEstimator(box, np.array([start]))
     for k in range(current.size):
         interval, held = (step_s, voltage[k - 1]) if k else (0.0, 0.0)
         turning = np.nan if speed is None else speed[k]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveRules, RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, RecursiveRules, Verdict
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -19,7 +19,7 @@ L, R, K_HS = range(3)
 Samples = Sequence[Sample]
 
 
-def teach(nodes: RecursiveUpdate, samples: Samples) -> list[Estimate]:
+def teach(nodes: RecursiveEstimator, samples: Samples) -> list[Estimate]:
     """Learn samples one by one; return the estimate after each that changed it."""
     return [nodes.estimate() for sample in samples if nodes.learn(sample)]
 
@@ -48,7 +48,7 @@ def test_ten_minutes_of_constant_voltage_neither_move_nor_assure_what_they_do_no
     seed: int,
 ) -> None:
     samples = list(samples_of(record('R[5,15]D[3,3]', 60.0, seed, torque_noise_relative=0.01)))
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
     before = teach(nodes, samples)[-1]
     after = teach(nodes, held_on(samples[-1], 600.0, float(nodes.noise_std_nm[0]), seed))[-1]
     for unexcited in (L, K_HS):
@@ -58,14 +58,14 @@ def test_ten_minutes_of_constant_voltage_neither_move_nor_assure_what_they_do_no
             < 0.5 * before.std[0, unexcited]
         )
     assert np.all(np.abs(after.value[0] - TRUTH) < 4.0 * after.std[0])
-    assert nodes.alarms == 0
+    assert nodes.change_count == 0
 
 
 def test_without_a_limit_the_level_would_have_been_taken_for_news_of_everything(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
     samples = list(samples_of(record('R[5,15]D[3,3]', 60.0, 1, torque_noise_relative=0.01)))
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF, rules=RecursiveRules(long_hold_s=1e9))
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF, rules=RecursiveRules(long_hold_s=1e9))
     before = teach(nodes, samples)[-1]
     after = teach(nodes, held_on(samples[-1], 600.0, float(nodes.noise_std_nm[0]), 1))[-1]
     assert after.std[0, K_HS] < 0.95 * before.std[0, K_HS]
@@ -75,7 +75,7 @@ def test_a_warming_winding_is_still_followed_through_a_long_hold(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
     samples = list(samples_of(record('R[5,15]D[3,3]', 60.0, 1, torque_noise_relative=0.01)))
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
     before = teach(nodes, samples)[-1]
     level = held_on(samples[-1], 200.0, float(nodes.noise_std_nm[0]), 1)
     teach(nodes, level)
@@ -94,12 +94,12 @@ def at_rest(
     )
 
 
-def from_elsewhere() -> RecursiveUpdate:
+def from_elsewhere() -> RecursiveEstimator:
     """Start where nothing is right."""
     box = MotorWhiteBox(
         ('inductance', 'resistance', 'hysteresis'), 0.01, {'back_emf_constant': 0.01}
     )
-    return RecursiveUpdate(box, np.array([[1.5, 3.0, 1.0]]))
+    return RecursiveEstimator(box, np.array([[1.5, 3.0, 1.0]]))
 
 
 @pytest.mark.parametrize('volt', [2.0, 10.0, 30.0])
@@ -117,7 +117,7 @@ def test_a_motor_at_rest_since_the_first_sample_is_never_called_identified(
             np.abs(np.log(estimate.value[0] / TRUTH))
             < 4.0 * np.log1p(estimate.std[0] / estimate.value[0])
         )
-    assert nodes.alarms == 0
+    assert nodes.change_count == 0
 
 
 @pytest.mark.parametrize('rest_s', [2.0, 60.0])
@@ -135,7 +135,7 @@ def test_what_was_at_rest_is_identified_as_soon_as_it_moves(
         assert nodes.estimate().identified(0)
         estimate = teach(nodes, samples[800:])[-1]
         assert np.all(np.abs(estimate.value[0] - TRUTH) < 4.0 * estimate.std[0])
-        assert nodes.alarms == 0
+        assert nodes.change_count == 0
     assert np.all(rested.estimate().std[0] < 1.2 * never_at_rest.estimate().std[0])
 
 
@@ -143,7 +143,7 @@ def test_another_resistance_at_rest_is_another_level_from_which_it_starts_anew()
     nodes = from_elsewhere()
     teach(nodes, at_rest(10.0, 60.0, 1))
     estimate = teach(nodes, at_rest(10.0, 60.0, 2, resistance=1.3, after_ns=60_000_000_000))[-1]
-    assert nodes.alarms == 1
+    assert nodes.change_count == 1
     assert Verdict.IDENTIFIED not in estimate.verdicts[0]
     _, resistance, hysteresis = estimate.value[0]
     current_a = at_rest(10.0, 1.0, 3, resistance=1.3)[0].torque_nm[0] / 0.01
@@ -154,7 +154,7 @@ def test_another_resistance_at_rest_is_another_level_from_which_it_starts_anew()
 
 def test_with_a_data_sheet_resistance_is_followed_at_rest(thesis_box: MotorWhiteBox) -> None:
     told = np.array([[0.05, 0.0, 0.05]])
-    nodes = RecursiveUpdate(thesis_box, np.array([[0.51, 1.2, 10.2]]), initial_relative_std=told)
+    nodes = RecursiveEstimator(thesis_box, np.array([[0.51, 1.2, 10.2]]), initial_relative_std=told)
     cold = teach(nodes, at_rest(10.0, 100.0, 1))[-1]
     warm = teach(nodes, at_rest(10.0, 100.0, 2, resistance=1.2, after_ns=100_000_000_000))[-1]
     for estimate, truth in ((cold, 1.0), (warm, 1.2)):
@@ -171,7 +171,7 @@ def test_a_resistance_that_climbs_is_followed_and_its_neighbours_are_not_blamed(
 ) -> None:
     climb = ('motor.resistance=1.0..1.2@0..60',)
     samples = samples_of(record(excitation, 60.0, 1, torque_noise_relative=0.01, schedule=climb))
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
     last = teach(nodes, samples)[-1]
     climbed = np.array([0.5, 1.2, 10.0])
     assert np.all(np.abs(last.value[0] / climbed - 1.0) < [0.01, 0.01, 0.03])
@@ -182,12 +182,12 @@ def test_a_motor_that_keeps_still_is_given_no_freedom_to_drift(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
     for seed in range(3):
-        nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+        nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
         teach(
             nodes, samples_of(record('R[5,15]D[0.001,2]', 60.0, seed, torque_noise_relative=0.01))
         )
         assert not np.any(nodes.state()[1]['walk_rate'])
-        assert nodes.alarms == 0
+        assert nodes.change_count == 0
 
 
 def test_what_comes_while_frozen_is_never_learnt(
@@ -206,7 +206,7 @@ def test_what_comes_while_frozen_is_never_learnt(
             )
         )
     )
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
     teach(nodes, good[:1000])
     before = nodes.theta.copy()
     nodes.freeze(True)
@@ -216,4 +216,4 @@ def test_what_comes_while_frozen_is_never_learnt(
     np.testing.assert_array_equal(nodes.theta, before)
     last = teach(nodes, good[1001:])[-1]
     assert np.all(np.abs(last.value[0] - TRUTH) < 4.0 * last.std[0])
-    assert nodes.alarms == 0
+    assert nodes.change_count == 0

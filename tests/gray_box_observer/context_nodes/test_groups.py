@@ -9,8 +9,8 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate, Verdict
-from gray_box_observer.context_nodes.recursive import block_updater, estimator
+from gray_box_observer.context_nodes import RecursiveEstimator, Verdict
+from gray_box_observer.context_nodes.recursive import block_updater, schedule
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -52,7 +52,7 @@ def samples() -> list[Sample]:
     return made
 
 
-def learnt_by(nodes: RecursiveUpdate, samples: list[Sample]) -> list[list[bytes]]:
+def learnt_by(nodes: RecursiveEstimator, samples: list[Sample]) -> list[list[bytes]]:
     """Every value and covariance that each motor's estimate has taken."""
     taken: list[list[bytes]] = [[] for _ in range(nodes.theta.shape[0])]
     for sample in samples:
@@ -66,12 +66,12 @@ def learnt_by(nodes: RecursiveUpdate, samples: list[Sample]) -> list[list[bytes]
 
 
 @pytest.fixture(scope='module')
-def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdate]]:
+def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveEstimator]]:
     """What each motor learns alone, a sample where it was absent left out."""
     taken, rules = [], []
     for motor in range(MOTORS):
         chosen = slice(motor, motor + 1)
-        nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
+        nodes = RecursiveEstimator(BOX.of_motors(chosen), START[chosen])
         own = [
             s.select(chosen)._replace(present=None)
             for s in samples
@@ -83,9 +83,9 @@ def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveUpdat
 
 
 def test_what_happens_to_one_motor_leaves_the_others_alone(
-    samples: list[Sample], alone: tuple[list[list[bytes]], list[RecursiveUpdate]]
+    samples: list[Sample], alone: tuple[list[list[bytes]], list[RecursiveEstimator]]
 ) -> None:
-    nodes = RecursiveUpdate(BOX, START)
+    nodes = RecursiveEstimator(BOX, START)
     together = learnt_by(nodes, samples)
     for motor in range(MOTORS):
         assert together[motor] == alone[0][motor][: len(together[motor])]
@@ -106,28 +106,28 @@ def test_what_happens_to_one_motor_leaves_the_others_alone(
 
 def test_whoever_has_to_wait_learns_the_same_later(
     samples: list[Sample],
-    alone: tuple[list[list[bytes]], list[RecursiveUpdate]],
+    alone: tuple[list[list[bytes]], list[RecursiveEstimator]],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(block_updater, 'UPDATES', 2)
-    monkeypatch.setattr(estimator, 'CAREFUL', 1)
-    monkeypatch.setattr(estimator, 'HEAVY', 100)
-    together = learnt_by(RecursiveUpdate(BOX, START), samples)
+    monkeypatch.setattr(block_updater, 'BLOCKS_PER_STEP', 2)
+    monkeypatch.setattr(schedule, 'MAX_NUMPY_BLOCKS_PER_STEP', 1)
+    monkeypatch.setattr(schedule, 'MAX_FIT_SAMPLES_PER_STEP', 100)
+    together = learnt_by(RecursiveEstimator(BOX, START), samples)
     for motor in range(MOTORS):
         assert len(together[motor]) >= len(alone[0][motor]) - 2
         assert together[motor] == alone[0][motor][: len(together[motor])]
 
 
 def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sample]) -> None:
-    whole = RecursiveUpdate(BOX, START)
+    whole = RecursiveEstimator(BOX, START)
     learnt_by(whole, samples[:1500])
     parts = []
     for motor in range(MOTORS):
         chosen = slice(motor, motor + 1)
-        nodes = RecursiveUpdate(BOX.of_motors(chosen), START[chosen])
+        nodes = RecursiveEstimator(BOX.of_motors(chosen), START[chosen])
         nodes.restore(*whole.state(motor))
         parts.append(nodes)
-    again = RecursiveUpdate(BOX, START)
+    again = RecursiveEstimator(BOX, START)
     for motor in range(MOTORS):
         again.restore(*parts[motor].state(), motor)
     rest = [samples[1500]._replace(interval_s=np.zeros(MOTORS)), *samples[1501:2000]]
@@ -146,7 +146,7 @@ def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sam
 def test_a_group_frozen_while_a_motor_was_away_begins_its_history_anew(
     samples: list[Sample], record: Callable[..., object]
 ) -> None:
-    nodes = RecursiveUpdate(BOX, START)
+    nodes = RecursiveEstimator(BOX, START)
     learnt_by(nodes, samples[:1000])
     nodes.freeze(True)
     assert learnt_by(nodes, samples[1000:1200]) == [[] for _ in range(MOTORS)]
@@ -188,11 +188,11 @@ def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(
     seed: int, speed_measured: bool
 ) -> None:
     box, start, samples = rough(seed, speed_measured)
-    together = learnt_by(RecursiveUpdate(box, start), samples)
+    together = learnt_by(RecursiveEstimator(box, start), samples)
     for motor in range(start.shape[0]):
         chosen = slice(motor, motor + 1)
         single = learnt_by(
-            RecursiveUpdate(box.of_motors(chosen), start[chosen]),
+            RecursiveEstimator(box.of_motors(chosen), start[chosen]),
             [s.select(chosen) for s in samples],
         )[0]
         assert together[motor] == single[: len(together[motor])]

@@ -36,9 +36,9 @@ needs_compiler = pytest.mark.skipif(
 
 def white_box(kind: str, motors: int) -> tuple[MotorWhiteBox, np.ndarray]:
     """Return motors that differ in every number, and their coordinates."""
-    nodes, known, speed_measured = KINDS[kind]
+    nodes, state, speed_measured = KINDS[kind]
     spread = np.linspace(0.8, 1.3, motors)
-    constants = {name: THETA[name] * spread for name in known}
+    constants = {name: THETA[name] * spread for name in state}
     theta = np.array([[THETA[name] for name in nodes]]) * spread[::-1, None]
     return MotorWhiteBox(nodes, 0.02 * spread, constants, speed_measured), to_coordinates(theta)
 

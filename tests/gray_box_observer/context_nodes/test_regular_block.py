@@ -12,7 +12,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
-from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes import RecursiveEstimator
 from gray_box_observer.context_nodes.native import compiled, regular_block
 from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
 from gray_box_observer.context_nodes.recursive import block_updater
@@ -38,37 +38,38 @@ class Count:
 
     given = learnt = 0
 
-    def watch(self, nodes: RecursiveUpdate) -> None:
+    def watch(self, nodes: RecursiveEstimator) -> None:
         """Count what these context nodes do."""
-        learner = nodes._learner
-        within, of_these = learner.learn_due, learner.learn_ordinary
+        learner = nodes._updater
+        within, of_these = learner.learn_due, learner.learn_regular
 
-        def count(told: np.ndarray) -> None:
-            self.given, self.learnt = self.given + told.size, self.learnt + int((told > 0).sum())
+        def count(status: np.ndarray) -> None:
+            self.given += status.size
+            self.learnt += int((status > 0).sum())
 
         def learn_due(*arguments):  # type: ignore[no-untyped-def]
-            known, turn = within(*arguments)
-            count(turn.told)
-            return known, turn
+            state, batch = within(*arguments)
+            count(batch.status)
+            return state, batch
 
         def learn(*arguments):  # type: ignore[no-untyped-def]
-            known, told = of_these(*arguments)
-            count(told)
-            return known, told
+            state, status = of_these(*arguments)
+            count(status)
+            return state, status
 
-        learner.learn_due, learner.learn_ordinary = learn_due, learn  # type: ignore[method-assign]
+        learner.learn_due, learner.learn_regular = learn_due, learn  # type: ignore[method-assign]
 
 
 def both(
     monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, start: np.ndarray,
     samples: list[Sample], rules: RecursiveRules,
-) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
+) -> tuple[RecursiveEstimator, RecursiveEstimator, Count]:  # fmt: skip
     """Learn samples by compiled code, and by numpy; estimates must agree."""
     count = Count()
-    quick = RecursiveUpdate(box, start, rules=rules)
+    quick = RecursiveEstimator(box, start, rules=rules)
     count.watch(quick)
     monkeypatch.setattr(regular_block, 'library', lambda: None)
-    by_numpy = RecursiveUpdate(box, start, rules=rules)
+    by_numpy = RecursiveEstimator(box, start, rules=rules)
     for sample in samples:
         assert quick.learn(sample) == by_numpy.learn(sample)
         np.testing.assert_array_equal(quick.changed, by_numpy.changed)
@@ -150,18 +151,18 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
 def test_samples_that_are_not_in_memory_are_not_read(
     thesis_box: MotorWhiteBox, column: int
 ) -> None:
-    nodes = RecursiveUpdate(thesis_box, START)
+    nodes = RecursiveEstimator(thesis_box, START)
     for sample in simulated('R[5,15]D[0.2,3]', 10.0):
         nodes.learn(sample)
-    known, index = nodes._learnt, np.zeros(1, dtype=int)
+    state, index = nodes._state, np.zeros(1, dtype=int)
     _, gone, _, _ = nodes.replay.streams
-    gone[:] = known.at - column
-    _, told = nodes._learner.learn_ordinary(known, index, nodes._due, nodes._plain)
-    assert told.tolist() == [0]
+    gone[:] = state.position - column
+    _, status = nodes._updater.learn_regular(state, index, nodes._schedule)
+    assert status.tolist() == [0]
 
 
 @pytest.mark.parametrize('motors', [1, 11])
-def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
+def test_regular_blocks_are_learnt_as_numpy_learns_them(
     monkeypatch: pytest.MonkeyPatch, motors: int
 ) -> None:
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
@@ -170,7 +171,7 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
         monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveRules()
     )
     assert count.given >= 80 * motors
-    assert count.learnt >= 0.98 * count.given
+    assert count.state >= 0.98 * count.given
     (_, ours), (_, theirs) = nodes.state(motors - 1), by_numpy.state(motors - 1)
     for name, array in ours.items():
         # between the two lies rounding; what tests for a change have added up is small against what
@@ -191,13 +192,13 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
     monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...],
-    known: dict[str, float]
+    state: dict[str, float]
 ) -> None:  # fmt: skip
-    box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
+    box = MotorWhiteBox(names, 0.01, state, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
     _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
-    assert count.learnt > 0.5 * count.given > 30
+    assert count.state > 0.5 * count.given > 30
 
 
 @pytest.mark.parametrize('jitter', [0.0, 0.01])
@@ -217,11 +218,11 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
         with monkeypatch.context() as patch:
             if not library:
                 patch.setattr(regular_block, 'library', lambda: None)
-            nodes = RecursiveUpdate(box, np.tile(START, (9, 1)), rules=rules)
+            nodes = RecursiveEstimator(box, np.tile(START, (9, 1)), rules=rules)
             settled.append([])
             for one in samples:
                 nodes.learn(one)
-                settled[-1].append(nodes._learnt.hold.settled.copy())
+                settled[-1].append(nodes._state.hold.settled.copy())
     np.testing.assert_array_equal(*settled)
     assert 0.2 < np.mean(settled[0]) < 0.9
 
@@ -232,7 +233,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
     nodes, _, count = both(monkeypatch, box, START, samples, RecursiveRules())
-    assert count.learnt > 0.9 * count.given > 40
+    assert count.state > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
 
@@ -243,7 +244,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.Monkey
     )
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
     _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
-    assert count.learnt > 0.9 * count.given
+    assert count.state > 0.9 * count.given
     plant = PlantParameters()
     warm = Simulation(
         {'m': plant}, 'R[5,15]D[0.2,3]', seed=4, schedule=('m.resistance=1..1.3@0..60',)
@@ -293,7 +294,7 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     disturbed: list[Sample],
 ) -> None:
     nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveRules())
-    assert 0 < count.learnt < count.given
+    assert 0 < count.state < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
     assert told['state kicks'] > 10
@@ -332,7 +333,7 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
 ) -> None:
     box, start, samples = gone_wrong(seed)
     _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
-    assert 0 < count.learnt < count.given
+    assert 0 < count.state < count.given
 
 
 def test_a_motor_whose_matrix_is_singular_ends_nobody() -> None:
@@ -349,7 +350,7 @@ def test_a_motor_whose_matrix_is_singular_ends_nobody() -> None:
 def test_a_state_that_was_saved_is_not_written_to(
     thesis_box: MotorWhiteBox, disturbed: list[Sample]
 ) -> None:
-    begun, fresh = (RecursiveUpdate(thesis_box, START) for _ in range(2))
+    begun, fresh = (RecursiveEstimator(thesis_box, START) for _ in range(2))
     for sample in disturbed[:1000]:
         begun.learn(sample)
     saved = begun.state()
@@ -369,11 +370,11 @@ def test_without_compiled_code_numpy_learns_everything(
 ) -> None:  # fmt: skip
     monkeypatch.setattr(compiled.sysconfig, 'get_config_var', lambda name: '.is-not-there')
     assert regular_block.library() is None
-    nodes, count = RecursiveUpdate(thesis_box, START), Count()
+    nodes, count = RecursiveEstimator(thesis_box, START), Count()
     count.watch(nodes)
     for sample in simulated('R[5,15]D[0.2,3]', 20.0):
         nodes.learn(sample)
-    assert count.learnt == 0 < count.given
+    assert count.state == 0 < count.given
     np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.05)
 
 
@@ -384,7 +385,7 @@ def test_blocks_of_nothing_but_restarts_are_met_without_a_warning(
     samples_of: Callable[..., list[Sample]],
 ) -> None:
     samples = samples_of(record('R[5,15]D[0.2,0.4]', 9.0, torque_noise_std=1e-4))
-    nodes = RecursiveUpdate(thesis_box, START)
+    nodes = RecursiveEstimator(thesis_box, START)
     for k, sample in enumerate(samples):
         nodes.learn(sample if k < 700 else sample.beginning())
     np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.01)
@@ -396,22 +397,22 @@ def test_a_fit_that_a_block_makes_due_is_done_at_the_same_sample(
 ) -> None:
     motors = 40
     monkeypatch.setattr(
-        block_updater, 'UPDATES', 2
+        block_updater, 'BLOCKS_PER_STEP', 2
     )  # so that the last ones come to their block when a fit is due too
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
-    nodes, late = RecursiveUpdate(box, START.repeat(motors, 0)), 0
-    within = nodes._learner.learn_due
+    nodes, late = RecursiveEstimator(box, START.repeat(motors, 0)), 0
+    within = nodes._updater.learn_due
 
-    def learn_due(known, due, plain):  # type: ignore[no-untyped-def]
+    def learn_due(state, schedule):  # type: ignore[no-untyped-def]
         nonlocal late
-        before = plain.copy()
-        known, turn = within(known, due, plain)
-        fits = (nodes.replay.received >= due) & ~plain
+        before = schedule.is_block_update.copy()
+        state, batch = within(state, schedule)
+        fits = (nodes.replay.received >= schedule.next_update_at) & ~schedule.is_block_update
         late += int((fits & before).sum())
-        assert not (turn.wait and fits.any())
-        return known, turn
+        assert not (batch.wait and fits.any())
+        return state, batch
 
-    nodes._learner.learn_due = learn_due  # type: ignore[method-assign]
+    nodes._updater.learn_due = learn_due  # type: ignore[method-assign]
     for sample in simulated('R[5,15]D[0.2,3]', 12.0, motors=motors):
         nodes.learn(sample)
     assert late > 0
@@ -426,5 +427,5 @@ def test_quantised_currents_that_stand_still_teach_the_same_nothing(
         for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
     ]
     quick, _, count = both(monkeypatch, thesis_box, START, samples, RecursiveRules())
-    assert count.learnt > 20
+    assert count.state > 20
     assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)

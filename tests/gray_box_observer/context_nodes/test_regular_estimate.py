@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gray_box_observer.context_nodes import Estimate, RecursiveUpdate, Verdict, VerdictRules
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, Verdict, VerdictRules
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.native.regular_estimate import RegularEstimates, _Believed
 from gray_box_observer.context_nodes.recursive.estimator_state import copied
@@ -20,15 +20,15 @@ MOTORS = 200
 
 
 @pytest.fixture
-def nodes() -> RecursiveUpdate:
+def nodes() -> RecursiveEstimator:
     """Context nodes of many motors with random beliefs, sharp to vague, some at a bound."""
     random, count = np.random.default_rng(7), len(NODES)
     box = MotorWhiteBox(NODES, np.full(MOTORS, 0.01), {'back_emf_constant': np.full(MOTORS, 0.01)})
     lower, upper = bounds(box.parameters)
     theta = np.exp(random.uniform(np.log(lower), np.log(upper), (MOTORS, count)))
     theta[::7, 1], theta[3::7, 2], theta[5::7, 0] = upper[1], lower[2], 2.0 * upper[0]
-    made = RecursiveUpdate(box, np.ones((MOTORS, count)))
-    belief = made._learnt.belief
+    made = RecursiveEstimator(box, np.ones((MOTORS, count)))
+    belief = made._state.belief
     belief.p[:, 0], belief.p[:, 1:] = 1.0 / theta[:, 0], theta[:, 1:] / theta[:, :1]
     belief.noise[:] = np.exp(random.uniform(-6.0, 0.0, MOTORS))
     shape = random.normal(size=(MOTORS, count + 1, count + 1))
@@ -36,16 +36,16 @@ def nodes() -> RecursiveUpdate:
     belief.covariance[:] = (
         sharpness * shape @ shape.swapaxes(1, 2) / belief.noise[:, None, None] ** 2
     )
-    made._learnt.share[::3, 2], made._learnt.reach[::3, 2] = 1e-3 / theta[::3, 2], 1e-3
+    made._state.share[::3, 2], made._state.reach[::3, 2] = 1e-3 / theta[::3, 2], 1e-3
     return made
 
 
-def by_numpy(nodes: RecursiveUpdate, which: object = slice(None)) -> Estimate:
+def by_numpy(nodes: RecursiveEstimator, which: object = slice(None)) -> Estimate:
     """The estimate without compiled code."""
-    within = nodes._ordinary._library
-    nodes._ordinary._library = None
+    within = nodes._regular._library
+    nodes._regular._library = None
     told = nodes.estimate(which)
-    nodes._ordinary._library = within
+    nodes._regular._library = within
     return told
 
 
@@ -57,11 +57,11 @@ def assert_same(one: Estimate, other: Estimate) -> None:
 
 
 @needs_it
-def test_estimates_are_those_of_numpy_to_the_last_bit(nodes: RecursiveUpdate) -> None:
+def test_estimates_are_those_of_numpy_to_the_last_bit(nodes: RecursiveEstimator) -> None:
     told, wide = set(), 0
     for motor in range(MOTORS):
         which = slice(motor, motor + 1)
-        alone = nodes._told(np.array([motor]))
+        alone = nodes._compiled_values(np.array([motor]))
         wide += alone is None
         assert_same(nodes.estimate(which), by_numpy(nodes, which))
         told |= set() if alone is None else set(alone[2][0])
@@ -74,10 +74,10 @@ def test_estimates_are_those_of_numpy_to_the_last_bit(nodes: RecursiveUpdate) ->
 
 
 @needs_it
-def test_some_motors_are_told_of_as_all_are(nodes: RecursiveUpdate) -> None:
-    nodes._learnt.belief.covariance[:] *= 1e-3
+def test_some_motors_are_told_of_as_all_are(nodes: RecursiveEstimator) -> None:
+    nodes._state.belief.covariance[:] *= 1e-3
     everyone, some = nodes.estimate(), np.array([3, 17, 18, 150])
-    assert nodes._ordinary.of(nodes._learnt.belief, None, nodes.verdict_rules) is not None
+    assert nodes._regular.estimate(nodes._state.belief, None, nodes.verdict_rules) is not None
     assert_same(everyone, by_numpy(nodes))
     chosen = nodes.estimate(some)
     assert_same(chosen, by_numpy(nodes, some))
@@ -85,25 +85,25 @@ def test_some_motors_are_told_of_as_all_are(nodes: RecursiveUpdate) -> None:
 
 
 @needs_it
-def test_what_was_told_stays_as_it_was_told(nodes: RecursiveUpdate) -> None:
+def test_what_was_told_stays_as_it_was_told(nodes: RecursiveEstimator) -> None:
     first = nodes.estimate(slice(0, 1))
     value, covariance = first.value.copy(), first.covariance.copy()
-    nodes._learnt.belief.p[:] *= 1.5
+    nodes._state.belief.p[:] *= 1.5
     nodes.estimate(slice(0, 1))
     np.testing.assert_array_equal(first.value, value)
     np.testing.assert_array_equal(first.covariance, covariance)
 
 
 @needs_it
-def test_rules_and_beliefs_may_be_replaced(nodes: RecursiveUpdate) -> None:
+def test_rules_and_beliefs_may_be_replaced(nodes: RecursiveEstimator) -> None:
     one = slice(4, 5)
-    nodes._learnt.belief.covariance[:] *= 1e-4
+    nodes._state.belief.covariance[:] *= 1e-4
     before = nodes.estimate(one)
     nodes.verdict_rules = VerdictRules(identified_relative_std=1e-12, excited_relative_std=1e-11)
     assert_same(nodes.estimate(one), by_numpy(nodes, one))
     assert Verdict.UNEXCITED in nodes.estimate(one).verdicts[0]
-    nodes._learnt = copied(nodes._learnt)
-    nodes._learnt.belief.p[:] *= 1.01
+    nodes._state = copied(nodes._state)
+    nodes._state.belief.p[:] *= 1.01
     assert_same(nodes.estimate(one), by_numpy(nodes, one))
     assert nodes.estimate(one).value.tobytes() != before.value.tobytes()
     nodes.freeze(True)
@@ -111,8 +111,8 @@ def test_rules_and_beliefs_may_be_replaced(nodes: RecursiveUpdate) -> None:
 
 
 @needs_it
-def test_what_is_not_a_number_is_told_as_numpy_tells_it(nodes: RecursiveUpdate) -> None:
-    belief = nodes._learnt.belief
+def test_what_is_not_a_number_is_told_as_numpy_tells_it(nodes: RecursiveEstimator) -> None:
+    belief = nodes._state.belief
     belief.p[0, 1] = np.nan
     belief.covariance[1, 2, 2] = np.nan
     belief.p[2, 0] = np.inf
@@ -127,11 +127,11 @@ def test_what_is_not_a_number_is_told_as_numpy_tells_it(nodes: RecursiveUpdate) 
             assert one.verdicts == other.verdicts
 
 
-def test_more_parameters_than_it_has_room_for_are_left_to_numpy(nodes: RecursiveUpdate) -> None:
+def test_more_parameters_than_it_has_room_for_are_left_to_numpy(nodes: RecursiveEstimator) -> None:
     parameters = nodes._white_box.parameters
     assert (
-        RegularEstimates((*parameters, *parameters), 1).of(
-            nodes._learnt.belief, None, VerdictRules()
+        RegularEstimates((*parameters, *parameters), 1).estimate(
+            nodes._state.belief, None, VerdictRules()
         )
         is None
     )

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveUpdate
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.trajectory import UNKNOWN, restart_variance
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -22,7 +22,7 @@ SEEDS = 16
 Samples = Sequence[Sample]
 
 
-def teach(nodes: RecursiveUpdate, samples: Samples) -> list[Estimate]:
+def teach(nodes: RecursiveEstimator, samples: Samples) -> list[Estimate]:
     """Learn samples one by one; return the estimate after each that changed it."""
     return [nodes.estimate() for sample in samples if nodes.learn(sample)]
 
@@ -49,13 +49,13 @@ def test_a_motor_heard_in_snatches_is_known_as_well_as_is_said(
         samples = list(
             samples_of(record('R[5,15]D[0.2,2]', 20.0, seed, torque_noise_relative=0.01))
         )
-        nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+        nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
         for k, sample in enumerate(samples):  # every half second something is missing
             nodes.learn(sample.beginning() if k % 50 == 0 else sample)
         estimate = nodes.estimate()
         error = estimate.value[0] - TRUTH
         nees.append(float(error @ np.linalg.solve(estimate.covariance[0], error)))
-        assert nodes.alarms == 0
+        assert nodes.change_count == 0
     assert sum(nees) < chi2.ppf(0.999, 3 * SEEDS)
     assert sum(nees) > chi2.ppf(0.001, 3 * SEEDS)
 
@@ -70,8 +70,8 @@ def test_a_restart_whose_first_sample_lies_far_off_costs_no_certainty(
     off: float,
 ) -> None:
     samples = samples_of(record('R[5,15]D[0.1,1]', 15.0, seed=4, torque_noise_std=NOISE_NM))
-    unbroken = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
-    nodes = RecursiveUpdate(thesis_box, THREE_TIMES_OFF)
+    unbroken = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
+    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF)
     before = teach(nodes, samples[:cut])[-1]
     first = samples[cut].beginning()._replace(torque_nm=samples[cut].torque_nm + off * NOISE_NM)
     after = teach(nodes, [first, *samples[cut + 1 :]])
@@ -79,4 +79,4 @@ def test_a_restart_whose_first_sample_lies_far_off_costs_no_certainty(
     assert max(float(np.max(estimate.std / before.std)) for estimate in after) < 1.05
     assert np.all(after[-1].std < 1.05 * expected.std)
     assert np.all(np.abs(after[-1].value - expected.value) < expected.std)
-    assert nodes.alarms == 0
+    assert nodes.change_count == 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import RecursiveRules, RecursiveUpdate
+from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveRules
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -37,7 +37,7 @@ def test_whatever_is_restored_goes_on_bit_for_bit(
     heard: Callable[..., Samples], thesis_box: MotorWhiteBox, record: Any, samples_of: Any
 ) -> None:
     samples, told, saved = heard(record, samples_of), [], {}
-    one = RecursiveUpdate(thesis_box, START, rules=SHORT)
+    one = RecursiveEstimator(thesis_box, START, rules=SHORT)
     for k, sample in enumerate(samples):
         if k > 150 and k % 97 == 0:
             saved[k] = one.state()
@@ -45,7 +45,7 @@ def test_whatever_is_restored_goes_on_bit_for_bit(
         told.append(one.theta.tobytes())
     assert len(set(told)) > 4
     for cut, (plain, arrays) in saved.items():
-        other = RecursiveUpdate(thesis_box, START, rules=SHORT)
+        other = RecursiveEstimator(thesis_box, START, rules=SHORT)
         other.restore(plain, arrays)
         for k in range(cut, len(samples)):
             other.learn(samples[k])
@@ -57,10 +57,10 @@ def test_a_memory_of_another_size_goes_on_from_what_there_is(
     capacity: int, thesis_box: MotorWhiteBox, record: Any, samples_of: Any
 ) -> None:
     samples = samples_of(record('R[5,15]D[0.2,2]', 14.0, torque_noise_std=1e-4))
-    one = RecursiveUpdate(thesis_box, START, rules=SHORT)
+    one = RecursiveEstimator(thesis_box, START, rules=SHORT)
     for sample in samples[:370]:
         one.learn(sample)
-    other = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(replay_capacity=capacity))
+    other = RecursiveEstimator(thesis_box, START, rules=RecursiveRules(replay_capacity=capacity))
     other.restore(*one.state())
     assert len(other.replay) == min(capacity, 200 + 370 % 32)
     np.testing.assert_array_equal(
@@ -92,12 +92,14 @@ def test_blocks_of_another_size_go_on_without_the_samples_that_a_smaller_memory_
     thesis_box: MotorWhiteBox, record: Any, samples_of: Any
 ) -> None:
     samples = samples_of(record('R[5,15]D[0.2,2]', 14.0, torque_noise_std=1e-4))
-    one = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(block=400, replay_capacity=800))
+    one = RecursiveEstimator(
+        thesis_box, START, rules=RecursiveRules(block=400, replay_capacity=800)
+    )
     for sample in samples[:1000]:
         one.learn(sample)
     plain, arrays = one.state()
     assert plain['new'] == 360
-    other = RecursiveUpdate(thesis_box, START, rules=RecursiveRules(replay_capacity=80))
+    other = RecursiveEstimator(thesis_box, START, rules=RecursiveRules(replay_capacity=80))
     other.restore(plain, arrays)
     np.testing.assert_array_equal(other.theta, one.theta)
     for sample in (samples[1000].beginning(), *samples[1001:]):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.sensitivity import sensitivity
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -19,7 +19,7 @@ def test_every_parameter_scales_with_the_torque_constant_and_the_back_emf_goes_i
     record: Callable[..., Recording],
     samples_of: Callable[..., list[Sample]],
 ) -> None:
-    nodes = RecursiveUpdate(thesis_box, np.array([[1.5, 3.0, 30.0]]))
+    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
     for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0)):
         nodes.learn(sample)
     found = sensitivity(thesis_box, nodes.replay, nodes.theta)
@@ -37,7 +37,7 @@ def test_too_few_samples_tell_nothing(
     record: Callable[..., Recording],
     samples_of: Callable[..., list[Sample]],
 ) -> None:
-    nodes = RecursiveUpdate(thesis_box, np.array([[1.5, 3.0, 30.0]]))
+    nodes = RecursiveEstimator(thesis_box, np.array([[1.5, 3.0, 30.0]]))
     for sample in samples_of(record('R[5,15]D[0.001,2]', 20.0))[:90]:
         nodes.learn(sample)
     assert sensitivity(thesis_box, nodes.replay, nodes.theta) is None

@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 import pytest
 
-from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes import RecursiveEstimator
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.declaration import TERMS
@@ -81,7 +81,7 @@ def _spoilt(rng: np.random.Generator, current: np.ndarray) -> np.ndarray:
     return faults[rng.integers(len(faults))]
 
 
-def _samples(seed: int) -> tuple[RecursiveUpdate, list[Sample]]:
+def _samples(seed: int) -> tuple[RecursiveEstimator, list[Sample]]:
     rng = np.random.default_rng(seed)
     step_s, count = float(rng.choice([1e-4, 1e-3, 1e-2, 0.1])), int(rng.choice([80, 160, 240, 400]))
     names = SETS_OF_NODES[rng.integers(len(SETS_OF_NODES))]
@@ -111,10 +111,10 @@ def _samples(seed: int) -> tuple[RecursiveUpdate, list[Sample]]:
         )
         for k in range(count + 1)
     ]
-    return RecursiveUpdate(box, guess), samples
+    return RecursiveEstimator(box, guess), samples
 
 
-def _assert_sound(nodes: RecursiveUpdate, seed: int, at: int) -> None:
+def _assert_sound(nodes: RecursiveEstimator, seed: int, at: int) -> None:
     estimate = nodes.estimate()
     where = f'case {seed}, sample {at}'
     assert np.isfinite(estimate.value).all(), where

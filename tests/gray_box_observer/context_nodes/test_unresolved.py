@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gray_box_observer.context_nodes import RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes import RecursiveEstimator, Verdict
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -18,7 +18,7 @@ def test_inductance_is_not_claimed_but_resistance_is_where_samples_come_too_slow
 ) -> None:
     random = np.random.default_rng(0)
     box = MotorWhiteBox(('inductance', 'resistance'), TORQUE_CONSTANT)
-    rule = RecursiveUpdate(box, np.array([[2e-3, 10.0]]))
+    rule = RecursiveEstimator(box, np.array([[2e-3, 10.0]]))
     decay = np.exp(-interval_s * RESISTANCE / INDUCTANCE)
     voltage_v, current_a, held_v = 0.0, 0.0, 0.0
     for k in range(2000):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -33,12 +33,12 @@ class Record:
     current_a: Floats
 
     @property
-    def stretch(self) -> Stretch:
+    def stretch(self) -> SampleWindow:
         """The record as a stretch of one motor."""
         current_a = self.current_a[None]
         voltage_v = self.voltage_v[None, :-1]
         restart = np.zeros(voltage_v.shape, dtype=bool)
-        return Stretch(
+        return SampleWindow(
             current_a, voltage_v, np.full(voltage_v.shape, INTERVAL_S), 0.0 * current_a, restart
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveUpdate, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, Verdict
 from gray_box_observer.context_nodes.recursive.belief import Prior
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.data_sheet import contradiction
@@ -173,7 +173,7 @@ def test_it_is_dropped_for_its_motor_alone(record: Callable[..., Recording]) -> 
         box = MotorWhiteBox(
             NAMES, np.full(count, 0.01), {'back_emf_constant': np.full(count, 0.01)}
         )
-        nodes = RecursiveUpdate(box, initial[which], initial_relative_std=told[which])
+        nodes = RecursiveEstimator(box, initial[which], initial_relative_std=told[which])
         for k in range(50, 1200):
             signals = (
                 np.full(count, x)

@@ -176,7 +176,7 @@ import numpy as np, torch
 import gray_box_observer
 from api_tables import spec_rows
 from gray_box_observer.settings.configuration import Configuration
-from gray_box_observer.context_nodes import RecursiveUpdate
+from gray_box_observer.context_nodes import RecursiveEstimator
 from gray_box_observer.context_nodes.native import regular_block
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
@@ -222,13 +222,13 @@ for k in range(4000):
     level = random.uniform(-12.0, 12.0) if random.random() < 0.05 else level
 
 def learn():
-    update = RecursiveUpdate(box, 3.0 * theta)
-    within, told = update._learner.learn_due, []
+    update = RecursiveEstimator(box, 3.0 * theta)
+    within, told = update._updater.learn_due, []
     def learn_due(*arguments):
         known, turn = within(*arguments)
-        told.extend(turn.told.tolist())
+        told.extend(turn.status.tolist())
         return known, turn
-    update._learner.learn_due = learn_due
+    update._updater.learn_due = learn_due
     for sample in samples:
         update.learn(sample)
     return update.theta.tolist(), told

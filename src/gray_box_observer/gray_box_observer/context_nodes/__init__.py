@@ -2,7 +2,7 @@
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictRules
 from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate
-from gray_box_observer.context_nodes.recursive.estimator import RecursiveUpdate
+from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 
@@ -12,7 +12,7 @@ __all__ = [
     'GradientRules',
     'GradientUpdate',
     'RecursiveRules',
-    'RecursiveUpdate',
+    'RecursiveEstimator',
     'Verdict',
     'VerdictRules',
 ]

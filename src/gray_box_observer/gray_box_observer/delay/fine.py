@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes.recursive.linear_start import linear_start
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
-    Frame,
+    Scaling,
     robust_std,
     weighted,
 )
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch, follow, linearise
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
 from gray_box_observer.delay.coarse import credible
 from gray_box_observer.samples.raw_history import RawSignals
 from gray_box_observer.white_box.flow import within_bounds
@@ -119,7 +119,7 @@ class FineSearch:
         )
         self._about, self._first = self._near, self._near[:, 0]
 
-    def _stretch(self, delay_s: float) -> Stretch:
+    def _stretch(self, delay_s: float) -> SampleWindow:
         times = self._signals.time_s
         interval = np.diff(times)[None]
         voltage = np.diff(self._signals.voltage_integral(times - delay_s))[None] / interval
@@ -127,7 +127,7 @@ class FineSearch:
             np.where(self._restart, 0.0, voltage),
             np.where(self._restart, 0.0, interval),
         )
-        return Stretch(
+        return SampleWindow(
             self._state, voltage, interval, self._signals.speed_rad_s[None], self._restart
         )
 
@@ -149,7 +149,7 @@ class FineSearch:
         )
         self._weights = weights * self._valid
 
-    def _predict(self, stretch: Stretch, gain: float | Array) -> None:
+    def _predict(self, stretch: SampleWindow, gain: float | Array) -> None:
         self._gains = gain * np.ones_like(self._state)
         self._path = follow(self._maps, stretch, self._first, self._gains)
         self._residual = self._state - self._path.state
@@ -163,7 +163,7 @@ class FineSearch:
         """One Gauss-Newton step; tell whether it was a small one."""
         self._evaluate()
         n = self._p.shape[1]
-        jacobian = Frame(self._size, self._p).jacobian(self._path)
+        jacobian = Scaling(self._size, self._p).jacobian(self._path)
         if free:
             jacobian = np.concatenate([jacobian, self._by_delay()[..., None]], axis=2)
         information, right = weighted(jacobian, self._weights, self._residual)
@@ -230,7 +230,7 @@ class FineSearch:
         if not free:
             return Fitted(self._delay_s, 0.0, loss, math.sqrt(self._noise2), 1.0)
         jacobian = np.concatenate(
-            [Frame(self._size, self._p).jacobian(self._path), self._by_delay()[..., None]], axis=2
+            [Scaling(self._size, self._p).jacobian(self._path), self._by_delay()[..., None]], axis=2
         )
         influence = (jacobian[0] * self._weights[0, :, None]) @ self._covariance[-1]
         floor = float(self._floor[0])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import robust_std
 from gray_box_observer.context_nodes.recursive.trajectory import (
-    Stretch,
+    SampleWindow,
     Trajectory,
     find_kicks,
     follow,
@@ -57,7 +57,7 @@ class FreeRun:
         weight: shape (k + 1,): what a sample counts; less than one after a restart.
     """
 
-    stretch: Stretch
+    stretch: SampleWindow
     inductance_h: float
     current_a: Array
     residual_a: Array
@@ -82,7 +82,7 @@ class FreeRun:
         return rows
 
 
-def free_run(white_box: WhiteBox, p: Array, stretch: Stretch) -> FreeRun:
+def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
     """Run the white box freely through a stretch.
 
     Args:
@@ -119,7 +119,7 @@ def free_run(white_box: WhiteBox, p: Array, stretch: Stretch) -> FreeRun:
     )
 
 
-def _kicks(path: Trajectory, residual: Array, stretch: Stretch) -> NDArray[np.bool_] | None:
+def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[np.bool_] | None:
     """Jumps of the state against the model, shape (1, k); None if too many to be jumps."""
     valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
     change = residual[:, 1:] - path.factor * residual[:, :-1]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
@@ -32,7 +32,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
-from gray_box_observer.fit_test.suspects import Explanation, explanations, likeliest
+from gray_box_observer.fit_test.suspects import Explanation, explanations, select_rate
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -229,7 +229,7 @@ class FitMonitor:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
         theta = estimate.value
-        stretch = Stretch.newest(white_box, replay, count, one)
+        stretch = SampleWindow.newest(white_box, replay, count, one)
         drifting = nodes.is_drifting(motor)
         analysis = analyse(white_box, to_coordinates(theta), stretch, drifting)
         judgement = judge(
@@ -250,7 +250,7 @@ class FitMonitor:
         if named or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         if judgement.verdict is not FitVerdict.OK:
-            explained = explanations(white_box, Stretch.of_content(white_box, stored))
+            explained = explanations(white_box, SampleWindow.of_content(white_box, stored))
             if _clearest(explained) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             named += self._suspects(analysis, explained, motor)
@@ -328,7 +328,9 @@ class FitMonitor:
                 if effect in explained
             }
         torque_constant = float(self._white_boxes[motor].torque_constant)
-        return [one.suspect(name, torque_constant) for one in likeliest(explained.values(), scores)]
+        return [
+            one.suspect(name, torque_constant) for one in select_rate(explained.values(), scores)
+        ]
 
     def judged(
         self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]

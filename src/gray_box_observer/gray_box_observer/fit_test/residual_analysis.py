@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
@@ -137,7 +137,7 @@ def ljung_box(residual: Array, lags: int = LAGS) -> float:
 
 
 def analyse(
-    white_box: WhiteBox, p: Array, stretch: Stretch, drifting: bool = False
+    white_box: WhiteBox, p: Array, stretch: SampleWindow, drifting: bool = False
 ) -> ResidualAnalysis:
     """Analyse the free run of one motor.
 
@@ -209,7 +209,7 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     return math.sqrt(steep_a**2 - rest_a**2) / math.sqrt(float(np.mean(slope[steep] ** 2)))
 
 
-def _intervals(white_box: WhiteBox, p: Array, stretch: Stretch) -> float:
+def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:
     names = [parameter.name for parameter in white_box.parameters]
     interval_s = stretch.interval_s[stretch.interval_s > 0.0]
     if 'resistance' not in names or interval_s.size == 0:

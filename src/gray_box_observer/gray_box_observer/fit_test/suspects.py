@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.assessment import Suspect
 from gray_box_observer.fit_test.effects import (
     Effect,
@@ -90,7 +90,7 @@ class Explanation:
         return Suspect(self.effect.name, self.evidence, remedy)
 
 
-def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explanation]:
+def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, Explanation]:
     """Fit every effect beside the parameters; return its best alternative by its name.
 
     Args:
@@ -122,7 +122,7 @@ def explanations(white_box: MotorWhiteBox, stretch: Stretch) -> dict[str, Explan
     return best
 
 
-def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list[Explanation]:
+def select_rate(found: Iterable[Explanation], scores: Mapping[str, float]) -> list[Explanation]:
     """Return explanations that bring enough, the best first.
 
     An offset and a lost voltage are the same while the current keeps its sign; one that takes
@@ -149,7 +149,7 @@ def likeliest(found: Iterable[Explanation], scores: Mapping[str, float]) -> list
 
 
 def _balance(
-    white_box: MotorWhiteBox, stretch: Stretch
+    white_box: MotorWhiteBox, stretch: SampleWindow
 ) -> tuple[Array, list[str], list[tuple[Effect, Shapes]]]:
     """Weak voltage balance: rows of parameters, of voltage, and of every effect's shapes."""
     current_a, interval_s = stretch.state[0], stretch.interval_s[0]

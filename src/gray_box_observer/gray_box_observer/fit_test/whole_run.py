@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch, follow, linearise
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -65,7 +65,7 @@ def white_box_torque(
     for begin in range(0, state.size - 1, CHUNK):
         end = min(begin + CHUNK, state.size - 1)
         restart = interval_s[begin + 1 : end + 1] <= 0.0
-        stretch = Stretch(
+        stretch = SampleWindow(
             state[None, begin : end + 1],
             np.where(restart, 0.0, voltage_v[begin + 1 : end + 1])[None],
             interval_s[None, begin + 1 : end + 1],
@@ -76,7 +76,9 @@ def white_box_torque(
     return white_box.output(run)
 
 
-def _run(white_box: MotorWhiteBox, coordinates: Array, stretch: Stretch, start: float) -> Array:
+def _run(
+    white_box: MotorWhiteBox, coordinates: Array, stretch: SampleWindow, start: float
+) -> Array:
     """Run one chunk from where the one before ended."""
     largest = float(np.max(np.abs(stretch.state))) + 1e-9
     about = stretch.state

@@ -13,8 +13,8 @@ from gray_box_observer.context_nodes import (
     Estimate,
     GradientRules,
     GradientUpdate,
+    RecursiveEstimator,
     RecursiveRules,
-    RecursiveUpdate,
     VerdictRules,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
@@ -135,7 +135,7 @@ def context_nodes(
         )
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
     rules = RecursiveRules(**configuration.group('recursive'))
-    return RecursiveUpdate(white_box, initial, seed, rules, verdicts, relative_std)
+    return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:

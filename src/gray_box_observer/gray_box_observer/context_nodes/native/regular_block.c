@@ -422,7 +422,7 @@ CLONES void predict(const Update *u, Tile *t)
 }
 
 /* Have the coordinates always been others? block_step.py, surprise; change_test.py,
- * DriftTest.take. */
+ * ChangeTest.take. */
 INLINE void examine(const Update *u, Tile *t, const int n)
 {
     const int m = n + STATES, memories = (int)u->memories;

@@ -22,7 +22,7 @@ from gray_box_observer.context_nodes.recursive import change_test
 from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
-from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied
+from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied
 from gray_box_observer.context_nodes.recursive.normal_equations import CORRELATION_SLACK, OUTLIER
 from gray_box_observer.context_nodes.recursive.random_walk import heating
 from gray_box_observer.context_nodes.recursive.trajectory import FAR, KICK
@@ -44,7 +44,7 @@ lies far back."""
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 WRITTEN = {
-    'at': 'at',
+    'at': 'position',
     'p': 'belief.p',
     'state': 'belief.state',
     'covariance': 'belief.covariance',
@@ -64,15 +64,15 @@ WRITTEN = {
     'hold_covariance': 'hold.covariance',
     'hold_settled_now': 'hold.settled',
 }
-"""What an regular block changes, and where that stands in :class:`~.estimator_state.Learnt`."""
+"""What an regular block changes, and where that stands in :class:`~.estimator_state.EstimatorState`."""
 
 READ = {
     'current_a': 'belief.current_a',
     'gain': 'belief.gain',
     'least_noise': 'least_noise',
     'walk_rate': 'walk_rate',
-    'anchored': 'anchored',
-    'next_fit': 'next_fit',
+    'anchored': 'anchor_position',
+    'next_fit': 'next_fit_at',
     'hold_begun': 'hold.begun',
 }
 """What else is asked of a motor, and where that stands."""
@@ -130,25 +130,25 @@ def library() -> ctypes.CDLL | None:
     return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
 
 
-class Turn(NamedTuple):
+class BatchResult(NamedTuple):
     """What became of the motors of a group at one of its samples.
 
     Attributes:
         motors: places of those whose block was looked at; None where they were too many, and
             nothing was done.
-        told: what became of each block, as of :meth:`RegularBlocks.learn`.
+        status: what became of each block, as of :meth:`RegularBlocks.learn`.
         changed: shape (motor,), of all motors: whether it has learnt.
         wait: samples until somebody is due again; 0 where there is more to do now.
     """
 
     motors: NDArray[np.int64] | None
-    told: NDArray[np.uint8]
+    status: NDArray[np.uint8]
     changed: NDArray[np.bool_]
     wait: int
 
     @classmethod
-    def left(cls, motors: int) -> Turn:
-        """Return a turn in which nothing was done."""
+    def nothing_done(cls, motors: int) -> BatchResult:
+        """Return the result of a step in which nothing was done."""
         return cls(None, np.empty(0, dtype=np.uint8), np.zeros(motors, dtype=bool), 0)
 
 
@@ -164,13 +164,13 @@ class RegularBlocks:
     def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
         self._pointed: tuple[Any, ...] = ()
-        found = library()
+        loaded = library()
         if (
-            found is not None
+            loaded is not None
             and isinstance(white_box, MotorWhiteBox)
-            and _fits(found, white_box, rules)
+            and _fits(loaded, white_box, rules)
         ):
-            self._library = found
+            self._library = loaded
             self._describe(white_box, rules, replay)
 
     @property
@@ -182,25 +182,25 @@ class RegularBlocks:
         self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer
     ) -> None:
         """Write down what never changes."""
-        motors, told = replay.motors, white_box.given
+        motors = replay.motors
         lower, upper = bounds(white_box.parameters)
         keep = change_test.keep()
         data, gone, end, begin = replay.streams
-        constants = [np.broadcast_to(white_box.known[name], motors) for name in told]
-        self._kept = (  # what pointers point to
-            np.array(constants, dtype=float).reshape(len(told), motors),
+        constants = [np.broadcast_to(white_box.known[name], motors) for name in white_box.given]
+        self._pinned = (  # pointers point to these
+            np.array(constants, dtype=float).reshape(len(white_box.given), motors),
             np.array(np.broadcast_to(white_box.torque_constant, motors), dtype=float),
             data,
             gone,
             end,
             begin,
         )
-        places = [array.ctypes.data for array in self._kept]
+        places = [array.ctypes.data for array in self._pinned]
         self._update = _Update(
             coordinates=len(white_box.parameters),
             samples=rules.block,
             memories=keep.size,
-            known_terms=len(told),
+            known_terms=len(white_box.given),
             speed_measured=int(white_box.speed_measured),
             codes=white_box.codes,
             heats=tuple(heating(white_box.parameters).tolist()),
@@ -235,52 +235,57 @@ class RegularBlocks:
             end=places[4],
             begin=places[5],
         )
-        self._turn = (
+        self._batch = (
             np.empty(motors, dtype=int),
             np.empty(motors, dtype=np.uint8),
             np.zeros(motors, dtype=bool),
         )
         self._wait = _COUNT()
-        self._turned = (*(array.ctypes.data for array in self._turn), ctypes.byref(self._wait))
+        self._batch_places = (
+            *(array.ctypes.data for array in self._batch),
+            ctypes.byref(self._wait),
+        )
 
     def learn(
         self,
-        known: Learnt,
+        state: EstimatorState,
         motors: NDArray[np.int64],
-        due: NDArray[np.int64],
-        plain: NDArray[np.bool_],
-    ) -> tuple[Learnt, NDArray[np.uint8]]:
-        """Learn the next block of some motors where it is an regular one.
+        next_update_at: NDArray[np.int64],
+        is_block_update: NDArray[np.bool_],
+    ) -> tuple[EstimatorState, NDArray[np.uint8]]:
+        """Learn the next block of some motors where it is a regular one.
 
         The interpreter lock is let go meanwhile: what is known, and the samples, are one thread's
         alone; others are given copies.
 
         Args:
-            known: of all motors; written to.
+            state: of all motors; written to.
             motors: their places; their samples reach to the end of the block.
-            due: shape (motor,): where in its stream the next work on a motor is due; written to.
-            plain: shape (motor,): whether that is a block; written to.
+            next_update_at: shape (motor,): where in its stream the next work on a motor is due; written to.
+            is_block_update: shape (motor,): whether that is a block; written to.
 
         Returns:
             What is known then, and what became of every block, shape (place,): 0 where nothing has
             changed, else LEARNT and what there is to do besides.
         """
-        told = np.zeros(motors.size, dtype=np.uint8)
+        status = np.zeros(motors.size, dtype=np.uint8)
         if self._library is None:
-            return known, told
-        known = self._point(known, due, plain)
-        self._library.learn_blocks(self._update, motors.ctypes.data, motors.size, told.ctypes.data)
-        return known, told
+            return state, status
+        state = self._point(state, next_update_at, is_block_update)
+        self._library.learn_blocks(
+            self._update, motors.ctypes.data, motors.size, status.ctypes.data
+        )
+        return state, status
 
     def learn_due(
-        self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_], most: int
-    ) -> tuple[Learnt, Turn]:  # fmt: skip
+        self, state: EstimatorState, next_update_at: NDArray[np.int64], is_block_update: NDArray[np.bool_], most: int
+    ) -> tuple[EstimatorState, BatchResult]:  # fmt: skip
         """Learn the next block of every motor that is due for one, as :meth:`learn` does.
 
         Args:
-            known: of all motors; written to; the samples must have been settled.
-            due: as there.
-            plain: as there.
+            state: of all motors; written to; the samples must have been settled.
+            next_update_at: as there.
+            is_block_update: as there.
             most: how many motors at most; where more are due nothing is done, nor without compiled
                 code.
 
@@ -288,29 +293,34 @@ class RegularBlocks:
             What is known then, and the turn.
         """
         if self._library is None:
-            return known, Turn.left(due.size)
-        known = self._point(known, due, plain)
-        count = self._library.learn_due(self._update, most, *self._turned)
-        motors, told, changed = self._turn
+            return state, BatchResult.nothing_done(next_update_at.size)
+        state = self._point(state, next_update_at, is_block_update)
+        count = self._library.learn_due(self._update, most, *self._batch_places)
+        motors, status, changed = self._batch
         done = None if count > most else motors[:count].copy()
-        return known, Turn(done, told[:count].copy(), changed.copy(), self._wait.value)
+        return state, BatchResult(done, status[:count].copy(), changed.copy(), self._wait.value)
 
-    def _point(self, known: Learnt, due: NDArray[np.int64], plain: NDArray[np.bool_]) -> Learnt:
+    def _point(
+        self,
+        state: EstimatorState,
+        next_update_at: NDArray[np.int64],
+        is_block_update: NDArray[np.bool_],
+    ) -> EstimatorState:
         """Let the compiled code write to the arrays themselves, or to writable copies of them."""
-        parts = (*_parts(known), due, plain)
+        parts = (*_parts(state), next_update_at, is_block_update)
         if self._pointed and all(map(is_, parts, self._pointed)):
-            return known
-        arrays = (*_of_learnt(known), due, plain)
+            return state
+        arrays = (*_of_learnt(state), next_update_at, is_block_update)
         if not all(array.flags.c_contiguous and array.flags.writeable for array in arrays):
-            known = copied(known)
-            arrays = (*_of_learnt(known), due, plain)
+            state = copied(state)
+            arrays = (*_of_learnt(state), next_update_at, is_block_update)
         for name, array in zip((*READ, *WRITTEN, 'due', 'plain'), arrays, strict=True):
             setattr(self._update, name, array.ctypes.data)
-        self._pointed = (*_parts(known), due, plain)
-        return known
+        self._pointed = (*_parts(state), next_update_at, is_block_update)
+        return state
 
 
-def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
+def _fits(loaded: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
     """Whether `regular_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 2)()
     return (
@@ -319,5 +329,5 @@ def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(found.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
+        and all(loaded.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
     )

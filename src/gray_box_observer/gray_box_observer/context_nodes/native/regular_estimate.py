@@ -70,7 +70,7 @@ class RegularEstimates:
         self._rules: VerdictRules | None = None
         self._shares: tuple[Array | None, Array | None] = (None, None)
 
-    def of(
+    def estimate(
         self,
         belief: Belief,
         motors: NDArray[np.int64] | None,

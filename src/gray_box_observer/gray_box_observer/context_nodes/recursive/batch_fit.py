@@ -18,7 +18,7 @@ from gray_box_observer.context_nodes.recursive.belief import Belief, Prior
 from gray_box_observer.context_nodes.recursive.negligible import linear_std
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
-    Frame,
+    Scaling,
     inverted,
     robust_std,
     solved,
@@ -29,7 +29,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     CURRENT,
     STATES,
     Linearised,
-    Stretch,
+    SampleWindow,
     find_kicks,
     follow,
     linearise,
@@ -84,7 +84,7 @@ class Fit:
 
 def batch_fit(
     white_box: WhiteBox,
-    stretch: Stretch,
+    stretch: SampleWindow,
     start: Array,
     prior: Prior,
     noise_floor: float,
@@ -135,7 +135,7 @@ class _Search:
     def __init__(
         self,
         white_box: WhiteBox,
-        stretch: Stretch,
+        stretch: SampleWindow,
         start: Array,
         prior: Prior,
         noise_floor: float,
@@ -159,7 +159,7 @@ class _Search:
         self._loose = np.zeros_like(measured)  # variance that restarts leave in the predicted state
         self._scale = self._noise = np.full_like(self._size, np.inf)
         self._frame, self._covariance = (
-            Frame(self._size, self._p),
+            Scaling(self._size, self._p),
             prior.covariance,
         )  # until the first step
         unknowns = start.shape[1] + STATES
@@ -275,7 +275,7 @@ class _Search:
     def _step(self, which: NDArray[np.bool_]) -> Array:
         """One Gauss-Newton step of some of the motors; return the largest relative move of each."""
         n, p, prior = self._p.shape[1], self._p, self._prior
-        frame = Frame(self._size, p)
+        frame = Scaling(self._size, p)
         jacobian = frame.jacobian(self._path)
         information, right = weighted(jacobian, self._weights, self._residual)
         finite = np.all(np.isfinite(information), axis=(1, 2)) & np.all(np.isfinite(right), axis=1)
@@ -302,7 +302,7 @@ class _Search:
         moved = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
         if not np.all(which):
             one, two = which[:, None], which[:, None, None]
-            frame = Frame(self._size, np.where(one, p, self._frame.p))
+            frame = Scaling(self._size, np.where(one, p, self._frame.p))
             noise = np.where(which, noise, self._noise)
             covariance = np.where(two, covariance, self._covariance)
             information = np.where(two, information, self._information)
@@ -340,7 +340,7 @@ class _Search:
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
         covariance[:, CURRENT, CURRENT] += taken_over(self._loose[:, -1]) / self._size**2
         if (short := np.abs(self._p / self._frame.p - 1.0).max(axis=1) > ARRIVED).any():
-            there = self._frame.moved(covariance, Frame(self._size, self._p))
+            there = self._frame.moved(covariance, Scaling(self._size, self._p))
             covariance = np.where(short[:, None, None], there, covariance)
         belief = Belief(
             self._size,

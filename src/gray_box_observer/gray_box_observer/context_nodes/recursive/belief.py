@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.recursive.normal_equations import Frame
+from gray_box_observer.context_nodes.recursive.normal_equations import Scaling
 from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, CURRENT, STATES
 from gray_box_observer.safe_io.saved_state import (
     ArrayRule,
@@ -102,9 +102,9 @@ class Belief:
         return Belief(*(array[index] for array in self.arrays().values()))
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> Scaling:
         """Units of the unknowns."""
-        return Frame(self.current_a, self.p)
+        return Scaling(self.current_a, self.p)
 
     @property
     def posterior(self) -> Array:

@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.recursive.belief import Belief
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     OUTLIER,
-    Frame,
+    Scaling,
     definite,
     is_sound,
     semidefinite,
@@ -28,7 +28,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     COORDINATES,
     CURRENT,
     STATES,
-    Stretch,
+    SampleWindow,
     Trajectory,
     find_kicks,
     follow,
@@ -64,7 +64,7 @@ class Block:
             and testing ask for.
     """
 
-    stretch: Stretch
+    stretch: SampleWindow
     path: Trajectory
     residual: Array
     jacobian: Array
@@ -92,7 +92,7 @@ class Block:
         )
 
 
-def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
+def predict(white_box: WhiteBox, belief: Belief, stretch: SampleWindow) -> Block:
     """Predict a block, and tell its good samples from the others.
 
     Args:
@@ -143,7 +143,7 @@ def predict(white_box: WhiteBox, belief: Belief, stretch: Stretch) -> Block:
     )
 
 
-def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]:
+def _outset(belief: Belief, stretch: SampleWindow) -> tuple[Array, NDArray[np.bool_]]:
     """States to linearise about, and samples near enough to tell of them, (motor, k + 1)."""
     reach = CREDIBLE * belief.current_a[:, None]  # nothing is linearised about an absurd sample
     about = np.clip(stretch.state, -reach, reach)
@@ -152,7 +152,11 @@ def _outset(belief: Belief, stretch: Stretch) -> tuple[Array, NDArray[np.bool_]]
 
 
 def _from(
-    white_box: WhiteBox, belief: Belief, stretch: Stretch, about: Array, near: NDArray[np.bool_]
+    white_box: WhiteBox,
+    belief: Belief,
+    stretch: SampleWindow,
+    about: Array,
+    near: NDArray[np.bool_],
 ) -> tuple[Trajectory, Array, Array, Array, Array]:
     """Trajectory, residuals, derivatives by the unknowns, spread, and variance left by restarts.
 
@@ -201,7 +205,7 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | Non
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, CURRENT, 0] * belief.current_a
     if walked is not None:
         moved[:, COORDINATES, COORDINATES] += walked / (belief.noise**2)[:, None, None]
-    covariance = belief.frame.moved(moved, Frame(belief.current_a, p))
+    covariance = belief.frame.moved(moved, Scaling(belief.current_a, p))
     after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 

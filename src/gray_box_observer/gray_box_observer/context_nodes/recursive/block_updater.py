@@ -1,7 +1,7 @@
 """What the recursive rule does with motors that are due: fit everything, or learn a block.
 
 Every motor of the group goes its own way: which of its samples are read is settled by its place in
-its own stream (``Learnt.at``), and nothing that is decided for one depends on another.
+its own stream (``EstimatorState.at``), and nothing that is decided for one depends on another.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from gray_box_observer.context_nodes.native.regular_block import (
     ANCHOR_DUE,
     LEARNT,
     LONG_HOLD,
+    BatchResult,
     RegularBlocks,
-    Turn,
 )
 from gray_box_observer.context_nodes.recursive import block_step, random_walk
 from gray_box_observer.context_nodes.recursive.batch_fit import RAMP_EVIDENCE, Fit, batch_fit
@@ -28,26 +28,32 @@ from gray_box_observer.context_nodes.recursive.change_test import (
     LEFT_OUT_MEMORY,
     MEMORIES_BLOCKS,
     SUSPICIOUS_BLOCKS,
-    DriftTest,
+    ChangeTest,
 )
 from gray_box_observer.context_nodes.recursive.change_tracking import (
     FREE_EXAMINATIONS,
-    Following,
+    ChangeTracker,
     patience,
 )
-from gray_box_observer.context_nodes.recursive.constant_voltage import Holds
+from gray_box_observer.context_nodes.recursive.constant_voltage import ConstantVoltage
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
-from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, chosen, copied, put
+from gray_box_observer.context_nodes.recursive.estimator_state import (
+    EstimatorState,
+    chosen,
+    copied,
+    put,
+)
 from gray_box_observer.context_nodes.recursive.linear_start import linear_start
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.normal_equations import solved
-from gray_box_observer.context_nodes.recursive.sample_windows import Motors
-from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, Stretch
+from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
+from gray_box_observer.context_nodes.recursive.schedule import UpdateSchedule
+from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, SampleWindow
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, STILL, WITHIN_STEP, quantisation_step
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
-UPDATES = 1024
+BLOCKS_PER_STEP = 1024
 """Motors, at least, whose blocks compiled code looks at at one sample of the group; of many motors
 a sixteenth."""
 
@@ -70,17 +76,17 @@ LINEAR_WINDOW = 20
 """Samples between the two ends of a difference where the search for a first estimate starts."""
 
 
-class Learner:
+class BlockUpdater:
     """The recursion.
 
     Args:
         white_box: of all motors.
         rules: settings.
         replay: samples of all motors.
-        following: examines those that seem to have changed.
+        changes: examines those that seem to have changed.
 
     Attributes:
-        turn: motors whose regular blocks are learnt at one sample of the group.
+        batch_size: motors whose regular blocks are learnt at one sample of the group.
     """
 
     def __init__(
@@ -88,20 +94,20 @@ class Learner:
         white_box: WhiteBox,
         rules: RecursiveRules,
         replay: ReplayBuffer,
-        following: Following,
+        changes: ChangeTracker,
     ) -> None:
         self._rules = rules
         self._replay = replay
-        self._following = following
-        self._holds = Holds(
+        self._changes = changes
+        self._holds = ConstantVoltage(
             white_box.parameters, rules.long_hold_s, speed_measured=white_box.speed_measured
         )
-        self._drift = DriftTest(rules.drift_threshold)
+        self._drift = ChangeTest(rules.drift_threshold)
         self._heats = random_walk.heating(white_box.parameters)
-        self._ordinary = RegularBlocks(white_box, rules, replay)
-        self.turn = max(UPDATES, replay.motors // 16)
+        self._regular = RegularBlocks(white_box, rules, replay)
+        self.batch_size = max(BLOCKS_PER_STEP, replay.motors // 16)
 
-    def fit(self, motors: Motors, samples: int) -> None:
+    def fit(self, motors: MotorSelection, samples: int) -> None:
         """Fit everything remembered, so many samples; the next time when that has doubled."""
         waits = self._wait_for_current(motors, motors.newest(samples))
         if not waits.any():
@@ -110,54 +116,56 @@ class Learner:
             index = np.flatnonzero(~waits)
             part = motors.part(index)
             self._fit(part, samples)
-            put(motors.learnt, index, part.learnt)
+            put(motors.state, index, part.state)
 
-    def _wait_for_current(self, motors: Motors, stretch: Stretch) -> NDArray[np.bool_]:
+    def _wait_for_current(self, motors: MotorSelection, stretch: SampleWindow) -> NDArray[np.bool_]:
         """Read the step of the current; hold back and name motors whose current moved no further.
 
         Nothing follows from a current that does not move: noise of the voltage would be taken for
         what moves it not.
         """
-        known, step = motors.learnt, quantisation_step(stretch.state)
-        known.least_noise = np.where(step > 0.0, STEP_TO_STD * step, known.least_noise)
-        waits: NDArray[np.bool_] = ~known.started & (
+        state, step = motors.state, quantisation_step(stretch.state)
+        state.least_noise = np.where(step > 0.0, STEP_TO_STD * step, state.least_noise)
+        waits: NDArray[np.bool_] = ~state.is_started & (
             np.ptp(stretch.state, axis=1) <= WITHIN_STEP * step
         )
         if waits.any():
             motors.forget(AT_REST * self._rules.first_fit, waits)
-            known.next_fit = np.where(
-                waits, motors.remembered + self._rules.first_fit, known.next_fit
+            state.next_fit_at = np.where(
+                waits, motors.remembered + self._rules.first_fit, state.next_fit_at
             )
         return waits
 
-    def _fit(self, motors: Motors, samples: int) -> None:
-        known = motors.learnt
-        stretch, start = motors.newest(samples), known.belief.p
-        fresh = ~known.started
+    def _fit(self, motors: MotorSelection, samples: int) -> None:
+        state = motors.state
+        stretch, start = motors.newest(samples), state.belief.p
+        fresh = ~state.is_started
         if np.any(fresh):
             start = np.where(
-                fresh[:, None], self._first_guess(motors, known.prior, stretch, samples), start
+                fresh[:, None], self._first_guess(motors, state.prior, stretch, samples), start
             )
-        fit = self._fitted(motors, stretch, start, known.prior)
-        if (refuted := self._refuted(known.prior, fit.belief)).size:
+        fit = self._fitted(motors, stretch, start, state.prior)
+        if (refuted := self._refuted(state.prior, fit.belief)).size:
             fit = self._fit_without(motors, samples, fit, refuted)
-        known.started = np.ones_like(known.started)
-        motors.take(fit.belief, np.ones_like(fresh))
-        known.share = voltage_shares(motors.white_box, stretch)
-        known.reach = SIGMAS * np.where(known.share > 0.0, fit.linear_std, 0.0) * known.share
-        known.anchor = copied(self._open(fit.belief, known.prior, stretch))
-        known.anchored = known.at - stretch.restart.shape[1]
-        known.belief = self._holds.without_excitation(
-            known.hold, known.belief, known.prior, stretch
+        state.is_started = np.ones_like(state.is_started)
+        motors.adopt(fit.belief, np.ones_like(fresh))
+        state.share = voltage_shares(motors.white_box, stretch)
+        state.reach = SIGMAS * np.where(state.share > 0.0, fit.linear_std, 0.0) * state.share
+        state.anchor = copied(self._open(fit.belief, state.prior, stretch))
+        state.anchor_position = state.position - stretch.restart.shape[1]
+        state.belief = self._holds.without_excitation(
+            state.hold, state.belief, state.prior, stretch
         )
-        known.hold = self._holds.fitted(known.hold, known.belief, stretch)
-        settles = known.in_vain <= FREE_EXAMINATIONS
-        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & known.hold.begun & settles):
-            self._following.drifting(motors, drifting)
-        known.belief = self._holds.cut(known.hold, known.belief)
+        state.hold = self._holds.fitted(state.hold, state.belief, stretch)
+        settles = state.in_vain <= FREE_EXAMINATIONS
+        if np.any(drifting := (fit.ramp > RAMP_EVIDENCE) & state.hold.begun & settles):
+            self._changes.drifting(motors, drifting)
+        state.belief = self._holds.cut(state.hold, state.belief)
 
-    def _fitted(self, motors: Motors, stretch: Stretch, start: Array, prior: Prior) -> Fit:
-        least_noise = motors.learnt.least_noise
+    def _fitted(
+        self, motors: MotorSelection, stretch: SampleWindow, start: Array, prior: Prior
+    ) -> Fit:
+        least_noise = motors.state.least_noise
         return batch_fit(
             motors.white_box,
             stretch,
@@ -168,7 +176,9 @@ class Learner:
         )
 
     @staticmethod
-    def _first_guess(motors: Motors, prior: Prior, stretch: Stretch, samples: int) -> Array:
+    def _first_guess(
+        motors: MotorSelection, prior: Prior, stretch: SampleWindow, samples: int
+    ) -> Array:
         """Where a search begins that has nothing to go on but the samples."""
         return linear_start(motors.white_box, prior.p, stretch, min(LINEAR_WINDOW, samples // 4))
 
@@ -185,14 +195,16 @@ class Learner:
         )
         return np.flatnonzero(found.finite & (distance > REFUTED) & sharp.any(axis=1))
 
-    def _fit_without(self, motors: Motors, samples: int, fit: Fit, index: NDArray[np.intp]) -> Fit:
+    def _fit_without(
+        self, motors: MotorSelection, samples: int, fit: Fit, index: NDArray[np.intp]
+    ) -> Fit:
         """Fit some motors anew with a vague prior; adopt the fit where it fits better.
 
         A wrong value that is told as certain bends the others until the search ends where it should
         not.
         """
         part = motors.part(index)
-        stretch, prior = part.newest(samples), self._vague(part.learnt.prior)
+        stretch, prior = part.newest(samples), self._vague(part.state.prior)
         start = self._first_guess(part, prior, stretch, samples)
         again = self._fitted(part, stretch, start, prior)
         gain = samples * np.log(fit.belief.noise[index] / again.belief.noise)
@@ -201,13 +213,13 @@ class Learner:
             return fit
         places, made = index[better], copied(fit)
         put(made, places, chosen(again, better))
-        told = copied(motors.learnt.prior)
+        told = copied(motors.state.prior)
         put(told, places, chosen(prior, better))
-        motors.learnt.prior = told
+        motors.state.prior = told
         return made
 
     @staticmethod
-    def _open(found: Belief, prior: Prior, stretch: Stretch) -> Belief:
+    def _open(found: Belief, prior: Prior, stretch: SampleWindow) -> Belief:
         """Belief at the beginning of a fitted window, had the window not been seen."""
         loose = random_walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
         covariance = np.zeros_like(found.covariance)
@@ -217,171 +229,173 @@ class Learner:
         return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
 
     def learn_due(
-        self, known: Learnt, due: NDArray[np.int_], plain: NDArray[np.bool_]
-    ) -> tuple[Learnt, Turn]:  # fmt: skip
-        """As :meth:`RegularBlocks.learn_due`."""
-        return self._ordinary.learn_due(known, due, plain, self.turn)
+        self, state: EstimatorState, schedule: UpdateSchedule
+    ) -> tuple[EstimatorState, BatchResult]:
+        """Learn the regular blocks that are due, as :meth:`RegularBlocks.learn_due`."""
+        arrays = schedule.next_update_at, schedule.is_block_update
+        return self._regular.learn_due(state, *arrays, self.batch_size)
 
-    def learn_ordinary(
-        self, known: Learnt, motors: NDArray[np.intp], due: NDArray[np.int_],
-        plain: NDArray[np.bool_]
-    ) -> tuple[Learnt, NDArray[np.uint8]]:  # fmt: skip
-        """As :meth:`RegularBlocks.learn`."""
-        return self._ordinary.learn(known, motors, due, plain)
+    def learn_regular(
+        self, state: EstimatorState, motors: NDArray[np.intp], schedule: UpdateSchedule
+    ) -> tuple[EstimatorState, NDArray[np.uint8]]:
+        """Learn the regular blocks of some motors, as :meth:`RegularBlocks.learn`."""
+        arrays = schedule.next_update_at, schedule.is_block_update
+        return self._regular.learn(state, motors, *arrays)
 
-    def attend(self, known: Learnt, motors: NDArray[np.intp], told: NDArray[np.uint8]) -> None:
-        """Finish regular blocks; only those told as LEARNT need no new reckoning of what is due."""
-        if not (told > LEARNT).any():
+    def handle_flags(
+        self, state: EstimatorState, motors: NDArray[np.intp], status: NDArray[np.uint8]
+    ) -> None:
+        """Finish regular blocks whose status says that there is more to do than to learn them."""
+        if not (status > LEARNT).any():
             return
-        if (long := motors[told & LONG_HOLD > 0]).size:
-            put(
-                known.belief,
-                long,
-                self._holds.cut(chosen(known.hold, long), chosen(known.belief, long)),
-            )
-        if (far := motors[told & ANCHOR_DUE > 0]).size:
-            self._move_anchors(known, far)
+        if (in_hold := motors[status & LONG_HOLD > 0]).size:
+            hold, belief = chosen(state.hold, in_hold), chosen(state.belief, in_hold)
+            put(state.belief, in_hold, self._holds.cut(hold, belief))
+        if (far := motors[status & ANCHOR_DUE > 0]).size:
+            self._move_anchors(state, far)
 
-    def update(self, motors: Motors, samples: int) -> None:
+    def update(self, motors: MotorSelection, samples: int) -> None:
         """Learn one block of samples; request an examination where the motor seems changed."""
-        known = motors.learnt
-        stretch, fresh, expected = motors.newest(samples + 1), ~known.hold.begun, known.belief
+        state = motors.state
+        stretch, fresh, expected = motors.newest(samples + 1), ~state.hold.begun, state.belief
         if fresh.any():  # what is vague must not make everything seem possible
             expected = replace(
                 expected, covariance=np.where(fresh[:, None, None], 0.0, expected.covariance)
             )
         block = block_step.predict(motors.white_box, expected, stretch)
-        still = np.ptp(stretch.state, axis=1) <= STILL * known.least_noise
-        if (silent := fresh | (still & (known.least_noise > 0.0))).any():
+        still = np.ptp(stretch.state, axis=1) <= STILL * state.least_noise
+        if (silent := fresh | (still & (state.least_noise > 0.0))).any():
             block = block.silenced(silent)
-        known.outliers = known.outliers + (block.samples - block.used)
-        known.kicks = known.kicks + block.kicked
-        known.asked = self._suspects(known, block)
+        state.outliers = state.outliers + (block.samples - block.used)
+        state.kicks = state.kicks + block.kicked
+        state.pending = self._suspects(state, block)
         if fresh.any():
             self._look_at_rest(motors, fresh, block)
-        calm = known.asked == 0
+        calm = state.pending == 0
         if calm.all():
             self._learn(motors, block)
         elif calm.any():
             index = np.flatnonzero(calm)
             part = motors.part(index)
             self._learn(part, block.of(index))
-            put(known, index, part.learnt)
-        if (begun := fresh & known.hold.begun).any():
+            put(state, index, part.state)
+        if (begun := fresh & state.hold.begun).any():
             self._begin_again(motors, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
 
-    def _look_at_rest(self, motors: Motors, fresh: NDArray[np.bool_], block: Block) -> None:
+    def _look_at_rest(self, motors: MotorSelection, fresh: NDArray[np.bool_], block: Block) -> None:
         """Ask whether motors only ever at rest now rest elsewhere, at the same voltage."""
-        known = motors.learnt
-        sudden = fresh & (known.suspicion >= SUSPICIOUS_BLOCKS)
-        if np.any(elsewhere := sudden & self._holds.same(known.hold, block.stretch)):
-            known.alarms = known.alarms + elsewhere
+        state = motors.state
+        sudden = fresh & (state.suspicion >= SUSPICIOUS_BLOCKS)
+        if np.any(elsewhere := sudden & self._holds.same(state.hold, block.stretch)):
+            state.change_count = state.change_count + elsewhere
             self._begin_again(motors, elsewhere, self._rules.first_fit, 0)
-        known.asked = np.where(fresh, 0, known.asked)
+        state.pending = np.where(fresh, 0, state.pending)
 
-    def _begin_again(self, motors: Motors, which: NDArray[np.bool_], keep: int, more: int) -> None:
+    def _begin_again(
+        self, motors: MotorSelection, which: NDArray[np.bool_], keep: int, more: int
+    ) -> None:
         """Restart some motors from their newest samples, with a fit of these and so many more.
 
         A motor that has only been at rest is too far from what it will prove to be for the
         recursion to get there.
         """
-        known = motors.learnt
+        state = motors.state
         motors.forget(keep, which)
-        known.started = known.started & ~which
-        known.next_fit = np.where(which, motors.remembered + more, known.next_fit)
-        known.suspicion, known.left_out = (
-            np.where(which, 0.0, known.suspicion),
-            np.where(which, 0.0, known.left_out),
+        state.is_started = state.is_started & ~which
+        state.next_fit_at = np.where(which, motors.remembered + more, state.next_fit_at)
+        state.suspicion, state.left_out = (
+            np.where(which, 0.0, state.suspicion),
+            np.where(which, 0.0, state.left_out),
         )
 
-    def _suspects(self, known: Learnt, block: Block) -> NDArray[np.int_]:
+    def _suspects(self, state: EstimatorState, block: Block) -> NDArray[np.int_]:
         """How many of the newest samples to examine where the motor seems changed; 0 elsewhere."""
-        belief = known.belief
+        belief = state.belief
         size = belief.current_a[:, None]
         reached = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (
             belief.sensitivity * size
         )
         scores, alarm, memory = self._drift.take(
-            (known.score, known.information), *block_step.surprise(belief, block)
+            (state.score, state.information), *block_step.surprise(belief, block)
         )
-        known.score, known.information = scores
-        known.belief = replace(belief, sensitivity=reached / size)
-        lost = (block.used < 0.5 * block.samples) | (block.kicked & ~known.hold.begun)
-        known.suspicion, known.since = self._suspicion(known, block, lost)
-        sudden = known.suspicion >= SUSPICIOUS_BLOCKS
-        known.left_out = (
-            LEFT_OUT_MEMORY * known.left_out + (block.samples - block.used) / block.kept.shape[1]
+        state.score, state.information = scores
+        state.belief = replace(belief, sensitivity=reached / size)
+        lost = (block.used < 0.5 * block.samples) | (block.kicked & ~state.hold.begun)
+        state.suspicion, state.since = self._suspicion(state, block, lost)
+        sudden = state.suspicion >= SUSPICIOUS_BLOCKS
+        state.left_out = (
+            LEFT_OUT_MEMORY * state.left_out + (block.samples - block.used) / block.kept.shape[1]
         )
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of
         # another inductance
-        misfit = (known.left_out > LEFT_OUT) & ~lost
+        misfit = (state.left_out > LEFT_OUT) & ~lost
         if not (alarm | sudden | misfit).any():
-            return np.zeros_like(known.asked)
+            return np.zeros_like(state.pending)
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
         samples = np.maximum(self._rules.first_fit, (blocks_back * self._rules.block).astype(int))
-        asked: NDArray[np.int_] = np.where(
-            alarm | sudden | misfit, np.where(sudden, known.since, samples), 0
+        pending: NDArray[np.int_] = np.where(
+            alarm | sudden | misfit, np.where(sudden, state.since, samples), 0
         )
-        put_off = (asked > 0) & (
-            known.at - known.examined < patience(known.in_vain, self._rules.block)
+        put_off = (pending > 0) & (
+            state.position - state.examined_at < patience(state.in_vain, self._rules.block)
         )
         if not put_off.any():
-            return asked
-        known.score = np.where(put_off[:, None, None], 0.0, known.score)
-        known.information = np.where(put_off[:, None, None, None], 0.0, known.information)
-        return np.where(put_off, 0, asked)
+            return pending
+        state.score = np.where(put_off[:, None, None], 0.0, state.score)
+        state.information = np.where(put_off[:, None, None, None], 0.0, state.information)
+        return np.where(put_off, 0, pending)
 
     @staticmethod
     def _suspicion(
-        known: Learnt, block: Block, lost: NDArray[np.bool_]
+        state: EstimatorState, block: Block, lost: NDArray[np.bool_]
     ) -> tuple[Array, NDArray[np.int_]]:
         """Count blocks in a row that mostly misfit, and the samples since the first of them."""
         if not lost.any():
-            return 0.0 * known.suspicion, 0 * known.since
-        suspicion = np.where(lost, known.suspicion + 1.0, 0.0)
+            return 0.0 * state.suspicion, 0 * state.since
+        suspicion = np.where(lost, state.suspicion + 1.0, 0.0)
         unfit = block.valid & ~block.kept
         fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
         return suspicion, np.where(
-            lost, known.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0
+            lost, state.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0
         )
 
-    def _learn(self, motors: Motors, block: Block) -> None:
+    def _learn(self, motors: MotorSelection, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
-        known = motors.learnt
-        walking = known.walk_rate > 0.0
+        state = motors.state
+        walking = state.walk_rate > 0.0
         passed_s, walked = block.stretch.interval_s.sum(axis=1), None
         if walking.any():
-            walked = random_walk.Walk(self._heats, known.walk_rate).spread(passed_s)
-        known.belief = block_step.learn(motors.white_box, known.belief, block, walked)
-        self._follow_noise(known, block)
-        known.hold, known.belief = self._holds.take(
-            known.hold, known.belief, block.stretch, block.path.factor
+            walked = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
+        state.belief = block_step.learn(motors.white_box, state.belief, block, walked)
+        self._follow_noise(state, block)
+        state.hold, state.belief = self._holds.take(
+            state.hold, state.belief, block.stretch, block.path.factor
         )
-        self._move_anchors(known, slice(None))
+        self._move_anchors(state, slice(None))
 
-    def _move_anchors(self, known: Learnt, which: Any) -> None:
+    def _move_anchors(self, state: EstimatorState, which: Any) -> None:
         """Where a motor's anchor is about to be forgotten, test for drift or drop a new anchor."""
-        walking = known.walk_rate[which] > 0.0
-        due = known.at[which] - known.anchored[which] >= self._rules.replay_capacity // np.where(
-            walking, 2, 1
-        )
+        walking = state.walk_rate[which] > 0.0
+        due = state.position[which] - state.anchor_position[
+            which
+        ] >= self._rules.replay_capacity // np.where(walking, 2, 1)
         if not due.any():
             return
-        everyone = np.zeros(known.motors, dtype=bool)
+        everyone = np.zeros(state.motors, dtype=bool)
         everyone[which] = due & walking
-        known.asked = np.where(everyone, WALK_AGAIN, known.asked)
+        state.pending = np.where(everyone, WALK_AGAIN, state.pending)
         everyone[which] = due & ~walking
-        known.anchor_here(everyone)
+        state.anchor_here(everyone)
 
-    def _follow_noise(self, known: Learnt, block: Block) -> None:
+    def _follow_noise(self, state: EstimatorState, block: Block) -> None:
         count = block.residual.shape[1]
-        known.noise_count = np.minimum(known.noise_count + count, self._rules.noise_memory)
+        state.noise_count = np.minimum(state.noise_count + count, self._rules.noise_memory)
         seen = (np.where(block.kept, block.residual / block.spread, 0.0) ** 2).sum(axis=1)
         seen = seen / np.maximum(block.used, 1)
-        share = np.where(block.used > 0, count / known.noise_count, 0.0)
-        before = known.belief.noise
+        share = np.where(block.used > 0, count / state.noise_count, 0.0)
+        before = state.belief.noise
         variance = before**2 + share * (seen - before**2)
-        noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * known.belief.current_a)
-        noise = np.maximum(noise, known.least_noise)
-        followed = known.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
-        known.belief = replace(known.belief, noise=np.where(followed, noise, before))
+        noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * state.belief.current_a)
+        noise = np.maximum(noise, state.least_noise)
+        followed = state.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
+        state.belief = replace(state.belief, noise=np.where(followed, noise, before))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.batch_fit import Fit
 from gray_box_observer.context_nodes.recursive.normal_equations import OUTLIER, solved
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.white_box.interface import Array, Parameter
 
 SUSPICIOUS_BLOCKS = 2.0
@@ -59,7 +59,7 @@ Scores = tuple[Array, Array]
 coordinate, coordinate)."""
 
 
-class DriftTest:
+class ChangeTest:
     """Exponentially weighted score tests of the coordinates.
 
     Args:
@@ -124,7 +124,7 @@ def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Chan
     return [*single, Change(relative_std * np.eye(n), EVERYTHING_PENALTY)]
 
 
-def evidence_for(stretch: Stretch, held: Fit, free: Fit) -> Array:
+def evidence_for(stretch: SampleWindow, held: Fit, free: Fit) -> Array:
     """Log-likelihood that a fit brings over another on the same stretch, shape (motor,).
 
     A sample that a fit leaves out counts as one that lies just at the limit: what fits only without

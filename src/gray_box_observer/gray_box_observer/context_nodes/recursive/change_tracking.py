@@ -21,9 +21,9 @@ from gray_box_observer.context_nodes.recursive.change_test import (
     evidence_for,
 )
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
-from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied, put
-from gray_box_observer.context_nodes.recursive.sample_windows import Motors
-from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, Stretch
+from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied, put
+from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
+from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, SampleWindow
 from gray_box_observer.white_box.interface import Parameter
 
 SOON = 1024
@@ -46,7 +46,7 @@ def patience(in_vain: NDArray[np.int_], block: int) -> NDArray[np.int_]:
     return np.where(in_vain > FREE_EXAMINATIONS, block * blocks, 0)
 
 
-class Following:
+class ChangeTracker:
     """Examines motors that seem to have changed.
 
     Args:
@@ -59,15 +59,20 @@ class Following:
         self._changes = changes(parameters, rules.drift_relative_std)
         self._heats = random_walk.heating(parameters)
 
-    def examine(self, motors: Motors, samples: int) -> None:
+    def examine(self, motors: MotorSelection, samples: int) -> None:
         """Fit the newest samples under every kind of change; adopt the likeliest if clear."""
-        known, belief = motors.learnt, motors.learnt.belief
+        state, belief = motors.state, motors.state.belief
         stretch = motors.newest(samples)
         before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
         held = self._fit_from(motors, stretch, before)
-        self._calm(known)
-        soon = known.at - known.examined <= SOON + patience(known.in_vain, self._rules.block)
-        known.in_vain, known.examined = np.where(soon, known.in_vain + 1, 0), known.at.copy()
+        self._calm(state)
+        soon = state.position - state.examined_at <= SOON + patience(
+            state.in_vain, self._rules.block
+        )
+        state.in_vain, state.examined_at = (
+            np.where(soon, state.in_vain + 1, 0),
+            state.position.copy(),
+        )
         priors = [before.loosened(change.directions) for change in self._changes]
         fits = [self._fit_from(motors, stretch, prior) for prior in priors]
         penalties = [change.penalty for change in self._changes]
@@ -75,37 +80,37 @@ class Following:
         evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
         best = np.argmax(evidence, axis=0)
         changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
-        known.belief = self._back_on_track(belief, held.belief, ~changed)
+        state.belief = self._back_on_track(belief, held.belief, ~changed)
         if not np.any(changed):
             return
         settles = (
-            known.in_vain <= FREE_EXAMINATIONS
+            state.in_vain <= FREE_EXAMINATIONS
         )  # what jumps again and again is no winding that heats
         jumped = changed & ~self.drifting(motors, changed & settles, samples)
         if not np.any(jumped):
             return
-        known.alarms = known.alarms + jumped
+        state.change_count = state.change_count + jumped
         motors.forget(samples, jumped)
         found, freedom = fits[0].belief, priors[0].covariance
         for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
             found = found.overwritten(fit.belief, best == j)
             freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
         one = jumped[:, None]
-        p = np.where(one, before.p, known.prior.p)
-        known.prior = Prior(p, np.where(one[..., None], freedom, known.prior.covariance))
-        motors.take(found, jumped)
-        known.share = np.where(one, 0.0, known.share)
-        known.anchor_here(jumped)
+        p = np.where(one, before.p, state.prior.p)
+        state.prior = Prior(p, np.where(one[..., None], freedom, state.prior.covariance))
+        motors.adopt(found, jumped)
+        state.share = np.where(one, 0.0, state.share)
+        state.anchor_here(jumped)
 
-    def walk_again(self, motors: Motors) -> None:
-        """Ask motors that drift how fast they do."""
-        known = motors.learnt
-        known.asked = np.zeros_like(known.asked)
-        self.drifting(motors, np.ones_like(known.started))
-        known.anchor_here(np.ones_like(known.started))
+    def walk_again(self, motors: MotorSelection, samples: int = 0) -> None:
+        """Ask motors that drift how fast they do, by the samples since their anchor."""
+        state = motors.state
+        state.pending = np.zeros_like(state.pending)
+        self.drifting(motors, np.ones_like(state.is_started))
+        state.anchor_here(np.ones_like(state.is_started))
 
     def drifting(
-        self, motors: Motors, which: NDArray[np.bool_], jumped_before: int | None = None
+        self, motors: MotorSelection, which: NDArray[np.bool_], jumped_before: int | None = None
     ) -> NDArray[np.bool_]:
         """Find the motors that drift by the samples since the anchor; these follow a random walk.
 
@@ -114,44 +119,44 @@ class Following:
             which: shape (motor,): those that are asked about.
             jumped_before: so many samples ago they may have changed suddenly instead.
         """
-        known, walking = motors.learnt, np.zeros_like(which)
-        length = known.at - known.anchored + 1
+        state, walking = motors.state, np.zeros_like(which)
+        length = state.position - state.anchor_position + 1
         for samples in np.unique(length[which]).tolist():
             index = np.flatnonzero(which & (length == samples))
             part = motors.part(index)
             walking[index] = self._walk(part, part.newest(samples), jumped_before)
-            put(known, index, part.learnt)
+            put(state, index, part.state)
         return walking
 
     def _walk(
-        self, motors: Motors, stretch: Stretch, jumped_before: int | None
+        self, motors: MotorSelection, stretch: SampleWindow, jumped_before: int | None
     ) -> NDArray[np.bool_]:
         """The same for motors whose anchor lies equally far back."""
-        known, jump = motors.learnt, None
+        state, jump = motors.state, None
         if jumped_before is not None:
-            freedom = self._rules.drift_relative_std * np.eye(known.belief.p.shape[1])
+            freedom = self._rules.drift_relative_std * np.eye(state.belief.p.shape[1])
             jump = random_walk.Jump(stretch.restart.shape[1] - jumped_before, freedom)
-        still = random_walk.Walk(self._heats, known.walk_rate)
-        anchor = copied(known.anchor)  # what comes of it may be its arrays, and both are written to
-        rate, after = random_walk.likeliest(
+        still = random_walk.Walk(self._heats, state.walk_rate)
+        anchor = copied(state.anchor)  # what comes of it may be its arrays, and both are written to
+        rate, after = random_walk.select_rate(
             motors.white_box, anchor, stretch, still, self._rules.block, jump
         )
         walking: NDArray[np.bool_] = rate > 0.0
-        known.alarms = known.alarms + (walking & ~(known.walk_rate > 0.0))
-        known.walk_rate = rate
+        state.change_count = state.change_count + (walking & ~(state.walk_rate > 0.0))
+        state.walk_rate = rate
         if np.any(walking):
-            motors.take(after, walking)
-            known.anchor_here(walking)
+            motors.adopt(after, walking)
+            state.anchor_here(walking)
         return walking
 
     @staticmethod
-    def _calm(known: Learnt) -> None:
+    def _calm(state: EstimatorState) -> None:
         """Forget what has led to an examination."""
-        known.asked, known.since = 0 * known.asked, 0 * known.since
-        known.suspicion, known.left_out = 0.0 * known.suspicion, 0.0 * known.left_out
-        known.score, known.information = (
-            np.zeros_like(known.score),
-            np.zeros_like(known.information),
+        state.pending, state.since = 0 * state.pending, 0 * state.since
+        state.suspicion, state.left_out = 0.0 * state.suspicion, 0.0 * state.left_out
+        state.score, state.information = (
+            np.zeros_like(state.score),
+            np.zeros_like(state.information),
         )
 
     @staticmethod
@@ -167,8 +172,8 @@ class Following:
             belief, state=np.where(usable, held.state, belief.state), covariance=covariance
         )
 
-    def _fit_from(self, motors: Motors, stretch: Stretch, prior: Prior) -> Fit:
-        start, floor = motors.learnt.belief.p, self._rules.noise_floor
+    def _fit_from(self, motors: MotorSelection, stretch: SampleWindow, prior: Prior) -> Fit:
+        start, floor = motors.state.belief.p, self._rules.noise_floor
         return batch_fit(
-            motors.white_box, stretch, start, prior, floor, 5, motors.learnt.least_noise
+            motors.white_box, stretch, start, prior, floor, 5, motors.state.least_noise
         )

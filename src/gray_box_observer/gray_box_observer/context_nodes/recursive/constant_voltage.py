@@ -26,7 +26,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     COORDINATES,
     CURRENT,
     STATES,
-    Stretch,
+    SampleWindow,
 )
 from gray_box_observer.safe_io.saved_state import (
     LARGEST_SIGNAL,
@@ -115,7 +115,7 @@ def check_hold(name: str, arrays: Mapping[str, Array], coordinates: int) -> None
     check_covariance(f'{name}.covariance', arrays[f'{name}.covariance'])
 
 
-class Holds:
+class ConstantVoltage:
     """Watches for long holds, motor by motor.
 
     Args:
@@ -134,7 +134,7 @@ class Holds:
         self._long_s = long_s
 
     def take(
-        self, held: HoldState, belief: Belief, stretch: Stretch, decay: Array
+        self, held: HoldState, belief: Belief, stretch: SampleWindow, decay: Array
     ) -> tuple[HoldState, Belief]:
         """Follow one block of samples that the belief has learnt; return what may be believed.
 
@@ -166,7 +166,7 @@ class Holds:
         now = replace(now, settled=settled, p=p, covariance=covariance)
         return now, self.cut(now, belief)
 
-    def fitted(self, held: HoldState, belief: Belief, stretch: Stretch) -> HoldState:
+    def fitted(self, held: HoldState, belief: Belief, stretch: SampleWindow) -> HoldState:
         """Look at everything that a fit was made of; return where we stand.
 
         Args:
@@ -184,7 +184,7 @@ class Holds:
         return replace(held, level=level, largest=largest, begun=begun)
 
     def without_excitation(
-        self, held: HoldState, belief: Belief, prior: Prior, stretch: Stretch
+        self, held: HoldState, belief: Belief, prior: Prior, stretch: SampleWindow
     ) -> Belief:
         """Restore the first belief where the voltage has never moved; return what may be believed.
 
@@ -219,7 +219,7 @@ class Holds:
             nothing, falls
         )
 
-    def _moved(self, level: Array, largest: Array, stretch: Stretch) -> NDArray[np.bool_]:
+    def _moved(self, level: Array, largest: Array, stretch: SampleWindow) -> NDArray[np.bool_]:
         """Whether the voltage has left its first level by more than its noise, shape (motor,)."""
         moving = ~stretch.restart
         low, high = _range(stretch.voltage_v, moving)
@@ -231,12 +231,12 @@ class Holds:
             moved |= fast - slow > MOVED_TOLERANCE * np.fmax(-slow, fast)
         return moved
 
-    def same(self, held: HoldState, stretch: Stretch) -> NDArray[np.bool_]:
+    def same(self, held: HoldState, stretch: SampleWindow) -> NDArray[np.bool_]:
         """Tell whether the voltage is still where it was, shape (motor,)."""
         return self._same(held.level, held.largest, stretch)[0]
 
     def _same(
-        self, level: Array, largest: Array, stretch: Stretch
+        self, level: Array, largest: Array, stretch: SampleWindow
     ) -> tuple[NDArray[np.bool_], Array]:
         """Whether a window lies at a level, and the largest voltage so far, each (motor,)."""
         moving = ~stretch.restart

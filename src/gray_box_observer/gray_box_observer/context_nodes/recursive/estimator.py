@@ -18,7 +18,7 @@ number of samples and never by a clock.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,55 +30,37 @@ from gray_box_observer.context_nodes.estimate import (
     bounded,
     spread_of_values,
 )
-from gray_box_observer.context_nodes.native.regular_block import LEARNT, Turn
+from gray_box_observer.context_nodes.native.regular_block import LEARNT, BatchResult
 from gray_box_observer.context_nodes.native.regular_estimate import RegularEstimates
 from gray_box_observer.context_nodes.recursive.belief import (
-    Belief,
     Prior,
-    check_belief,
-    check_prior,
 )
-from gray_box_observer.context_nodes.recursive.block_updater import WALK_AGAIN, Learner
-from gray_box_observer.context_nodes.recursive.change_test import MEMORIES_BLOCKS
-from gray_box_observer.context_nodes.recursive.change_tracking import Following
-from gray_box_observer.context_nodes.recursive.constant_voltage import HoldState, check_hold
+from gray_box_observer.context_nodes.recursive.block_updater import WALK_AGAIN, BlockUpdater
+from gray_box_observer.context_nodes.recursive.change_tracking import ChangeTracker
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
-from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, chosen, copied, put
-from gray_box_observer.context_nodes.recursive.normal_equations import definite
-from gray_box_observer.context_nodes.recursive.sample_windows import Motors
-from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES
-from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import (
-    LARGEST_SIGNAL,
-    LATEST_NS,
-    MOST,
-    ArrayRule,
-    check_arrays,
-    counts,
-    flag,
-    whole,
+from gray_box_observer.context_nodes.recursive.estimator_state import (
+    EstimatorState,
+    chosen,
+    copied,
+    put,
 )
-from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
+from gray_box_observer.context_nodes.recursive.normal_equations import definite
+from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
+from gray_box_observer.context_nodes.recursive.saved_estimator import check, restored, saved_arrays
+from gray_box_observer.context_nodes.recursive.schedule import UpdateSchedule
+from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox, bounds
 
-CAREFUL = 128
-"""Of these, motors at least whose blocks are no regular ones and are learnt with care; of many
-motors a sixteenth."""
-
-HEAVY = 4096
-"""Samples, of one motor or of several together, that are fitted or examined at one sample of the
-group."""
-
-NEVER = np.iinfo(np.int64).max
-
-FASTEST_WALK = 1.0
-"""Rate of a walk, relative to one second: no winding gets there."""
+Work = Callable[[MotorSelection, int], None]
+"""A piece of work on some motors and so many of their newest samples."""
 
 
-class RecursiveUpdate:
+class RecursiveEstimator:
     """Context nodes learnt by recursive maximum likelihood.
 
     Args:
@@ -107,20 +89,25 @@ class RecursiveUpdate:
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
         vague = np.full(theta.shape, self._rules.prior_relative_std)
-        told = vague if initial_relative_std is None else initial_relative_std
-        prior = Prior.of_parameters(to_coordinates(theta), np.where(told > 0.0, told, vague))
-        self._learnt = Learnt.nothing(prior, self._rules.first_fit)
+        stated = vague if initial_relative_std is None else initial_relative_std
+        relative_std = np.where(stated > 0.0, stated, vague)
+        prior = Prior.of_parameters(to_coordinates(theta), relative_std)
+        self._state = EstimatorState.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(
             motors, self._rules.replay_capacity, speed_measured=white_box.speed_measured
         )
-        self._following = Following(white_box.parameters, self._rules)
-        self._ordinary = RegularEstimates(white_box.parameters, motors)
-        self._learner = Learner(white_box, self._rules, self.replay, self._following)
+        self._changes = ChangeTracker(white_box.parameters, self._rules)
+        self._regular = RegularEstimates(white_box.parameters, motors)
+        self._updater = BlockUpdater(white_box, self._rules, self.replay, self._changes)
+        self._fit_work: dict[int, Work] = {
+            0: self._updater.fit,
+            1: self._changes.examine,
+            WALK_AGAIN: self._changes.walk_again,
+        }
+        self._schedule = UpdateSchedule(self._rules, self.replay)
+        self._schedule.plan(self._state, slice(None))
         self._nobody = np.zeros(motors, dtype=bool)
         self._changed = self._nobody
-        self._due, self._plain = np.zeros(motors, dtype=int), self._nobody.copy()
-        self._reckon(slice(None))
-        self._wake = 0
         self._stamp_ns = 0
         self._frozen = False
         self._resumes: NDArray[np.bool_] | None = None
@@ -129,7 +116,7 @@ class RecursiveUpdate:
     @property
     def theta(self) -> Array:
         """Present values, shape (motor, parameter)."""
-        return np.clip(to_parameters(self._learnt.belief.p), self._lower, self._upper)
+        return np.clip(to_parameters(self._state.belief.p), self._lower, self._upper)
 
     @property
     def changed(self) -> NDArray[np.bool_]:
@@ -139,30 +126,30 @@ class RecursiveUpdate:
     @property
     def noise_std_nm(self) -> Array:
         """Estimated standard deviation of the torque noise in N m, shape (motor,)."""
-        return self._white_box.output(self._learnt.belief.noise)
+        return self._white_box.output(self._state.belief.noise)
 
     @property
-    def alarms(self) -> int:
+    def change_count(self) -> int:
         """How often a motor was found changed."""
-        return int(self._learnt.alarms.sum())
+        return int(self._state.change_count.sum())
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Samples left out, state kicks, changes, and drift, of one motor or of all."""
-        which, known = slice(None) if motor is None else slice(motor, motor + 1), self._learnt
+        which, state = slice(None) if motor is None else slice(motor, motor + 1), self._state
         return {
-            'torque outliers': int(known.outliers[which].sum()),
-            'state kicks': int(known.kicks[which].sum()),
-            'motor changes': int(known.alarms[which].sum()),
-            'motors that drift': int(np.sum(known.walk_rate[which] > 0.0)),
+            'torque outliers': int(state.outliers[which].sum()),
+            'state kicks': int(state.kicks[which].sum()),
+            'motor changes': int(state.change_count[which].sum()),
+            'motors that drift': int(np.sum(state.walk_rate[which] > 0.0)),
         }
 
     def is_drifting(self, motor: int) -> bool:
         """Tell whether one motor is known to drift."""
-        return bool(self._learnt.walk_rate[motor] > 0.0)
+        return bool(self._state.walk_rate[motor] > 0.0)
 
     def voltage_shares(self, motor: int) -> tuple[Array, Array]:
         """Return one motor's voltage shares per unit of parameter, and their 3-sigma bound."""
-        return self._learnt.share[motor], self._learnt.reach[motor]
+        return self._state.share[motor], self._state.reach[motor]
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; frozen samples are not kept, a new signal history follows."""
@@ -173,12 +160,12 @@ class RecursiveUpdate:
 
     def estimate(self, which: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
-        belief, parameters = self._learnt.belief, self._white_box.parameters
+        belief, parameters = self._state.belief, self._white_box.parameters
         everyone = isinstance(which, slice) and which == slice(None)
-        motors = None if everyone else np.arange(self._due.size)[which]
-        told = None if self._frozen else self._told(motors)
-        if told is not None:
-            return Estimate(self._stamp_ns, parameters, *told)
+        motors = None if everyone else np.arange(self.replay.motors)[which]
+        values = None if self._frozen else self._compiled_values(motors)
+        if values is not None:
+            return Estimate(self._stamp_ns, parameters, *values)
         theta = to_parameters(belief.p[which])
         posterior = (
             belief.covariance[which, COORDINATES, COORDINATES]
@@ -191,24 +178,25 @@ class RecursiveUpdate:
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
         covariance = definite(bounded(theta, covariance), theta)
         std = np.sqrt(covariance.diagonal(0, 1, 2))
-        share = self._learnt.share[which]
-        most = np.where(share > 0.0, theta * share + self._learnt.reach[which], np.inf)
+        share = self._state.share[which]
+        most = np.where(share > 0.0, theta * share + self._state.reach[which], np.inf)
         verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
-    def _told(self, motors: NDArray[np.intp] | None) -> tuple[Any, ...] | None:
-        """What compiled code tells of some motors; None where it does not."""
-        known = self._learnt
-        return self._ordinary.of(known.belief, motors, self.verdict_rules, known.share, known.reach)
+    def _compiled_values(self, motors: NDArray[np.intp] | None) -> tuple[Any, ...] | None:
+        """Let compiled code work out the estimate of some motors; None where it does not."""
+        state = self._state
+        return self._regular.estimate(
+            state.belief, motors, self.verdict_rules, state.share, state.reach
+        )
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample and do what is due. Tell whether an estimate changed; see ``changed``."""
-        if (
-            self._white_box.speed_measured
-        ):  # a torque that came without its speed: the speed before holds on
-            told = np.isfinite(sample.speed_rad_s)
-            told = told if sample.present is None else told & sample.present
-            self._speed = np.where(told, sample.speed_rad_s, self._speed)
+        if self._white_box.speed_measured:  # without its speed the speed before holds on
+            has_speed = np.isfinite(sample.speed_rad_s)
+            if sample.present is not None:
+                has_speed &= sample.present
+            self._speed = np.where(has_speed, sample.speed_rad_s, self._speed)
         self._stamp_ns = sample.stamp_ns
         self._changed = self._nobody
         if self._frozen:
@@ -216,146 +204,80 @@ class RecursiveUpdate:
         if self._resumes is not None:
             sample, self._resumes = sample.resuming(self._resumes)
         self.replay.append(sample, self._speed)
-        if self.replay.total < self._wake:
+        if self._schedule.sleeps:
             return False
         self.replay.settle()
-        self._learnt, turn = self._learner.learn_due(self._learnt, self._due, self._plain)
-        self._changed = turn.changed
-        if turn.wait:
-            self._wake = self.replay.total + turn.wait
+        self._state, batch = self._updater.learn_due(self._state, self._schedule)
+        self._changed = batch.changed
+        if batch.wait:
+            self._schedule.sleep(batch.wait)
         else:
-            with np.errstate(
-                over='ignore', invalid='ignore', divide='ignore'
-            ):  # absurd samples; results are checked
-                self._serve(turn)
+            with np.errstate(over='ignore', invalid='ignore', divide='ignore'):  # checked later
+                self._finish(batch)
         return bool(self._changed.any())
 
-    def _serve(self, turn: Turn) -> None:
+    def _finish(self, batch: BatchResult) -> None:
         """Do what is due and has not been done, as much of it as one sample's turn allows."""
-        received = self.replay.received
-        if turn.motors is None:
-            due = ((received >= self._due) & self._plain).nonzero()[0]
-            motors = self._first_in_line(due, received, self._learner.turn)
-            self._learnt, told = self._learner.learn_ordinary(
-                self._learnt, motors, self._due, self._plain
-            )
-        else:
-            motors, told = turn.motors, turn.told
-        self._changed[motors] = told > 0
-        self._learner.attend(self._learnt, motors, told)
-        if (more := motors[told > LEARNT]).size:
-            self._reckon(more)
-        if (others := motors[told == 0]).size:
-            careful = self._first_in_line(others, received, max(CAREFUL, self._due.size // 16))
-            self._work(careful, self._due[careful] - self._learnt.at[careful], self._learner.update)
-        while (
-            self._heavy(received) > self.replay.capacity // 4
-        ):  # what is to be read must still be remembered
-            pass
-        self._wake = self.replay.total + max(1, int((self._due - received).min()))
+        motors, status = batch.motors, batch.status
+        if motors is None:
+            motors = self._schedule.due_blocks(self._updater.batch_size)
+            self._state, status = self._updater.learn_regular(self._state, motors, self._schedule)
+        self._changed[motors] = status > 0
+        self._updater.handle_flags(self._state, motors, status)
+        if (flagged := motors[status > LEARNT]).size:
+            self._schedule.plan(self._state, flagged)
+        if (irregular := motors[status == 0]).size:
+            irregular = self._schedule.numpy_blocks(irregular)
+            samples = self._schedule.next_update_at[irregular] - self._state.position[irregular]
+            self._work(irregular, samples, self._updater.update)
+        while (fits := self._schedule.next_fits(self._state)) is not None:
+            work = self._fit_work[fits.kind]
+            self._work(fits.motors, np.full(fits.motors.size, fits.samples), work)
+            if not self._schedule.is_late:
+                break
+        self._schedule.sleep()
 
-    def _first_in_line(
-        self, motors: NDArray[np.intp], received: NDArray[np.int_], most: int
-    ) -> NDArray[np.intp]:  # fmt: skip
-        """Those that have waited longest, in order of their places."""
-        if motors.size <= most:
-            return motors
-        waited = received[motors] - self._due[motors]
-        return np.sort(motors[np.argsort(-waited, kind='stable')[:most]])
-
-    def _heavy(self, received: NDArray[np.int_]) -> int:
-        """Fit or examine the motors that waited longest; return the remaining wait in samples."""
-        motors = ((received >= self._due) & ~self._plain).nonzero()[0]
-        if motors.size == 0:
-            return 0
-        asked = self._learnt.asked
-        waited = received[motors] - self._due[motors]
-        motors = motors[np.argsort(-waited, kind='stable')]
-        remembered = self.replay.remembered(motors, self._due[motors])
-        samples = np.where(asked[motors] > 0, np.minimum(asked[motors], remembered), remembered)
-        kind = np.sign(asked[motors])
-        alike = (samples == samples[0]) & (kind == kind[0])
-        motors = np.sort(motors[alike][: max(1, HEAVY // int(samples[0]))])
-        work = {0: self._learner.fit, 1: self._following.examine, WALK_AGAIN: self._walk_again}[
-            int(kind[0])
-        ]
-        self._work(motors, np.full(motors.size, samples[0]), work)
-        return int(np.max(received - self._due))
-
-    def _walk_again(self, motors: Motors, samples: int) -> None:
-        self._following.walk_again(motors)
-
-    def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Any) -> None:
+    def _work(self, motors: NDArray[np.intp], samples: NDArray[np.int_], work: Work) -> None:
         """Do a piece of work for some motors, in order, by equal numbers of samples."""
-        self._learnt.at[motors] = self._due[motors]
+        self._state.position[motors] = self._schedule.next_update_at[motors]
         counts = samples[:1] if (samples == samples[0]).all() else np.unique(samples)
         for count in counts.tolist():
             alike = motors if counts.size == 1 else motors[samples == count]
-            if alike.size == self._due.size:
-                work(Motors(self._white_box, self.replay, slice(None), self._learnt), count)
+            if alike.size == self.replay.motors:
+                everyone = slice(None)
+                work(MotorSelection(self._white_box, self.replay, everyone, self._state), count)
                 if alike.size > 1:  # nothing that is written to later may be shared
-                    self._learnt = copied(self._learnt)
+                    self._state = copied(self._state)
             else:
-                part = Motors.of(self._white_box, self.replay, self._learnt, alike)
+                part = MotorSelection.select(self._white_box, self.replay, self._state, alike)
                 work(part, count)
-                put(self._learnt, part.which, part.learnt)
-        which: Any = slice(None) if motors.size == self._due.size else motors
-        self._changed[which] = True
-        self._reckon(which)
-
-    def _reckon(self, which: Any) -> None:
-        """Reckon where in its stream each motor's next work is due, and whether it is a block."""
-        known = self._learnt
-        at, started = known.at[which], known.started[which]
-        still = known.walk_rate[which] == 0.0  # a fit takes the parameters for constant
-        fits = still & (
-            (known.next_fit[which] <= self._rules.replay_capacity) | ~known.hold.begun[which]
-        )
-        fit_at = np.where(
-            fits, np.maximum(self.replay.begin(which) + known.next_fit[which], at + 1), NEVER
-        )
-        update_at = np.where(started, at + self._rules.block, NEVER)
-        asked = known.asked[which] != 0
-        self._due[which] = np.where(asked, at, np.minimum(fit_at, update_at))
-        self._plain[which] = ~asked & (fit_at > update_at)
+                put(self._state, part.motor_index, part.state)
+        index: Any = slice(None) if motors.size == self.replay.motors else motors
+        self._changed[index] = True
+        self._schedule.plan(self._state, index)
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
         which = slice(motor, motor + 1)
-        known = chosen(self._learnt, which)
+        state = chosen(self._state, which)
         received = int(self.replay.received[motor])
-        content = self.replay.content(which, more=received - int(known.at[0]))
+        content = self.replay.content(which, more=received - int(state.position[0]))
         plain: dict[str, Any] = {
-            'new': received - int(known.at[0]),
-            'next_fit': int(known.next_fit[0]),
-            'started': bool(known.started[0]),
+            'new': received - int(state.position[0]),
+            'next_fit': int(state.next_fit_at[0]),
+            'started': bool(state.is_started[0]),
             'stamp_ns': self._stamp_ns,
-            'noise_count': int(known.noise_count[0]),
+            'noise_count': int(state.noise_count[0]),
             'resumes': self._resumes is not None and bool(self._resumes[motor]),
             'parameters': [p.name for p in self._white_box.parameters],
-            'anchored': int(known.anchored[0]) - received,
-            'examined': int(known.examined[0]) - received,
+            'anchored': int(state.anchor_position[0]) - received,
+            'examined': int(state.examined_at[0]) - received,
             'gone': received - content.shape[2],
             'begin': int(self.replay.begin(which)[0]),
-            'asked': int(known.asked[0]),
+            'asked': int(state.pending[0]),
         }
-        arrays = {name: getattr(known, name).copy() for name in _ARRAYS}
-        arrays |= {
-            'prior_p': known.prior.p.copy(),
-            'prior_covariance': known.prior.covariance.copy(),
-        }
-        arrays |= {
-            'drift_score': np.moveaxis(known.score, 1, 0).copy(),
-            'drift_information': np.moveaxis(known.information, 1, 0).copy(),
-        }
+        arrays = saved_arrays(state)
         arrays |= {'speed': self._speed[which].copy(), 'replay': content}
-        parts: dict[str, Any] = {
-            'belief': known.belief,
-            'anchor': known.anchor,
-            'holds': known.hold,
-        }
-        for part, content in parts.items():
-            arrays |= {f'{part}.{f.name}': getattr(content, f.name).copy() for f in fields(content)}
         return plain, arrays
 
     def restore(
@@ -373,103 +295,20 @@ class RecursiveUpdate:
             raise ConfigurationError(
                 f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
             )
-        _check(plain, arrays, len(names))
+        check(plain, arrays, len(names))
         content, begin, new = arrays['replay'], plain['begin'], plain['new']
-        if new > min(
-            content.shape[2], self.replay.capacity // 2
-        ):  # they waited in a larger memory, for larger blocks
+        if new > min(content.shape[2], self.replay.capacity // 2):  # from a larger memory
             new = 0
         if content.shape[2] - new < self.replay.capacity:  # less is there than may be remembered
             begin = max(begin, plain['gone'])
         self.replay.refill(content, which, plain['gone'], begin)
         received = self.replay.received[which]
-        counts: dict[str, Any] = {
-            name: np.array([plain[name]]) for name in ('next_fit', 'started', 'noise_count')
-        }
-        counts |= {name: arrays[name] for name in _ARRAYS}
-        known = chosen(self._learnt, which)
-        part = Learnt(
-            Belief(**_below('belief', arrays)),
-            Prior(arrays['prior_p'], arrays['prior_covariance']),
-            Belief(**_below('anchor', arrays)),
-            received + plain['anchored'],
-            received - new,
-            asked=np.array([plain['asked']]),
-            score=np.moveaxis(arrays['drift_score'], 1, 0),
-            information=np.moveaxis(arrays['drift_information'], 1, 0),
-            hold=HoldState(**_below('holds', arrays)),
-            examined=received + plain['examined'],
-            outliers=known.outliers,
-            kicks=known.kicks,
-            alarms=known.alarms,
-            **counts,
-        )
-        put(self._learnt, which, part)
+        part = restored(chosen(self._state, which), {**plain, 'new': new}, arrays, received)
+        put(self._state, which, part)
         self._speed[which] = arrays['speed']
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         if plain['resumes']:
             self._resumes = np.zeros_like(self._nobody) if self._resumes is None else self._resumes
             self._resumes[which] = True
-        self._reckon(which)
-        self._wake = 0
-
-
-def _below(part: str, arrays: dict[str, Array]) -> dict[str, Any]:
-    return {
-        name[len(part) + 1 :]: array
-        for name, array in arrays.items()
-        if name.startswith(f'{part}.')
-    }
-
-
-_ARRAYS = (
-    'suspicion',
-    'since',
-    'left_out',
-    'walk_rate',
-    'least_noise',
-    'share',
-    'reach',
-    'in_vain',
-)
-
-
-def _check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) -> None:
-    """Refuse a saved state that could not have been learnt.
-
-    Raises:
-        CheckpointError: something is missing, or no state of this rule.
-    """
-    n, memories = coordinates, len(MEMORIES_BLOCKS)
-    check_belief('belief', arrays, n)
-    check_belief('anchor', arrays, n)
-    check_prior(arrays, n)
-    check_hold('holds', arrays, n)
-    check_signals('replay', arrays.get('replay'))
-    rules = {
-        'suspicion': ArrayRule((1,), 0.0),
-        'since': counts(1),
-        'left_out': ArrayRule((1,), 0.0),
-        'walk_rate': ArrayRule((1,), 0.0, FASTEST_WALK),
-        'least_noise': ArrayRule((1,), 0.0),
-        'share': ArrayRule((1, n), 0.0),
-        'reach': ArrayRule((1, n), 0.0, endless=True),
-        'in_vain': counts(1),
-        'drift_score': ArrayRule((memories, 1, n)),
-        'drift_information': ArrayRule((memories, 1, n, n)),
-        'speed': ArrayRule((1,), -LARGEST_SIGNAL, LARGEST_SIGNAL),
-    }
-    check_arrays(arrays, rules)
-    remembered = arrays['replay'].shape[2]
-    gone = whole(plain, 'gone')
-    new = min(whole(plain, 'new'), remembered)
-    whole(plain, 'next_fit', 1)
-    whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
-    whole(plain, 'noise_count')
-    whole(plain, 'anchored', -MOST, -new)
-    whole(plain, 'begin', 0, gone + remembered - new)
-    whole(plain, 'examined', -MOST, 0)
-    asked = whole(plain, 'asked', WALK_AGAIN)
-    if not flag(plain, 'started') and asked:
-        raise CheckpointError('asked: a motor of which nothing is known yet cannot have changed')
-    flag(plain, 'resumes')
+        self._schedule.plan(self._state, which)
+        self._schedule.wake()

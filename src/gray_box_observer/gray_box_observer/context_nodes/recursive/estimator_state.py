@@ -17,18 +17,18 @@ _T = TypeVar('_T')
 
 
 @dataclass(slots=True)
-class Learnt:
+class EstimatorState:
     """State of the recursion; every entry of shape (motor, ...).
 
     Attributes:
         belief: at the last sample that was learnt.
         prior: what fits pull towards.
         anchor: what was believed where the likelihood of a drift is reckoned from.
-        anchored: place of that sample in the motor's stream.
-        at: place of the last sample that was learnt.
-        started: whether there has been a fit.
-        next_fit: samples remembered at which everything is fitted again.
-        asked: work that waits: samples to examine for a change, or one of :mod:`block_updater`'s
+        anchor_position: place of that sample in the motor's stream.
+        position: place of the last sample that was learnt.
+        is_started: whether there has been a fit.
+        next_fit_at: samples remembered at which everything is fitted again.
+        pending: work that waits: samples to examine for a change, or one of :mod:`block_updater`'s
             other words; 0: none.
         noise_count: samples that the noise was estimated from.
         walk_rate: how fast what heats walks, see :mod:`random_walk`.
@@ -36,27 +36,27 @@ class Learnt:
         since: samples since the first of them began not to.
         left_out: blocks' worth of samples left out lately.
         score: shape (motor, memory, coordinate), of
-            :class:`~gray_box_observer.context_nodes.recursive.change_test.DriftTest`.
+            :class:`~gray_box_observer.context_nodes.recursive.change_test.ChangeTest`.
         information: shape (motor, memory, coordinate, coordinate).
         hold: long holds of the voltage.
         least_noise: in A, what the step of the readings leaves of it; 0 where none is seen.
         share: shape (motor, parameter): of the voltage, that one unit of a parameter takes; 0 where
             that is not known.
         reach: likewise, of the voltage, how much more than by its value a parameter may take.
-        examined: place of the sample at which the motor was examined last.
+        examined_at: place of the sample at which the motor was examined last.
         in_vain: examinations one soon after the other, which settle nothing.
-        outliers, kicks, alarms: counts for diagnostics: samples left out, kicks of the state,
+        outliers, kicks, change_count: counts for diagnostics: samples left out, kicks of the state,
             changes of the motor.
     """
 
     belief: Belief
     prior: Prior
     anchor: Belief
-    anchored: NDArray[np.int_]
-    at: NDArray[np.int_]
-    started: NDArray[np.bool_]
-    next_fit: NDArray[np.int_]
-    asked: NDArray[np.int_]
+    anchor_position: NDArray[np.int_]
+    position: NDArray[np.int_]
+    is_started: NDArray[np.bool_]
+    next_fit_at: NDArray[np.int_]
+    pending: NDArray[np.int_]
     noise_count: NDArray[np.int_]
     walk_rate: Array
     suspicion: Array
@@ -68,40 +68,51 @@ class Learnt:
     least_noise: Array
     share: Array
     reach: Array
-    examined: NDArray[np.int_]
+    examined_at: NDArray[np.int_]
     in_vain: NDArray[np.int_]
     outliers: NDArray[np.int_]
     kicks: NDArray[np.int_]
-    alarms: NDArray[np.int_]
+    change_count: NDArray[np.int_]
 
     @classmethod
-    def nothing(cls, prior: Prior, first_fit: int) -> Learnt:
+    def nothing(cls, prior: Prior, first_fit: int) -> EstimatorState:
         """Return the state before the first sample."""
         motors, n = prior.p.shape
         belief, memories = Belief.before_data(prior), len(MEMORIES_BLOCKS)
         counts = [np.zeros(motors, dtype=int) for _ in range(10)]
-        anchored, at, asked, noise_count, since, examined, in_vain, outliers, kicks, alarms = counts
-        started, next_fit = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
+        (
+            anchor_position,
+            position,
+            pending,
+            noise_count,
+            since,
+            examined_at,
+            in_vain,
+            outliers,
+            kicks,
+            change_count,
+        ) = counts
+        is_started, next_fit_at = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
         made = cls(
-            belief, prior, belief, anchored, at, started, next_fit, asked, noise_count,
+            belief, prior, belief, anchor_position, position, is_started, next_fit_at, pending, noise_count,
             np.zeros(motors), np.zeros(motors), since, np.zeros(motors),
             np.zeros((motors, memories, n)),
             np.zeros((motors, memories, n, n)), HoldState.none(motors, n), np.zeros(motors),
-            np.zeros((motors, n)), np.zeros((motors, n)), examined, in_vain, outliers, kicks,
-            alarms,
+            np.zeros((motors, n)), np.zeros((motors, n)), examined_at, in_vain, outliers, kicks,
+            change_count,
         )  # fmt: skip
         return copied(made)  # entries are written to: no two may share an array
 
     @property
     def motors(self) -> int:
         """How many motors it is about."""
-        return int(self.at.size)
+        return int(self.position.size)
 
     def anchor_here(self, which: NDArray[np.bool_]) -> None:
         """Reckon the likelihood of a drift from the present belief on, for some of the motors."""
         index = np.flatnonzero(which)  # in place: of very many motors some at a time move theirs
         put(self.anchor, index, chosen(self.belief, index))
-        self.anchored[index] = self.at[index]
+        self.anchor_position[index] = self.position[index]
 
 
 def chosen(state: _T, index: Any) -> _T:

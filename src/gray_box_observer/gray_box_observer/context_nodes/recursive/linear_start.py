@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import solved
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -17,7 +17,7 @@ RIDGE = 1e-6
 leave open."""
 
 
-def linear_start(white_box: WhiteBox, initial: Array, stretch: Stretch, window: int) -> Array:
+def linear_start(white_box: WhiteBox, initial: Array, stretch: SampleWindow, window: int) -> Array:
     """Estimate the coordinates linearly, from any initial guess.
 
     The change of the state over a window stands on the left, so that its noise does no harm; the

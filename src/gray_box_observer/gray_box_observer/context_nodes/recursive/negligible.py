@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive.normal_equations import inverted
-from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES, SampleWindow
 from gray_box_observer.white_box.flow import parameter_covariance, to_parameters
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -19,7 +19,7 @@ SIGMAS = 3.0
 """Standard deviations up to which a parameter may be larger than its value."""
 
 
-def voltage_shares(white_box: WhiteBox, stretch: Stretch) -> Array:
+def voltage_shares(white_box: WhiteBox, stretch: SampleWindow) -> Array:
     """Share of the voltage that one unit of every parameter takes, RMS over RMS.
 
     Args:

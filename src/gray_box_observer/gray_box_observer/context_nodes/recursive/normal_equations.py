@@ -28,7 +28,7 @@ LEAST_EIGENVALUE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class Scaling:
     """Units of the unknowns: ``current_a`` for the first state, present values for the rest.
 
     Attributes:
@@ -39,9 +39,9 @@ class Frame:
     current_a: Array
     p: Array
 
-    def of(self, index: NDArray[np.intp]) -> Frame:
+    def of(self, index: NDArray[np.intp]) -> Scaling:
         """Return the units of the chosen motors."""
-        return Frame(self.current_a[index], self.p[index])
+        return Scaling(self.current_a[index], self.p[index])
 
     def jacobian(self, path: Trajectory) -> Array:
         """Derivative of the predicted state by the unknowns, shape (motor, k + 1, unknown)."""
@@ -68,7 +68,7 @@ class Frame:
         )
         return matrix
 
-    def moved(self, covariance: Array, new: Frame) -> Array:
+    def moved(self, covariance: Array, new: Scaling) -> Array:
         """Express a covariance of this frame in the units of another."""
         ratio = np.empty((self.p.shape[0], STATES + self.p.shape[1]))
         ratio[:, CURRENT], ratio[:, COORDINATES] = self.current_a / new.current_a, self.p / new.p

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.recursive import block_step
 from gray_box_observer.context_nodes.recursive.belief import Belief
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.white_box.interface import Array, Parameter, WhiteBox
 
 RATES = (3e-4, 1e-3, 3e-3, 1e-2)
@@ -65,10 +65,10 @@ class Jump:
     directions: Array
 
 
-def likeliest(
+def select_rate(
     white_box: WhiteBox,
     start: Belief,
-    stretch: Stretch,
+    stretch: SampleWindow,
     walk: Walk,
     block: int,
     jump: Jump | None = None,
@@ -146,7 +146,7 @@ class _Fitted:
 def _run(
     white_box: WhiteBox,
     belief: Belief,
-    stretch: Stretch,
+    stretch: SampleWindow,
     walk: Walk,
     block: int,
     jump: Jump | None = None,

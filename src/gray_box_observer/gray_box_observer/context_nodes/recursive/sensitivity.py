@@ -8,7 +8,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.recursive.batch_fit import batch_fit
 from gray_box_observer.context_nodes.recursive.belief import Prior
-from gray_box_observer.context_nodes.recursive.trajectory import Stretch
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box.flow import to_coordinates, to_parameters
 from gray_box_observer.white_box.interface import Array
@@ -57,7 +57,7 @@ def sensitivity(
 
 def _fit(white_box: MotorWhiteBox, replay: ReplayBuffer, theta: Array) -> Array:
     start = to_coordinates(theta)
-    stretch = Stretch.newest(white_box, replay, len(replay))
+    stretch = SampleWindow.newest(white_box, replay, len(replay))
     return to_parameters(
         batch_fit(white_box, stretch, start, Prior.vague(start, VAGUE), FLOOR).belief.p
     )

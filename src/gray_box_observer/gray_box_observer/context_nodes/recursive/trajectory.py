@@ -59,7 +59,7 @@ LONG = 48
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class SampleWindow:
     """Samples 0 ... k of a group of motors.
 
     Attributes:
@@ -77,23 +77,23 @@ class Stretch:
     speed_rad_s: Array
     restart: NDArray[np.bool_]
 
-    def restarted(self, at: NDArray[np.bool_]) -> Stretch:
+    def restarted(self, at: NDArray[np.bool_]) -> SampleWindow:
         """Return the stretch with further restarts, shape (motor, k)."""
         return replace(self, restart=self.restart | at)
 
-    def of(self, index: NDArray[np.intp]) -> Stretch:
+    def of(self, index: NDArray[np.intp]) -> SampleWindow:
         """Return the stretch of the chosen motors."""
         voltage, interval, speed = (
             self.voltage_v[index],
             self.interval_s[index],
             self.speed_rad_s[index],
         )
-        return Stretch(self.state[index], voltage, interval, speed, self.restart[index])
+        return SampleWindow(self.state[index], voltage, interval, speed, self.restart[index])
 
-    def part(self, begin: int, end: int) -> Stretch:
+    def part(self, begin: int, end: int) -> SampleWindow:
         """Return samples ``begin`` ... ``end`` as a stretch."""
         between, samples = slice(begin, end), slice(begin, end + 1)
-        return Stretch(
+        return SampleWindow(
             self.state[:, samples],
             self.voltage_v[:, between],
             self.interval_s[:, between],
@@ -109,7 +109,7 @@ class Stretch:
         samples: int,
         which: Any = slice(None),
         until: NDArray[np.int_] | None = None,
-    ) -> Stretch:
+    ) -> SampleWindow:
         """Take samples out of a replay buffer, the first of them as where the stretch starts.
 
         Args:
@@ -123,7 +123,7 @@ class Stretch:
         return cls.of_content(white_box, np.ascontiguousarray(replay.newest(samples, which, until)))
 
     @classmethod
-    def of_content(cls, white_box: WhiteBox, content: Array) -> Stretch:
+    def of_content(cls, white_box: WhiteBox, content: Array) -> SampleWindow:
         """Make a stretch of samples as a replay buffer gives them, shape (signal, motor, k + 1)."""
         interval, voltage, torque, speed = content
         interval = interval[:, 1:]
@@ -182,7 +182,7 @@ class Linearised:
         return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
 
 
-def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> Linearised:
+def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array) -> Linearised:
     """Linearise every interval of a stretch.
 
     Args:
@@ -210,7 +210,7 @@ def linearise(white_box: WhiteBox, p: Array, stretch: Stretch, about: Array) -> 
     return Linearised(decay, offset, forced)
 
 
-def follow(maps: Linearised, stretch: Stretch, start: Array, gain: Array) -> Trajectory:
+def follow(maps: Linearised, stretch: SampleWindow, start: Array, gain: Array) -> Trajectory:
     """Follow the linearised flow through a stretch.
 
     Args:
