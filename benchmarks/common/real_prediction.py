@@ -111,7 +111,7 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     learnt = ResidualModel.from_arrays(network)
     steps = round(patience * rounds * STEPS)
     black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
-    counts = {'residual': 0 if learnt is None else learnt.learnt} | {
+    counts = {'residual': 0 if learnt is None else learnt.weight_count} | {
         name: one.learnt for name, one in black.items()
     }
     outcomes = []
@@ -227,7 +227,7 @@ def trained(
     estimate = motor.estimate
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
-    seen = OperatingRange().grown(
+    seen = OperatingRange().extend_to(
         signals['voltage_v'], signals['interval_s'], signals['speed_rad_s']
     )
     job = {

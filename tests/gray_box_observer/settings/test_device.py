@@ -359,7 +359,7 @@ def test_a_group_is_observed_alike_by_torch_and_without(
     assert [type(one._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
     assert [type(prediction.memory.hidden) for prediction in made] == [np.ndarray, torch.Tensor]
     for name in names:
-        (ours, _), (theirs, _) = (one.known(name) for one in reversed(both))
+        (ours, _), (theirs, _) = (one.estimate_of(name) for one in reversed(both))
         np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-9)
         np.testing.assert_allclose(ours.covariance, theirs.covariance, rtol=1e-6, atol=1e-30)
         assert ours.verdicts == theirs.verdicts

@@ -67,7 +67,7 @@ def motor_observer(
         motor.white_box(speed_measured=speed_measured and source != 'torque_constant')
         for motor in motors
     ]
-    white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
+    white_box = boxes[0] if len(motors) == 1 else _join_boxes(boxes)
     nodes = context_nodes(configuration, motors, white_box)
 
     def watch(motor: int) -> DelayWatch:
@@ -115,7 +115,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
     )
 
 
-def _joined(boxes: Sequence[MotorWhiteBox]) -> MotorWhiteBox:
+def _join_boxes(boxes: Sequence[MotorWhiteBox]) -> MotorWhiteBox:
     """One white box for many motors: constants become arrays of shape (motor,)."""
     constants = {name: np.array([box.known[name] for box in boxes]) for name in boxes[0].known}
     return replace(

@@ -317,7 +317,7 @@ class Pairing:
         newest_ns = self._voltages.newest_ns
         return (
             None
-            if newest_ns is None or not self._voltages.known
+            if newest_ns is None or not self._voltages.is_known
             else (newest_ns, self._voltages.newest_v)
         )
 
@@ -351,10 +351,13 @@ class Pairing:
 
     def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
-        missed_counts, lost_count = self._joining.missed(motor), self._joining.lost(motor)
+        missed_counts, lost_count = (
+            self._joining.missed_counts(motor),
+            self._joining.lost_count(motor),
+        )
         received_voltage, refusal_counts = (
             self.received_voltage - missed_counts['voltage'],
-            self._joining.refused(motor),
+            self._joining.refusal_counts(motor),
         )
         return PairingCounts(
             refused=refusal_counts,

@@ -92,15 +92,15 @@ def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> Non
     short = taught.intervals.duration < 0.01
     assert short.sum() > 50
     np.testing.assert_allclose(
-        (taught.moved * size)[short], (slope * sequences.interval_s)[short], rtol=0.02
+        (taught.targets * size)[short], (slope * sequences.interval_s)[short], rtol=0.02
     )
 
 
 def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None:
     taught = training_batch(fresh(4, 0), drawn())
     exact = replace(taught, moved=taught.intervals.distance * np.expm1(-taught.intervals.duration))
-    linear = replace(exact.intervals, settling=0.0 * taught.moved, halfway=0.0 * taught.moved)
-    readout = torch.zeros(taught.moved.shape)
+    linear = replace(exact.intervals, settling=0.0 * taught.targets, halfway=0.0 * taught.targets)
+    readout = torch.zeros(taught.targets.shape)
     assert float(defect_loss(replace(exact, intervals=linear), readout)) < 1e-5
     assert float(defect_loss(taught, readout)) > 1e-4
 
@@ -118,8 +118,8 @@ def test_the_pupil_says_in_torch_what_the_streamed_network_says() -> None:
 
 def test_lessons_join_sequence_by_sequence() -> None:
     parts = [training_batch(fresh(3, 0), drawn(seed, 4)) for seed in range(2)]
-    joined = TrainingBatch.joined(parts)
-    np.testing.assert_array_equal(joined.moved[4:], parts[1].moved)
+    joined = TrainingBatch.concatenate(parts)
+    np.testing.assert_array_equal(joined.targets[4:], parts[1].targets)
     np.testing.assert_array_equal(joined.intervals.duration[:4], parts[0].intervals.duration)
 
 
@@ -332,13 +332,13 @@ def test_the_family_reaches_far_beyond_the_thesis_motor() -> None:
 
 
 def test_the_range_only_grows() -> None:
-    first = OperatingRange().grown(
+    first = OperatingRange().extend_to(
         np.array([[9.0, 3.0]]), np.array([[0.0, 0.01]]), np.array([[np.nan, 2.0]])
     )
     assert first == OperatingRange((3.0, 3.0), (0.01, 0.01), (2.0, 2.0))
-    second = first.grown(np.array([[-1.0]]), np.array([[0.3]]), np.array([[np.nan]]))
+    second = first.extend_to(np.array([[-1.0]]), np.array([[0.3]]), np.array([[np.nan]]))
     assert second == OperatingRange((-1.0, 3.0), (0.01, 0.3), (2.0, 2.0))
-    assert second.grown(np.array([[1.0]]), np.array([[0.02]]), np.array([[2.0]])) == second
+    assert second.extend_to(np.array([[1.0]]), np.array([[0.02]]), np.array([[2.0]])) == second
     assert OperatingRange.from_dict(second.to_dict()) == second
     assert not OperatingRange().tells(speed_measured=False)
     assert first.tells(speed_measured=True)

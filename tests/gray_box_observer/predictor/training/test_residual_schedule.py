@@ -38,7 +38,7 @@ class Run:
             ReplayBuffer(1, rules.replay_capacity),
             ResidualSchedule(1, rules),
         )
-        self.schedule.moved(TRUTH, SHARP)
+        self.schedule.has_moved(TRUTH, SHARP)
 
     def on(self, count: int, voltage_v: float = 5.0, restart: bool = False) -> Run:
         """Go on with samples whose torque tells their number."""
@@ -104,10 +104,12 @@ def test_no_sample_ever_both_teaches_and_judges() -> None:
 
 def test_parameters_that_moved_make_what_was_kept_worthless() -> None:
     run = Run().on(9 * SEGMENT, 9.0)
-    assert not run.schedule.moved(1.04 * TRUTH, SHARP)
+    assert not run.schedule.has_moved(1.04 * TRUTH, SHARP)
     vague = np.diag([0.0, 0.0, (0.5 * TRUTH[0, 2]) ** 2])[None]
-    assert not run.schedule.moved(TRUTH * [1.0, 1.0, 2.0], vague)  # noise of what is hardly known
-    assert run.schedule.moved(1.06 * TRUTH, SHARP)
+    assert not run.schedule.has_moved(
+        TRUTH * [1.0, 1.0, 2.0], vague
+    )  # noise of what is hardly known
+    assert run.schedule.has_moved(1.06 * TRUTH, SHARP)
     run.schedule.begin_anew(run.replay.total)
     moved = run.replay.total
     for count in (100, 4 * SEGMENT, 700, 8 * SEGMENT):

@@ -88,7 +88,7 @@ class ResidualSchedule:
         signals = np.stack([getattr(replay, name)(back * SEGMENT)[:, :SEGMENT] for name in SIGNALS])
         self._store.add(Segment(first, signals, self._starts[-back]))
 
-    def moved(self, theta: Array, covariance: Array) -> bool:
+    def has_moved(self, theta: Array, covariance: Array) -> bool:
         """Whether the parameters moved since the restart: older samples are another motor's."""
         before = self._theta
         if before.shape == theta.shape and not have_moved(theta, before, covariance):
@@ -103,7 +103,7 @@ class ResidualSchedule:
         self._store.forget()
         self.anew = True
 
-    def due(self, replay: ReplayBuffer) -> bool:
+    def is_due(self, replay: ReplayBuffer) -> bool:
         """Whether there is so much more to learn from that it is worth a round."""
         samples = min(len(replay), replay.total - self._from)
         return self._learns and replay.total - self._asked >= max(PERIOD, samples // 3)
