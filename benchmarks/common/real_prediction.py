@@ -21,7 +21,7 @@ from gray_box_observer.csv_import.column_mapping import FIRST_STAMP_NS, CsvMappi
 from gray_box_observer.csv_import.log_conversion import csv_to_bag
 from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import Predictor, TrainingRules
+from gray_box_observer.predictor import Predictor, TrainingSettings
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.residual_model import ResidualModel
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
@@ -238,7 +238,11 @@ def trained(
         'seen': seen.to_dict(),
     }
     trainer = PhysicsTrainer(
-        {'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed}
+        {
+            'white_box': motor.white_box.to_dict(),
+            'rules': TrainingSettings().to_dict(),
+            'seed': seed,
+        }
     )
     network: dict[str, Any] = {}
     for _ in range(rounds):
@@ -253,7 +257,7 @@ def free_run(
     """Predict a history from voltages (and speeds); return torques of predictor and white box."""
     box = observer.motors['motor'].white_box
     made = Predictor(
-        box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured
+        box, 1, theta[0], TrainingSettings(), NoTraining(), speed_measured=box.speed_measured
     )
     made.restore(network)
     made.training.freeze(True)  # what was learnt is asked, nothing is learnt any more

@@ -17,7 +17,7 @@ from gray_box_observer.context_nodes import RecursiveUpdate
 from gray_box_observer.context_nodes.native import compiled, regular_block
 from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
 from gray_box_observer.context_nodes.recursive import block_updater
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import copied
 from gray_box_observer.context_nodes.recursive.normal_equations import inverted
 from gray_box_observer.samples import Sample
@@ -72,7 +72,7 @@ class Count:
 
 def both(
     monkeypatch: pytest.MonkeyPatch, device: str | None, box: MotorWhiteBox, start: np.ndarray,
-    samples: list[Sample], rules: RecursiveRules,
+    samples: list[Sample], rules: RecursiveSettings,
 ) -> tuple[RecursiveUpdate, RecursiveUpdate, Count]:  # fmt: skip
     """Learn samples by compiled code or a device, and by numpy; estimates must agree."""
     count = Count()
@@ -149,12 +149,12 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
     monkeypatch.setitem(TERMS, 'eddy', Term(declared, 'current**3'))
     monkeypatch.setitem(EFFECTS, 'eddy', Form(lambda i, w, c: i**3, (slope, none), slope))
     replay = ReplayBuffer(1, 128)
-    assert RegularBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(), replay).compiled
+    assert RegularBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveSettings(), replay).compiled
     for box in (
         MotorWhiteBox((*THESIS, 'eddy'), 0.01, KNOWN),
         MotorWhiteBox(THESIS, 0.01, {'eddy': 1e-3}),
     ):
-        assert not RegularBlocks(box, RecursiveRules(), replay).compiled
+        assert not RegularBlocks(box, RecursiveSettings(), replay).compiled
 
 
 @pytest.mark.parametrize('column', [-10_000_000, 0, 10_000_000])
@@ -178,7 +178,7 @@ def test_ordinary_blocks_are_learnt_as_numpy_learns_them(
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
     samples = simulated('R[5,15]D[0.2,3]', 30.0, motors=motors)
     nodes, by_numpy, count = both(
-        monkeypatch, device, box, np.tile(START, (motors, 1)), samples, RecursiveRules()
+        monkeypatch, device, box, np.tile(START, (motors, 1)), samples, RecursiveSettings()
     )
     assert count.given >= 80 * motors
     assert count.learnt >= 0.98 * count.given
@@ -207,7 +207,7 @@ def test_so_are_those_of_other_physics_with_measured_speed(
     box = MotorWhiteBox(names, 0.01, known, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
-    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveSettings())
     assert count.learnt > 0.5 * count.given > 30
 
 
@@ -216,7 +216,7 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
     monkeypatch: pytest.MonkeyPatch, device: str | None, jitter: float
 ) -> None:
     box = MotorWhiteBox(THESIS, np.full(9, 0.01), {'back_emf_constant': np.full(9, 0.01)})
-    rules = RecursiveRules(block=4)
+    rules = RecursiveSettings(block=4)
     samples = simulated('R[5,15]D[0.5,4]', 30.0, motors=9)
     lengths = np.random.default_rng(2).uniform(1.0 - jitter, 1.0 + jitter, len(samples))
     samples = [
@@ -244,7 +244,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
 ) -> None:
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
-    nodes, _, count = both(monkeypatch, device, box, START, samples, RecursiveRules())
+    nodes, _, count = both(monkeypatch, device, box, START, samples, RecursiveSettings())
     assert count.learnt > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
@@ -254,7 +254,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(
 ) -> None:
     box, rules = (
         MotorWhiteBox(THESIS, 0.01, KNOWN),
-        RecursiveRules(long_hold_s=5.0, replay_capacity=512),
+        RecursiveSettings(long_hold_s=5.0, replay_capacity=512),
     )
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
     _, _, count = both(
@@ -310,7 +310,7 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     thesis_box: MotorWhiteBox,
     disturbed: list[Sample],
 ) -> None:
-    nodes, _, count = both(monkeypatch, device, thesis_box, START, disturbed, RecursiveRules())
+    nodes, _, count = both(monkeypatch, device, thesis_box, START, disturbed, RecursiveSettings())
     assert 0 < count.learnt < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
@@ -349,7 +349,7 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
     monkeypatch: pytest.MonkeyPatch, device: str | None, seed: int
 ) -> None:
     box, start, samples = gone_wrong(seed)
-    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, device, box, start, samples, RecursiveSettings())
     assert 0 < count.learnt < count.given
 
 
@@ -362,7 +362,7 @@ def test_a_device_tells_and_writes_what_compiled_code_does_of_every_block(
     torch_name: str,
     case: str,
 ) -> None:
-    rules, start = RecursiveRules(long_hold_s=5.0, replay_capacity=512), START
+    rules, start = RecursiveSettings(long_hold_s=5.0, replay_capacity=512), START
     if case == 'disturbed':
         box, samples = thesis_box, disturbed
     elif case == 'gone wrong':
@@ -518,6 +518,6 @@ def test_quantised_currents_that_stand_still_teach_the_same_nothing(
         sample._replace(torque_nm=np.round(sample.torque_nm / step_nm) * step_nm)
         for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
     ]
-    quick, _, count = both(monkeypatch, device, thesis_box, START, samples, RecursiveRules())
+    quick, _, count = both(monkeypatch, device, thesis_box, START, samples, RecursiveSettings())
     assert count.learnt > 20
     assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)

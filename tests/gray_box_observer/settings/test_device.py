@@ -23,7 +23,7 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import (
     InlineTraining,
     Predictor,
-    TrainingRules,
+    TrainingSettings,
     predictor,
     steady_state_forecaster,
 )
@@ -182,7 +182,7 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
     box = MotorWhiteBox(
         ('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01}
     )
-    rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
+    rules, theta = TrainingSettings(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
     one = Predictor(
         box, 2, theta[0], rules,
         InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
+from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -311,7 +311,9 @@ class MotorObserver:
             else self.delay.estimate_of(motor)
         )
 
-    def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
+    def reconfigure(
+        self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
+    ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
         self.context_nodes.verdict_rules = verdicts
         self._know(self.estimate(), slice(None))

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import InlineTraining, TrainingRules
+from gray_box_observer.predictor import InlineTraining, TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, first_network, fresh, load
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.operating_range import OperatingRange
@@ -36,11 +36,11 @@ SEEN = OperatingRange((5.0, 15.0), (0.01, 0.01))
 HARD = OperatingRange((-33.0, 33.0), (0.1, 0.4))
 """Slow sampling in all quadrants: here the way there is bent, and there is something to learn."""
 
-FRESH = TrainingRules(hidden=6, minibatch=24, steps=15, learning_rate=0.02, start='fresh')
+FRESH = TrainingSettings(hidden=6, minibatch=24, steps=15, learning_rate=0.02, start='fresh')
 
 
 def configuration(
-    box: MotorWhiteBox, rules: TrainingRules = FRESH, seed: int = 5
+    box: MotorWhiteBox, rules: TrainingSettings = FRESH, seed: int = 5
 ) -> dict[str, Any]:
     return {
         'white_box': box.to_dict(),
@@ -157,7 +157,7 @@ def test_a_trainer_lets_only_better_networks_run(
 def test_the_network_that_ships_has_nothing_to_gain_on_the_motor_of_the_thesis_and_needs_no_torch(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
-    result = PhysicsTrainer(configuration(thesis_box, TrainingRules())).train(job_of(samples))
+    result = PhysicsTrainer(configuration(thesis_box, TrainingSettings())).train(job_of(samples))
     assert result['settled']
     assert result['windows'] == 0
     assert 'input' not in result
@@ -208,7 +208,7 @@ def test_a_network_that_has_forgotten_other_motors_does_not_run(
     assert free_run_error(load(SHIPPED), family, exact) < 0.5 * free_run_error(
         fresh(12, 0), family, exact
     )
-    trainer: Any = PhysicsTrainer(configuration(thesis_box, TrainingRules()))
+    trainer: Any = PhysicsTrainer(configuration(thesis_box, TrainingSettings()))
     assert trainer._better(load(SHIPPED), Flattering(), 1.0, job)
     assert not trainer._better(fresh(12, 0), Flattering(), 1.0, job)
 
@@ -358,7 +358,7 @@ def test_without_torch_the_shipped_network_still_serves(
 ) -> None:
     monkeypatch.setitem(sys.modules, 'torch', None)
     monkeypatch.delitem(sys.modules, 'gray_box_observer.predictor.training.teaching', raising=False)
-    settled = InlineTraining(configuration(thesis_box, TrainingRules()))
+    settled = InlineTraining(configuration(thesis_box, TrainingSettings()))
     settled.submit(job_of(samples))
     assert settled.failure is None
     told = settled.collect()

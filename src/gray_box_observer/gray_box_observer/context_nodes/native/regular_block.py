@@ -21,7 +21,7 @@ from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.recursive import change_test
 from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied
 from gray_box_observer.context_nodes.recursive.normal_equations import CORRELATION_SLACK, OUTLIER
 from gray_box_observer.context_nodes.recursive.random_walk import heating
@@ -161,7 +161,7 @@ class RegularBlocks:
         replay: samples of all motors.
     """
 
-    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+    def __init__(self, white_box: WhiteBox, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
         self._pointed: tuple[Any, ...] = ()
         found = library()
@@ -179,7 +179,7 @@ class RegularBlocks:
         return self._library is not None
 
     def _describe(
-        self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer
+        self, white_box: MotorWhiteBox, rules: RecursiveSettings, replay: ReplayBuffer
     ) -> None:
         """Write down what never changes."""
         motors, told = replay.motors, white_box.given
@@ -310,7 +310,7 @@ class RegularBlocks:
         return known
 
 
-def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
+def _fits(found: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSettings) -> bool:
     """Whether `regular_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 2)()
     return (

@@ -36,7 +36,7 @@ from gray_box_observer.context_nodes.recursive.change_tracking import (
     patience,
 )
 from gray_box_observer.context_nodes.recursive.constant_voltage import Holds
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, chosen, copied, put
 from gray_box_observer.context_nodes.recursive.linear_start import linear_start
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
@@ -93,7 +93,7 @@ class Learner:
     def __init__(
         self,
         white_box: WhiteBox,
-        rules: RecursiveRules,
+        rules: RecursiveSettings,
         replay: ReplayBuffer,
         following: Following,
         device: str | None = None,

@@ -31,7 +31,7 @@ from gray_box_observer.context_nodes.native.regular_block import (
 from gray_box_observer.context_nodes.recursive import change_test
 from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
 from gray_box_observer.context_nodes.recursive.device_path import Given, Predicted, Tensor, predict
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import Learnt, copied
 from gray_box_observer.context_nodes.recursive.normal_equations import CORRELATION_SLACK
 from gray_box_observer.context_nodes.recursive.random_walk import heating
@@ -78,7 +78,7 @@ class DeviceBlocks:
     """
 
     def __init__(
-        self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer, device: str
+        self, white_box: MotorWhiteBox, rules: RecursiveSettings, replay: ReplayBuffer, device: str
     ) -> None:
         self._rules, self._replay, self._ops, self._device = rules, replay, TorchOps(device), device
         with watched(device):

@@ -12,7 +12,7 @@ from gray_box_observer.predictor.forecaster import Forecaster
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import ResidualForecaster
 from gray_box_observer.predictor.training.residual_schedule import (
     ResidualSchedule,
@@ -50,7 +50,7 @@ class OnlineTraining:
     """
 
     def __init__(
-        self, motors: int, rules: TrainingRules, training: Training, forecaster: Forecaster,
+        self, motors: int, rules: TrainingSettings, training: Training, forecaster: Forecaster,
         residual: ResidualForecaster, *, speed_measured: bool,
     ) -> None:  # fmt: skip
         self._motors = motors

@@ -14,7 +14,7 @@ import numpy as np
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import histories, newest_history
 from gray_box_observer.predictor.training.physics_batches import (
@@ -65,7 +65,7 @@ class PhysicsTrainer:
     def __init__(self, configuration: Mapping[str, Any]) -> None:
         self._group = MotorWhiteBox.from_dict(configuration['white_box'], _constant)
         self._white_box = self._group
-        self._rules = TrainingRules.from_dict(configuration['rules'])
+        self._rules = TrainingSettings.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
         self._random = np.random.default_rng([self._seed, 1])
         self._running = first_network(self._rules, self._seed)

@@ -9,7 +9,7 @@ import numpy as np
 
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.network_inputs import Variant
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.training.segments import SEGMENT, SIGNALS, Segment, SegmentStore
 from gray_box_observer.safe_io.saved_state import (
     LARGEST_SIGNAL,
@@ -56,7 +56,7 @@ class ResidualSchedule:
         anew: whether the next round begins with nothing.
     """
 
-    def __init__(self, motors: int, rules: TrainingRules) -> None:
+    def __init__(self, motors: int, rules: TrainingSettings) -> None:
         self._learns = rules.residual and rules.variant is Variant.PHYSICS and motors == 1
         self._capacity = rules.replay_capacity
         self._theta = np.zeros((0, 0))
