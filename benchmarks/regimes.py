@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.predictor import InlineTraining, Predictor, TrainingRules
+from gray_box_observer.predictor import InlineTraining, Predictor, TrainingSettings
 from gray_box_observer.samples import Sample
 
 HOME, AWAY = 'R[5,15]D[1,20]', 'R[1,2]D[3,3]'
@@ -102,7 +102,7 @@ def journey(motor: Motor, seed: int, home_s: float, away_s: float) -> list[list[
     return parts
 
 
-def run(motor: Motor, parts: list[list[Sample]], seed: int, rules: TrainingRules) -> Outcome:
+def run(motor: Motor, parts: list[list[Sample]], seed: int, rules: TrainingSettings) -> Outcome:
     """Predict and learn all the way; return the errors."""
     box, theta = white_box([motor.plant]), theta_of([motor.plant])
     configuration = {
@@ -151,7 +151,7 @@ def main() -> int:
     home_s, away_s = (300.0, 600.0) if options.quick else (600.0, 3600.0)
     # a round of learning is due after a thousand samples at the earliest: jobs need not come every
     # hundred
-    kept = TrainingRules(period=500, replay_capacity=1100 if options.quick else 6000)
+    kept = TrainingSettings(period=500, replay_capacity=1100 if options.quick else 6000)
     bar = tqdm(total=2 * seeds * len(motors), unit='run', disable=None)
     rows, figures = [], []
     for motor in motors:

@@ -12,9 +12,9 @@ STEP_NS = 10_000_000
 
 def rule(motors: int, replay_capacity: int = 4096) -> Any:
     """Context nodes that know nothing yet."""
-    from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveRules
+    from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveSettings
 
-    rules = RecursiveRules(replay_capacity=replay_capacity)
+    rules = RecursiveSettings(replay_capacity=replay_capacity)
     return RecursiveEstimator(
         white_box(motors), np.tile([[1.5, 3.0, 30.0]], (motors, 1)), rules=rules
     )
@@ -42,10 +42,10 @@ def one_predictor(
     motors: int, device: str | None = None, replay_capacity: int = 6000
 ) -> tuple[Any, Any]:
     """An untrained predictor, and the parameters of its motors, shape (motor, parameter)."""
-    from gray_box_observer.predictor import Predictor, TrainingRules
+    from gray_box_observer.predictor import Predictor, TrainingSettings
 
     theta = np.tile([[0.5, 1.0, 10.0]], (motors, 1))
-    rules = TrainingRules(period=10**9, replay_capacity=replay_capacity)
+    rules = TrainingSettings(period=10**9, replay_capacity=replay_capacity)
     box = white_box(motors)
     return Predictor(
         box, motors, theta[0], rules, NoTraining(), speed_measured=False, device=device

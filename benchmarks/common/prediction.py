@@ -15,7 +15,7 @@ from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import Predictor, TrainingRules
+from gray_box_observer.predictor import Predictor, TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, fresh, load
 from gray_box_observer.predictor.network import Memory, step
 from gray_box_observer.predictor.steady_state import after, chord, course, flow, relaxation
@@ -137,7 +137,7 @@ def free_run(
         white_box(plants),
         len(plants),
         theta[0],
-        TrainingRules(start=start),
+        TrainingSettings(start=start),
         NoTraining(),
         speed_measured=False,
     )
@@ -191,7 +191,7 @@ def feed(observer: Observer, recording: Recording) -> list[Any]:
 def taught_from_scratch(seed: int, steps: int) -> tuple[dict[str, FloatArray], float]:
     """Teach a fresh network on drawn motors; return it and the minutes of one core that it took."""
     start_s = time.process_time()
-    weights = pretrain(seed, TrainingRules().hidden, (k / steps for k in range(steps)))
+    weights = pretrain(seed, TrainingSettings().hidden, (k / steps for k in range(steps)))
     return weights.arrays(), (time.process_time() - start_s) / 60.0
 
 
@@ -218,7 +218,7 @@ def one_step(duration: float, count: int, seed: int) -> OneStep:
     exact = flow(np, drawn.white_box, way, drawn.start_a, interval_s, 0.02)
     interval = relaxation(np, drawn.white_box, way, drawn.start_a, interval_s)
     missed = []
-    for weights in (load(SHIPPED), fresh(TrainingRules().hidden, 0)):
+    for weights in (load(SHIPPED), fresh(TrainingSettings().hidden, 0)):
         memory = Memory.blank(count, weights.hidden)
         readout, _ = step(weights, memory, np.stack(interval.inputs(np), axis=-1))
         missed.append(100.0 * np.abs((after(np, interval, readout) - exact) / interval.distance))
@@ -271,7 +271,12 @@ def microseconds(recording: Recording) -> tuple[float, float]:
     """Median time of one prediction and of learning the sample, for one motor."""
     theta = theta_of([THESIS_MOTOR])
     made = Predictor(
-        white_box([THESIS_MOTOR]), 1, theta[0], TrainingRules(), NoTraining(), speed_measured=False
+        white_box([THESIS_MOTOR]),
+        1,
+        theta[0],
+        TrainingSettings(),
+        NoTraining(),
+        speed_measured=False,
     )
     times = []
     for sample in samples(recording):

@@ -21,7 +21,7 @@ from gray_box_observer.csv_import.column_mapping import FIRST_STAMP_NS, CsvMappi
 from gray_box_observer.csv_import.log_conversion import csv_to_bag
 from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.predictor import Predictor, TrainingRules
+from gray_box_observer.predictor import Predictor, TrainingSettings
 from gray_box_observer.predictor.operating_range import OperatingRange
 from gray_box_observer.predictor.residual_model import ResidualModel
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
@@ -111,7 +111,7 @@ def solve(task: Task, seed: int, rounds: int, patience: float = 1.0) -> list[Out
     learnt = ResidualModel.from_arrays(network)
     steps = round(patience * rounds * STEPS)
     black = {f'LSTM {hidden}': black_box(histories, hidden, steps, seed) for hidden in SIZES}
-    counts = {'residual': 0 if learnt is None else learnt.learnt} | {
+    counts = {'residual': 0 if learnt is None else learnt.weight_count} | {
         name: one.learnt for name, one in black.items()
     }
     outcomes = []
@@ -227,7 +227,7 @@ def trained(
     estimate = motor.estimate
     parts = [series(history) for history in histories]
     signals = {name: np.concatenate([part[name] for part in parts])[None] for name in parts[0]}
-    seen = OperatingRange().grown(
+    seen = OperatingRange().extend_to(
         signals['voltage_v'], signals['interval_s'], signals['speed_rad_s']
     )
     job = {
@@ -238,7 +238,11 @@ def trained(
         'seen': seen.to_dict(),
     }
     trainer = PhysicsTrainer(
-        {'white_box': motor.white_box.to_dict(), 'rules': TrainingRules().to_dict(), 'seed': seed}
+        {
+            'white_box': motor.white_box.to_dict(),
+            'rules': TrainingSettings().to_dict(),
+            'seed': seed,
+        }
     )
     network: dict[str, Any] = {}
     for _ in range(rounds):
@@ -253,7 +257,7 @@ def free_run(
     """Predict a history from voltages (and speeds); return torques of predictor and white box."""
     box = observer.motors['motor'].white_box
     made = Predictor(
-        box, 1, theta[0], TrainingRules(), NoTraining(), speed_measured=box.speed_measured
+        box, 1, theta[0], TrainingSettings(), NoTraining(), speed_measured=box.speed_measured
     )
     made.restore(network)
     made.training.freeze(True)  # what was learnt is asked, nothing is learnt any more

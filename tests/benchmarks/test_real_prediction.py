@@ -13,7 +13,7 @@ import pytest
 from common.black_box import BlackBox
 from common.real_prediction import SIZES, Log, Task, histories_of, identified, solve
 
-from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor import TrainingSettings
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import BENDS, FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
@@ -92,7 +92,7 @@ def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inpu
     residual = ResidualModel(
         network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01
     ).learnt
-    physics = sum(array.size for array in first_network(TrainingRules(), 0).arrays().values())
+    physics = sum(array.size for array in first_network(TrainingSettings(), 0).arrays().values())
     assert residual == 4 * HIDDEN * (INPUTS + HIDDEN + 1) + HIDDEN + 1 + FEATURES + BENDS.size
     assert counts == [4 * hidden * (inputs + hidden + 1) + hidden + 1 for hidden in SIZES]
     assert counts[0] >= residual

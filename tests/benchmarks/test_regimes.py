@@ -13,7 +13,7 @@ import pytest
 import regimes
 from regimes import MOTORS, journey, run
 
-from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor import TrainingSettings
 
 PROGRAM = Path(__file__).resolve().parents[2] / 'benchmarks' / 'regimes.py'
 
@@ -30,7 +30,7 @@ def test_a_journey_leads_back_home_and_every_part_begins_anew() -> None:
 
 def test_with_perfect_physics_and_nothing_learnt_the_white_box_is_met() -> None:
     parts = journey(MOTORS[-1], 2, 20.0, 20.0)
-    outcome = run(MOTORS[-1], parts, 2, TrainingRules(period=1000))
+    outcome = run(MOTORS[-1], parts, 2, TrainingSettings(period=1000))
     assert outcome.home == pytest.approx(1.0, abs=0.02)
     assert outcome.back == pytest.approx(1.0, abs=0.02)
 

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 from figures import Figure, growth, tell
-from stream_faults import CORE_WEIGHTS, FaultRules, StreamFaults
+from stream_faults import CORE_WEIGHTS, FaultSettings, StreamFaults
 from tqdm import tqdm
 
 from dc_motor_sim.plant import PlantParameters
@@ -126,7 +126,7 @@ class Campaign:
     """
 
     def __init__(self, options: argparse.Namespace, folder: Path) -> None:
-        self.faults = StreamFaults(FaultRules(options.share, CORE_WEIGHTS), options.seed)
+        self.faults = StreamFaults(FaultSettings(options.share, CORE_WEIGHTS), options.seed)
         self.account = Account()
         self.memory_mb: list[float] = []
         self.restored = 0

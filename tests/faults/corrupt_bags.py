@@ -127,8 +127,8 @@ def _content(path: Path) -> tuple[Content, str | None]:
             found.append((message.topic, message.log_time_ns, message.data))
             with contextlib.suppress(SampleError):
                 decode(message.data)
-        str(bag.lost)
-        return found, None if bag.lost is None else str(bag.lost)
+        str(bag.loss)
+        return found, None if bag.loss is None else str(bag.loss)
 
 
 def _check_reading(path: Path, original: Content, is_checked: bool) -> str:
@@ -140,7 +140,7 @@ def _check_reading(path: Path, original: Content, is_checked: bool) -> str:
     try:
         found, lost = _content(path)
         with BagReader(path) as bag:
-            count = sum(1 for _ in bag.decoded())
+            count = sum(1 for _ in bag.decoded_messages())
             if count > bag.message_count:
                 raise WrongError(f'{count} decoded of {bag.message_count} messages')
     except GrayBoxError as error:

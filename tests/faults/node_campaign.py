@@ -28,7 +28,7 @@ from node_balance import Account, received
 from observer_process import QUEUE, SIMULATOR, TOPICS, Bench
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
-from stream_faults import FaultRules, StreamFaults
+from stream_faults import FaultSettings, StreamFaults
 from tqdm import tqdm
 
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView
@@ -158,7 +158,7 @@ class Campaign:
         self._bench = bench
         self._options = options
         self._checkpoint = folder / 'observer.safetensors'
-        self.faults = StreamFaults(FaultRules(share=options.share), options.seed)
+        self.faults = StreamFaults(FaultSettings(share=options.share), options.seed)
         self.account = Account()
         self.memory_mb: list[float] = []
         self._start_observer()

@@ -49,7 +49,7 @@ try:
     with BagReader(path) as bag:
         for message in bag.messages():
             pass
-        print(bag.lost, file=sys.stderr)
+        print(bag.loss, file=sys.stderr)
 except BagError as error:
     print('identify: error:', error, file=sys.stderr)
     peak()

@@ -62,7 +62,7 @@ class Kind(str, Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class FaultRules:
+class FaultSettings:
     """How much goes wrong, and what.
 
     Attributes:
@@ -114,7 +114,7 @@ class StreamFaults:
         delivered: messages handed on, by signal.
     """
 
-    def __init__(self, rules: FaultRules, seed: int) -> None:
+    def __init__(self, rules: FaultSettings, seed: int) -> None:
         self.seen = 0
         self.counts: Counter[Kind] = Counter()
         self.delivered: Counter[str] = Counter()

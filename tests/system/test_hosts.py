@@ -154,7 +154,7 @@ class Robot:
     def _messages(self, topic: str) -> list[Any]:
         try:
             with BagReader(self.bag) as bag:
-                return [message for _, message in bag.decoded([topic])]
+                return [message for _, message in bag.decoded_messages([topic])]
         except BagError:  # not begun yet
             return []
 

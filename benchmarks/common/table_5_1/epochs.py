@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from common.table_5_1.recordings import Recordings, Series
 from common.table_5_1.settings import Setting
-from gray_box_observer.context_nodes import GradientRules, GradientUpdate
-from gray_box_observer.predictor import TrainingRules, Variant
+from gray_box_observer.context_nodes import GradientSettings, GradientUpdate
+from gray_box_observer.predictor import TrainingSettings, Variant
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation
@@ -76,11 +76,11 @@ class EpochTraining:
             name: configuration[f'training.{name}']
             for name in ('hidden', 'context', 'learning_rate')
         }
-        self._rules = TrainingRules(variant=variant, **sizes)
+        self._rules = TrainingSettings(variant=variant, **sizes)
         self._white_box: MotorWhiteBox = motor.white_box(speed_measured=False)
         initial = np.array([motor.initial()])
         self._nodes = GradientUpdate(
-            self._white_box, initial, seed, GradientRules(**configuration.group('gradient'))
+            self._white_box, initial, seed, GradientSettings(**configuration.group('gradient'))
         )
         self._layout = InputLayout(initial[0], variant.sees_theta, sees_speed=False)
         self._network = TorchNetwork(self._layout.width, self._rules.hidden)

@@ -98,7 +98,7 @@ class Schedule:
     def __init__(self, changes: Sequence[ScheduledChange]) -> None:
         self._open = sorted(changes, key=lambda change: change.begin_ns)
 
-    def due(self, time_ns: int) -> list[tuple[str, str, float]]:
+    def due_changes(self, time_ns: int) -> list[tuple[str, str, float]]:
         """Return (motor, parameter, value) to set at this time, in ns from the first sample."""
         if not self._open or self._open[0].begin_ns > time_ns:
             return []

@@ -69,16 +69,12 @@ class Sensors:
 
         Noise comes first, then the resolution, then the range, as in a real converter.
         """
-        torque = _rounded(
-            torque_nm + self._torque_noise.next(), self._parameters.torque_quantisation
-        )
+        torque = _round(torque_nm + self._torque_noise.next(), self._parameters.torque_quantisation)
         if self._parameters.torque_limit > 0.0:
             torque = np.clip(torque, -self._parameters.torque_limit, self._parameters.torque_limit)
-        speed = _rounded(
-            speed_rad_s + self._speed_noise.next(), self._parameters.speed_quantisation
-        )
+        speed = _round(speed_rad_s + self._speed_noise.next(), self._parameters.speed_quantisation)
         return torque, speed
 
 
-def _rounded(values: FloatArray, quantum: float) -> FloatArray:
+def _round(values: FloatArray, quantum: float) -> FloatArray:
     return np.round(values / quantum) * quantum if quantum > 0.0 else values

@@ -219,7 +219,7 @@ class Simulation:
                 place.
         """
         elapsed_ns = self._sample * self.period_ns
-        due_changes = self._schedule.due(elapsed_ns)
+        due_changes = self._schedule.due_changes(elapsed_ns)
         if due_changes:
             self._carry_out(due_changes)
         true_torque_nm = self._plant.torque_nm(self._state)

@@ -81,7 +81,7 @@ def test_a_killed_writer_leaves_a_bag_that_everybody_reads(tmp_path, compression
     assert sorted(found) == list(range(len(found)))
     assert 901 <= len(found) < 1000
     with BagReader(tmp_path / 'run') as bag:
-        assert 'it was never finished' in str(bag.lost)
+        assert 'it was never finished' in str(bag.loss)
     for theirs in everybody(tmp_path / 'run'):
         assert sorted(int.from_bytes(data[4:], 'little') for data in theirs) == sorted(found)
 
@@ -103,7 +103,7 @@ def test_a_file_too_long_for_an_index_at_every_chunk_is_still_read_by_everybody(
     made.close()
     assert (tmp_path / 'run' / 'run_0.mcap').stat().st_size > size
     with BagReader(tmp_path / 'run') as bag:
-        assert bag.lost is None
+        assert bag.loss is None
 
 
 def test_a_bag_that_is_still_recorded_can_be_read(tmp_path):
@@ -114,9 +114,9 @@ def test_a_bag_that_is_still_recorded_can_be_read(tmp_path):
             made.flush()
             with BagReader(tmp_path / 'run') as bag:
                 assert bag.message_count == index + 1
-                assert 'or still records' in str(bag.lost)
+                assert 'or still records' in str(bag.loss)
     with BagReader(tmp_path / 'run') as bag:
-        assert (bag.message_count, bag.lost) == (10, None)
+        assert (bag.message_count, bag.loss) == (10, None)
 
 
 class Disk:
@@ -139,9 +139,9 @@ class Disk:
                 if not isinstance(self._stream, Stream):
                     self._stream = Stream(self._stream, self.path.name)
                 super()._write(content, is_last=is_last)
-                disk.count = disk.done + self.written[2]
+                disk.count = disk.done + self.written_counts[2]
                 if is_last:
-                    disk.done += self.written[2]
+                    disk.done += self.written_counts[2]
 
         class Stream:
             def __init__(self, stream, name: str) -> None:

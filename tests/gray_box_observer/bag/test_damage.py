@@ -38,8 +38,8 @@ def read(path: Path) -> tuple[list[tuple[int, bytes]], str | None] | str:
     try:
         with BagReader(path) as bag:
             messages = [(m.log_time_ns, m.data) for m in bag.messages()]
-            list(bag.decoded())
-            return messages, None if bag.lost is None else str(bag.lost)
+            list(bag.decoded_messages())
+            return messages, None if bag.loss is None else str(bag.loss)
     except BagError as error:
         assert '\n' not in str(error)
         return str(error)

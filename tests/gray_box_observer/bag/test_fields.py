@@ -24,7 +24,7 @@ def test_a_path_leads_to_its_value(path, value):
 
 def test_a_path_works_on_messages_of_a_bag_and_of_rclpy(make_bag):
     with BagReader(make_bag(3)) as bag:
-        decoded = [content for _, content in bag.decoded(['/motor/voltage'])]
+        decoded = [content for _, content in bag.decoded_messages(['/motor/voltage'])]
     assert [FieldPath('effort[0]')(message) for message in decoded] == [5.0, 6.0, 7.0]
     messages = pytest.importorskip('geometry_msgs.msg')
     message = messages.WrenchStamped()
@@ -65,7 +65,7 @@ def test_a_missing_field_is_named_with_those_that_are_there(make_bag):
     ):
         FieldPath('efort')(joint_state)
     with BagReader(make_bag(1)) as bag:
-        _, decoded = next(bag.decoded())
+        _, decoded = next(bag.decoded_messages())
     with pytest.raises(SampleError, match='there are: header, name, position, velocity, effort'):
         FieldPath('data')(decoded)
 

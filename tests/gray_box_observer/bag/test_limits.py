@@ -57,7 +57,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
 def count_and_loss(path: Path, read_limits: ReadLimits) -> tuple[int, str]:
     with BagReader(path, read_limits) as bag:
-        return sum(1 for _ in bag.messages()), str(bag.lost)
+        return sum(1 for _ in bag.messages()), str(bag.loss)
 
 
 def test_a_chunk_beyond_the_limit_is_left_out_in_a_line_that_names_the_option_to_read_it(

@@ -44,7 +44,7 @@ def pack_files(folder: Path) -> list[Path]:
 
 def contents(path: Path, limits: ReadLimits | None = None) -> tuple[list[bytes], str]:
     with BagReader(path, limits) as bag:
-        return [message.data for message in bag.messages()], str(bag.lost or '')
+        return [message.data for message in bag.messages()], str(bag.loss or '')
 
 
 @pytest.mark.parametrize('mode', ['FILE', 'MESSAGE'])

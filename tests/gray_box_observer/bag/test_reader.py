@@ -41,7 +41,7 @@ def indices(path: Path) -> list[int]:
 def test_a_folder_gives_back_every_message_with_its_times(make_bag):
     with BagReader(make_bag(100)) as bag:
         messages = list(bag.messages())
-        assert bag.lost is None
+        assert bag.loss is None
         assert (bag.message_count, bag.start_ns, bag.duration_ns) == (
             200,
             1_000_000_000,
@@ -117,7 +117,7 @@ def test_only_wanted_topics_and_times_come(make_bag):
 
 def test_decoded_messages_have_the_fields_of_their_type(make_bag):
     with BagReader(make_bag(10)) as bag:
-        pairs = list(bag.decoded([VOLTAGE]))
+        pairs = list(bag.decoded_messages([VOLTAGE]))
     assert [content.effort for _, content in pairs] == [[5.0 + k] for k in range(10)]
     assert pairs[3][1].header.stamp.nanosec == 30_000_000
 
@@ -136,8 +136,8 @@ def test_a_message_that_does_not_fit_its_type_is_left_out_and_counted(tmp_path):
             writer.add_message(channel, index, data, index)
         writer.finish()
     with BagReader(path) as bag:
-        assert len(list(bag.decoded())) == 2
-        assert f'2 messages of {TORQUE} could not be decoded' in str(bag.lost)
+        assert len(list(bag.decoded_messages())) == 2
+        assert f'2 messages of {TORQUE} could not be decoded' in str(bag.loss)
 
 
 def test_reading_twice_gives_the_same(make_bag):
@@ -244,9 +244,9 @@ def test_without_usable_metadata_the_files_are_read_by_their_numbers_with_a_warn
         metadata.write_text(text)
     with BagReader(folder) as bag:
         assert list(bag.messages()) == expected
-        assert message in str(bag.lost)
-        assert 'its 12 .mcap files are read all the same' in str(bag.lost)
-        assert '\n' not in str(bag.lost)
+        assert message in str(bag.loss)
+        assert 'its 12 .mcap files are read all the same' in str(bag.loss)
+        assert '\n' not in str(bag.loss)
     for path in folder.glob('*.mcap'):
         path.unlink()
     with pytest.raises(BagError, match='no rosbag2 bag') as caught:
@@ -260,8 +260,8 @@ def test_a_missing_file_costs_only_its_own_messages(make_bag):
     (folder / 'run_2.mcap').write_bytes(b'')
     with BagReader(folder) as bag:
         assert len(list(bag.messages())) == 80
-        assert "'run_1.mcap', listed in metadata.yaml, is missing" in str(bag.lost)
-        assert 'run_2.mcap is empty' in str(bag.lost)
+        assert "'run_1.mcap', listed in metadata.yaml, is missing" in str(bag.loss)
+        assert 'run_2.mcap is empty' in str(bag.loss)
 
 
 def test_a_file_with_fewer_messages_than_the_metadata_says_is_told(make_bag):
@@ -269,7 +269,7 @@ def test_a_file_with_fewer_messages_than_the_metadata_says_is_told(make_bag):
     (shorter / 'shorter_0.mcap').replace(folder / 'run_0.mcap')
     with BagReader(folder) as bag:
         assert len(list(bag.messages())) == 60
-        assert 'it holds 60 messages, but 100 according to metadata.yaml' in str(bag.lost)
+        assert 'it holds 60 messages, but 100 according to metadata.yaml' in str(bag.loss)
 
 
 def test_nothing_outside_the_folder_is_read(make_bag, tmp_path):
@@ -287,7 +287,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_read_and_one_inside_is(make_
     first.symlink_to('kept.bin')
     with BagReader(folder) as bag:
         whole = len(list(bag.messages()))
-        assert bag.lost is None
+        assert bag.loss is None
     second.unlink()
     second.symlink_to(other / 'other_0.mcap')
     for metadata in (True, False):
@@ -298,7 +298,7 @@ def test_a_link_that_leads_out_of_the_folder_is_not_read_and_one_inside_is(make_
             assert (
                 not metadata
                 or "'run_1.mcap', listed in metadata.yaml, leads out of it by a link"
-                in str(bag.lost)
+                in str(bag.loss)
             )
 
 
@@ -308,4 +308,4 @@ def test_nor_is_metadata_that_lies_elsewhere(make_bag, tmp_path):
     (folder / 'metadata.yaml').symlink_to(tmp_path / 'secret.yaml')
     with BagReader(folder) as bag:
         assert len(list(bag.messages())) == 10
-        assert 'metadata.yaml is a link that leads out of the bag; it is not read' in str(bag.lost)
+        assert 'metadata.yaml is a link that leads out of the bag; it is not read' in str(bag.loss)

@@ -196,7 +196,7 @@ def test_a_folder_of_any_name_is_listed_as_it_is_called(make_bag, name):
     assert information['relative_file_paths'] == [f'{name}_0.mcap']
     assert [entry['path'] for entry in information['files']] == [f'{name}_0.mcap']
     with BagReader(folder) as bag:
-        assert (bag.message_count, bag.lost) == (10, None)
+        assert (bag.message_count, bag.loss) == (10, None)
 
 
 def test_an_existing_folder_is_never_touched(tmp_path):

@@ -169,10 +169,10 @@ def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
 ) -> None:
     one, other = observer(training), observer(training, freeze=True)
     feed(one, recording, 0, 1500)
-    assert one.known('motor')[1]
+    assert one.estimate_of('motor')[1]
     save(one, tmp_path / 'c.safetensors')
     load(other, tmp_path / 'c.safetensors')
-    assert other.known('motor')[1]
+    assert other.estimate_of('motor')[1]
 
 
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(
@@ -521,8 +521,8 @@ def test_a_motor_that_was_identified_is_so_where_learning_is_frozen_from_the_sta
 ) -> None:
     one = observer(InlineTraining, predictor=predictor)
     feed(one, record(duration_s=20.0), 0, 2000)
-    assert one.known('motor')[1]
+    assert one.estimate_of('motor')[1]
     save(one, tmp_path / 'c')
     other = observer(InlineTraining, predictor=predictor, freeze=True)
     load(other, tmp_path / 'c')
-    assert other.known('motor')[1]
+    assert other.estimate_of('motor')[1]

@@ -83,14 +83,14 @@ def test_a_restarted_observer_continues_where_the_last_one_was(
     feed(one, recording, 0, 1000)
     assert keeper(path).close(one) is None
     resumed = keeper(path).resume(other)
-    assert (resumed.found, resumed.refusal) == (True, None)
+    assert (resumed.is_found, resumed.refusal) == (True, None)
     assert learnt(other) == learnt(one)
     assert [entry.name for entry in path.parent.iterdir()] == [path.name]
 
 
 def test_where_there_is_no_checkpoint_it_starts_anew(path: Path) -> None:
     one = observer()
-    assert not keeper(path).resume(one).found
+    assert not keeper(path).resume(one).is_found
     assert one.motors == {}
     assert list(path.parent.iterdir()) == []
 
@@ -141,7 +141,7 @@ def test_a_checkpoint_that_cannot_be_used_is_kept_aside_and_the_observer_can_be_
     assert tuple(bad) == KINDS
     path.write_bytes(bad[kind])
     resumed = keeper(path).resume(other)
-    assert resumed.found
+    assert resumed.is_found
     assert resumed.refusal is not None
     assert str(path) in resumed.refusal
     assert resumed.refusal.endswith(f'; it is kept as {path}.refused')
@@ -202,7 +202,7 @@ def test_what_was_forgotten_on_purpose_does_not_come_back(recording: Recording, 
     kept.keep(one)
     assert kept.forget() == f'{path}.reset'
     assert kept.forget() is None
-    assert not keeper(path).resume(observer()).found
+    assert not keeper(path).resume(observer()).is_found
     assert keeper(path, automatic=False).forget() is None
 
 
@@ -268,7 +268,7 @@ def test_the_newest_snapshot_takes_the_place_of_those_that_wait(
     go_on.set()
     assert writer.close(PATIENCE_S)
     assert seen == [1, 4]
-    assert writer.written == 2
+    assert writer.written_count == 2
     assert decode(path.read_bytes())[0] == {'number': 4}
 
 
@@ -362,7 +362,7 @@ def test_what_is_no_checkpoint_of_ours_is_told_of_and_never_replaced_renamed_or_
     kept_by = keeper(path)
     if kind != 'link to nothing':
         resumed = kept_by.resume(fresh := observer())
-        assert resumed.found
+        assert resumed.is_found
         assert resumed.refusal is not None
         assert resumed.refusal.isprintable()
         assert fresh.motors == {}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, RecursiveRules, Verdict
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, RecursiveSettings, Verdict
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -65,7 +65,9 @@ def test_without_a_limit_the_level_would_have_been_taken_for_news_of_everything(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
     samples = list(samples_of(record('R[5,15]D[3,3]', 60.0, 1, torque_noise_relative=0.01)))
-    nodes = RecursiveEstimator(thesis_box, THREE_TIMES_OFF, rules=RecursiveRules(long_hold_s=1e9))
+    nodes = RecursiveEstimator(
+        thesis_box, THREE_TIMES_OFF, rules=RecursiveSettings(long_hold_s=1e9)
+    )
     before = teach(nodes, samples)[-1]
     after = teach(nodes, held_on(samples[-1], 600.0, float(nodes.noise_std_nm[0]), 1))[-1]
     assert after.std[0, K_HS] < 0.95 * before.std[0, K_HS]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gray_box_observer.context_nodes import Estimate, Verdict, VerdictRules
+from gray_box_observer.context_nodes import Estimate, Verdict, VerdictSettings
 from gray_box_observer.white_box.interface import Parameter
 
 PARAMETER = Parameter('resistance', 'ohm', 3.0, 0.1, 100.0, 'R.')
@@ -26,12 +26,14 @@ PARAMETER = Parameter('resistance', 'ohm', 3.0, 0.1, 100.0, 'R.')
 def test_a_verdict_follows_from_value_and_standard_deviation(
     value: float, std: float, verdict: Verdict
 ) -> None:
-    judged = VerdictRules().judge((PARAMETER,), np.array([[value]]), np.array([[std]]))
+    judged = VerdictSettings().judge((PARAMETER,), np.array([[value]]), np.array([[std]]))
     assert judged == ((verdict,),)
 
 
 def test_frozen_goes_before_every_other_verdict() -> None:
-    judged = VerdictRules().judge((PARAMETER,) * 2, np.ones((3, 2)), np.ones((3, 2)), frozen=True)
+    judged = VerdictSettings().judge(
+        (PARAMETER,) * 2, np.ones((3, 2)), np.ones((3, 2)), frozen=True
+    )
     assert judged == ((Verdict.FROZEN,) * 2,) * 3
 
 

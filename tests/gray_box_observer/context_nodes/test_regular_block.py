@@ -16,7 +16,7 @@ from gray_box_observer.context_nodes import RecursiveEstimator
 from gray_box_observer.context_nodes.native import compiled, regular_block
 from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
 from gray_box_observer.context_nodes.recursive import block_updater
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import inverted
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
@@ -40,8 +40,8 @@ class Count:
 
     def watch(self, nodes: RecursiveEstimator) -> None:
         """Count what these context nodes do."""
-        learner = nodes._updater
-        within, of_these = learner.learn_due, learner.learn_regular
+        updater = nodes._updater
+        within, of_these = updater.learn_due, updater.learn_regular
 
         def count(status: np.ndarray) -> None:
             self.given += status.size
@@ -57,12 +57,12 @@ class Count:
             count(status)
             return state, status
 
-        learner.learn_due, learner.learn_regular = learn_due, learn  # type: ignore[method-assign]
+        updater.learn_due, updater.learn_regular = learn_due, learn  # type: ignore[method-assign]
 
 
 def both(
     monkeypatch: pytest.MonkeyPatch, box: MotorWhiteBox, start: np.ndarray,
-    samples: list[Sample], rules: RecursiveRules,
+    samples: list[Sample], rules: RecursiveSettings,
 ) -> tuple[RecursiveEstimator, RecursiveEstimator, Count]:  # fmt: skip
     """Learn samples by compiled code, and by numpy; estimates must agree."""
     count = Count()
@@ -139,12 +139,12 @@ def test_a_term_that_is_not_compiled_is_left_to_numpy(monkeypatch: pytest.Monkey
     monkeypatch.setitem(TERMS, 'eddy', Term(declared, 'current**3'))
     monkeypatch.setitem(EFFECTS, 'eddy', Form(lambda i, w, c: i**3, (slope, none), slope))
     replay = ReplayBuffer(1, 128)
-    assert RegularBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveRules(), replay).compiled
+    assert RegularBlocks(MotorWhiteBox(THESIS, 0.01, KNOWN), RecursiveSettings(), replay).compiled
     for box in (
         MotorWhiteBox((*THESIS, 'eddy'), 0.01, KNOWN),
         MotorWhiteBox(THESIS, 0.01, {'eddy': 1e-3}),
     ):
-        assert not RegularBlocks(box, RecursiveRules(), replay).compiled
+        assert not RegularBlocks(box, RecursiveSettings(), replay).compiled
 
 
 @pytest.mark.parametrize('column', [-10_000_000, 0, 10_000_000])
@@ -168,7 +168,7 @@ def test_regular_blocks_are_learnt_as_numpy_learns_them(
     box = MotorWhiteBox(THESIS, np.full(motors, 0.01), {'back_emf_constant': np.full(motors, 0.01)})
     samples = simulated('R[5,15]D[0.2,3]', 30.0, motors=motors)
     nodes, by_numpy, count = both(
-        monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveRules()
+        monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveSettings()
     )
     assert count.given >= 80 * motors
     assert count.state >= 0.98 * count.given
@@ -181,7 +181,7 @@ def test_regular_blocks_are_learnt_as_numpy_learns_them(
 
 
 @pytest.mark.parametrize(
-    ('names', 'known'),
+    ('names', 'constants'),
     [
         (THESIS, {'back_emf_constant': 0.01}),  # the usual one has a variant of its own
         (THESIS, {'back_emf_constant': 0.01, 'brush_drop': 0.1}),  # and not this
@@ -191,13 +191,12 @@ def test_regular_blocks_are_learnt_as_numpy_learns_them(
     ],
 )
 def test_so_are_those_of_other_physics_with_measured_speed(
-    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...],
-    state: dict[str, float]
-) -> None:  # fmt: skip
-    box = MotorWhiteBox(names, 0.01, state, speed_measured=True)
+    monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...], constants: dict[str, float]
+) -> None:
+    box = MotorWhiteBox(names, 0.01, constants, speed_measured=True)
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
-    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveSettings())
     assert count.state > 0.5 * count.given > 30
 
 
@@ -206,7 +205,7 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
     monkeypatch: pytest.MonkeyPatch, jitter: float
 ) -> None:
     box = MotorWhiteBox(THESIS, np.full(9, 0.01), {'back_emf_constant': np.full(9, 0.01)})
-    rules = RecursiveRules(block=4)
+    rules = RecursiveSettings(block=4)
     samples = simulated('R[5,15]D[0.5,4]', 30.0, motors=9)
     lengths = np.random.default_rng(2).uniform(1.0 - jitter, 1.0 + jitter, len(samples))
     samples = [
@@ -232,7 +231,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
 ) -> None:
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
-    nodes, _, count = both(monkeypatch, box, START, samples, RecursiveRules())
+    nodes, _, count = both(monkeypatch, box, START, samples, RecursiveSettings())
     assert count.state > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
@@ -240,7 +239,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
 def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     box, rules = (
         MotorWhiteBox(THESIS, 0.01, KNOWN),
-        RecursiveRules(long_hold_s=5.0, replay_capacity=512),
+        RecursiveSettings(long_hold_s=5.0, replay_capacity=512),
     )
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
     _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
@@ -293,7 +292,7 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     thesis_box: MotorWhiteBox,
     disturbed: list[Sample],
 ) -> None:
-    nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveRules())
+    nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveSettings())
     assert 0 < count.state < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
@@ -332,7 +331,7 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     box, start, samples = gone_wrong(seed)
-    _, _, count = both(monkeypatch, box, start, samples, RecursiveRules())
+    _, _, count = both(monkeypatch, box, start, samples, RecursiveSettings())
     assert 0 < count.state < count.given
 
 
@@ -426,6 +425,6 @@ def test_quantised_currents_that_stand_still_teach_the_same_nothing(
         sample._replace(torque_nm=np.round(sample.torque_nm / step_nm) * step_nm)
         for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
     ]
-    quick, _, count = both(monkeypatch, thesis_box, START, samples, RecursiveRules())
+    quick, _, count = both(monkeypatch, thesis_box, START, samples, RecursiveSettings())
     assert count.state > 20
     assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)

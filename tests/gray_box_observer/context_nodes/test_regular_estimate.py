@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, Verdict, VerdictRules
+from gray_box_observer.context_nodes import Estimate, RecursiveEstimator, Verdict, VerdictSettings
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.native.regular_estimate import RegularEstimates, _Believed
 from gray_box_observer.context_nodes.recursive.estimator_state import copied
@@ -99,7 +99,7 @@ def test_rules_and_beliefs_may_be_replaced(nodes: RecursiveEstimator) -> None:
     one = slice(4, 5)
     nodes._state.belief.covariance[:] *= 1e-4
     before = nodes.estimate(one)
-    nodes.verdict_rules = VerdictRules(identified_relative_std=1e-12, excited_relative_std=1e-11)
+    nodes.verdict_rules = VerdictSettings(identified_relative_std=1e-12, excited_relative_std=1e-11)
     assert_same(nodes.estimate(one), by_numpy(nodes, one))
     assert Verdict.UNEXCITED in nodes.estimate(one).verdicts[0]
     nodes._state = copied(nodes._state)
@@ -131,7 +131,7 @@ def test_more_parameters_than_it_has_room_for_are_left_to_numpy(nodes: Recursive
     parameters = nodes._white_box.parameters
     assert (
         RegularEstimates((*parameters, *parameters), 1).estimate(
-            nodes._state.belief, None, VerdictRules()
+            nodes._state.belief, None, VerdictSettings()
         )
         is None
     )

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveRules
+from gray_box_observer.context_nodes import RecursiveEstimator, RecursiveSettings
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
-SHORT = RecursiveRules(replay_capacity=200)
+SHORT = RecursiveSettings(replay_capacity=200)
 """A memory that is full soon."""
 
 START = np.array([[1.5, 3.0, 30.0]])
@@ -60,7 +60,7 @@ def test_a_memory_of_another_size_goes_on_from_what_there_is(
     one = RecursiveEstimator(thesis_box, START, rules=SHORT)
     for sample in samples[:370]:
         one.learn(sample)
-    other = RecursiveEstimator(thesis_box, START, rules=RecursiveRules(replay_capacity=capacity))
+    other = RecursiveEstimator(thesis_box, START, rules=RecursiveSettings(replay_capacity=capacity))
     other.restore(*one.state())
     assert len(other.replay) == min(capacity, 200 + 370 % 32)
     np.testing.assert_array_equal(
@@ -93,13 +93,13 @@ def test_blocks_of_another_size_go_on_without_the_samples_that_a_smaller_memory_
 ) -> None:
     samples = samples_of(record('R[5,15]D[0.2,2]', 14.0, torque_noise_std=1e-4))
     one = RecursiveEstimator(
-        thesis_box, START, rules=RecursiveRules(block=400, replay_capacity=800)
+        thesis_box, START, rules=RecursiveSettings(block=400, replay_capacity=800)
     )
     for sample in samples[:1000]:
         one.learn(sample)
     plain, arrays = one.state()
     assert plain['new'] == 360
-    other = RecursiveEstimator(thesis_box, START, rules=RecursiveRules(replay_capacity=80))
+    other = RecursiveEstimator(thesis_box, START, rules=RecursiveSettings(replay_capacity=80))
     other.restore(plain, arrays)
     np.testing.assert_array_equal(other.theta, one.theta)
     for sample in (samples[1000].beginning(), *samples[1001:]):

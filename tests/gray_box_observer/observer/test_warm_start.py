@@ -53,7 +53,7 @@ def test_the_prior_of_coordinates_is_that_of_independent_parameters() -> None:
 
 def test_before_any_sample_what_is_known_is_what_was_told() -> None:
     one = observer([0.002, 2.0, 0.3], [0.1, 0.05, 0.0])
-    estimate, identified = one.known('motor')
+    estimate, identified = one.estimate_of('motor')
     np.testing.assert_allclose(estimate.value[0], [0.002, 2.0, 0.3])
     np.testing.assert_allclose(
         estimate.std[0], [0.0002, 0.1, 0.3 * (np.expm1(2.0) - np.expm1(0.3) + 0.3)]
@@ -61,7 +61,7 @@ def test_before_any_sample_what_is_known_is_what_was_told() -> None:
     assert estimate.verdicts[0] == (Verdict.CONVERGING, Verdict.CONVERGING, Verdict.UNEXCITED)
     assert not identified
     np.testing.assert_allclose(estimate.covariance[0], np.diag(estimate.std[0] ** 2), atol=1e-12)
-    certain, identified = observer([0.002, 2.0, 0.3], [0.01, 0.01, 0.01]).known('motor')
+    certain, identified = observer([0.002, 2.0, 0.3], [0.01, 0.01, 0.01]).estimate_of('motor')
     assert identified, 'a std below 2 % of the value: use it'
     assert certain.identified(0)
 
@@ -133,7 +133,7 @@ def test_only_what_is_identified_contradicts_only_what_was_given(
     relative_std: float, doubtful: bool
 ) -> None:
     one = observer(TRUTH, [relative_std] * 3)
-    motor, parameters = one.configuration.motors['motor'], one.known('motor')[0].parameters
+    motor, parameters = one.configuration.motors['motor'], one.estimate_of('motor')[0].parameters
     value = np.array([TRUTH * 1.6])
     covariance = np.diag((0.001 * value[0]) ** 2)[None]
     sure = Estimate(0, parameters, value, covariance, ((Verdict.IDENTIFIED,) * 3,))

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor.alarm import AlarmRules, ResidualAlarm, run_length, threshold_for
+from gray_box_observer.predictor.alarm import (
+    AlarmSettings,
+    ResidualAlarm,
+    run_length,
+    threshold_for,
+)
 
 INTERVAL_S = 0.01
 SPREAD_NM = 2e-3
@@ -28,9 +33,9 @@ def noise(samples: int, motors: int, seed: int, correlation: float = 0.0) -> np.
     return SPREAD_NM * white
 
 
-def rules(samples_between: float) -> AlarmRules:
+def rules(samples_between: float) -> AlarmSettings:
     """Accept one false alarm in so many samples."""
-    return AlarmRules(false_a_day=86400.0 / (INTERVAL_S * samples_between))
+    return AlarmSettings(false_a_day=86400.0 / (INTERVAL_S * samples_between))
 
 
 def test_false_alarms_come_as_often_as_stated() -> None:
@@ -119,7 +124,7 @@ def test_the_threshold_grows_with_the_logarithm_of_the_time_between_false_alarms
 
 def test_rules_that_make_no_sense_are_refused() -> None:
     with pytest.raises(ConfigurationError, match='false_a_day > 0'):
-        AlarmRules(false_a_day=0.0)
+        AlarmSettings(false_a_day=0.0)
 
 
 def test_a_motor_alone_is_watched_as_it_is_among_others() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gray_box_observer.predictor import Prediction, Predictor, TrainingRules
+from gray_box_observer.predictor import Prediction, Predictor, TrainingSettings
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart
 from gray_box_observer.predictor.network import Weights
@@ -46,7 +46,7 @@ def box_of(motors: int) -> MotorWhiteBox:
 
 def warmed(idle: Any, motors: int, learnt: ResidualModel | None) -> Predictor:
     """A predictor in the middle of a run; the same each time."""
-    rules = TrainingRules(period=10**6)  # nothing is learnt here
+    rules = TrainingSettings(period=10**6)  # nothing is learnt here
     one = Predictor(box_of(motors), motors, TRUTH[0], rules, idle, speed_measured=False)
     if learnt is not None:
         one.residual.adopt(learnt.arrays())
@@ -124,7 +124,7 @@ def test_forecasting_changes_nothing(idle: Any) -> None:
 
 
 def test_before_a_history_begins_nothing_is_said(idle: Any) -> None:
-    one = Predictor(box_of(1), 1, TRUTH[0], TrainingRules(), idle, speed_measured=False)
+    one = Predictor(box_of(1), 1, TRUTH[0], TrainingSettings(), idle, speed_measured=False)
     one.restore(correction().arrays())
     assert np.isnan(one.forecast(0.1, HELD_V[:1], TRUTH[:1])[0])
 

@@ -7,7 +7,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from gray_box_observer.errors import GrayBoxError
-from gray_box_observer.predictor import TrainingRules
+from gray_box_observer.predictor import TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, first_network, fresh, load, save
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.steady_state import INPUTS
@@ -15,8 +15,8 @@ from gray_box_observer.predictor.training.pretrain import held_out_errors, main
 
 
 def test_the_shipped_network_fits_the_default_rules_and_is_small() -> None:
-    assert first_network(TrainingRules(), 0).hidden == TrainingRules().hidden
-    np.testing.assert_array_equal(first_network(TrainingRules(), 0).input, load(SHIPPED).input)
+    assert first_network(TrainingSettings(), 0).hidden == TrainingSettings().hidden
+    np.testing.assert_array_equal(first_network(TrainingSettings(), 0).input, load(SHIPPED).input)
     assert SHIPPED.stat().st_size < 10_000
 
 
@@ -30,8 +30,8 @@ def test_the_shipped_network_knows_motors_that_never_taught_it() -> None:
 def test_a_fresh_network_answers_nothing() -> None:
     output, _ = step(fresh(7, 3), Memory.blank(2, 7), np.ones((2, INPUTS)))
     assert not output.any()
-    assert first_network(TrainingRules(start='fresh'), 3).output.any() is np.False_
-    assert first_network(TrainingRules(hidden=5), 3).hidden == 5
+    assert first_network(TrainingSettings(start='fresh'), 3).output.any() is np.False_
+    assert first_network(TrainingSettings(hidden=5), 3).hidden == 5
 
 
 def test_a_network_survives_its_file(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def wander(seed: int, samples: float) -> np.ndarray:
 def test_least_squares_finds_the_weights_that_made_the_data() -> None:
     random = np.random.default_rng(0)
     seen, weight = random.standard_normal((2, 500, FEATURES)), random.standard_normal(FEATURES)
-    part = LinearPart.fitted(seen, seen @ weight)
+    part = LinearPart.fit(seen, seen @ weight)
     np.testing.assert_allclose(part.weight, weight, rtol=1e-4)
     np.testing.assert_array_equal(part.reach, np.abs(seen).max(axis=(0, 1)))
     reference = np.linalg.lstsq(seen.reshape(-1, FEATURES), (seen @ weight).ravel(), rcond=None)[0]
@@ -57,7 +57,7 @@ def test_least_squares_finds_the_weights_that_made_the_data() -> None:
 
 def test_a_rotor_that_follows_slowly_is_found_between_the_rungs() -> None:
     seen, wanted = run(1)
-    part = LinearPart.learnt(seen, wanted)
+    part = LinearPart.learn(seen, wanted)
     other, true = run(2)
     assert np.abs(part.say(other) - true).mean() < 0.02 * np.abs(true).mean()
     assert np.all(part.weight[NOW : NOW + LADDER.size] != 0.0)
@@ -66,7 +66,7 @@ def test_a_rotor_that_follows_slowly_is_found_between_the_rungs() -> None:
 def test_what_needs_no_memory_gets_none() -> None:
     seen, _ = run(1)
     noise = 0.1 * np.random.default_rng(3).standard_normal(seen.shape[:2])
-    part = LinearPart.learnt(seen, 0.3 * seen[..., 0] + noise)
+    part = LinearPart.learn(seen, 0.3 * seen[..., 0] + noise)
     assert np.any(part.weight[:NOW] != 0.0)
     assert np.all(part.weight[NOW:] == 0.0)
     assert np.all(np.isinf(part.reach[NOW:]))
@@ -77,14 +77,14 @@ def test_what_has_nothing_to_do_with_the_signals_is_not_learnt(kind: str) -> Non
     seen, _ = run(1)
     steps = np.random.default_rng(4).standard_normal(seen.shape[:2])
     wanted = steps if kind == 'noise' else np.cumsum(steps, axis=1)
-    part = LinearPart.learnt(seen, wanted - wanted.mean())
+    part = LinearPart.learn(seen, wanted - wanted.mean())
     np.testing.assert_array_equal(part.weight, 0.0)
 
 
 @pytest.mark.parametrize('seed', range(6))
 def test_noise_that_hangs_together_bends_nothing_and_reaches_no_further(seed: int) -> None:
     seen, _ = run(seed)
-    part = LinearPart.learnt(seen, 0.3 * seen[..., 0] + 0.2 * wander(seed, 30.0))
+    part = LinearPart.learn(seen, 0.3 * seen[..., 0] + 0.2 * wander(seed, 30.0))
     assert part.weight[:NOW].any()
     assert not part.bent.any()
 
@@ -94,10 +94,10 @@ def test_dry_friction_bends_the_line() -> None:
     friction = (
         0.2 * np.minimum(np.maximum(voltage, -1.5), 1.5) + 0.01 * voltage
     )  # it sticks up to 1.5 V, then it turns
-    part = LinearPart.learnt(still(voltage), friction + 0.02 * wander(1, 3.0))
+    part = LinearPart.learn(still(voltage), friction + 0.02 * wander(1, 3.0))
     asked = np.linspace(-10.0, 10.0, 81)
     true = 0.2 * np.minimum(np.maximum(asked, -1.5), 1.5) + 0.01 * asked
-    straight = LinearPart.fitted(still(voltage), friction)
+    straight = LinearPart.fit(still(voltage), friction)
     missed, missed_straight = (np.abs(p.say(still(asked)) - true).mean() for p in (part, straight))
     assert part.bent.any()
     assert missed < 0.1 * missed_straight
@@ -106,7 +106,7 @@ def test_dry_friction_bends_the_line() -> None:
 
 def test_one_level_and_rest_leave_the_line_between_them_straight() -> None:
     levels = np.repeat([0.0, 12.0, 0.0, 12.0], 200)[None]
-    part = LinearPart.fitted(still(levels), 0.5 * levels, 0, bent=True)
+    part = LinearPart.fit(still(levels), 0.5 * levels, 0, bent=True)
     np.testing.assert_allclose(part.say(still(np.array([6.0, 12.0]))), [3.0, 6.0], rtol=0.01)
 
 
@@ -114,17 +114,17 @@ def test_it_goes_on_as_far_as_smaller_features_foretell_larger_ones() -> None:
     ramp = np.linspace(0.0, 10.0, 3000)[None]
     noise = 0.02 * wander(2, 3.0)
     beyond = np.array([10.0 * FURTHER[0]])
-    further = LinearPart.learnt(still(ramp), 0.3 * ramp + noise)
+    further = LinearPart.learn(still(ramp), 0.3 * ramp + noise)
     assert further.say(still(beyond))[0] == pytest.approx(0.3 * beyond[0], rel=0.05)
     assert further.say(still(2.0 * beyond))[0] == 0.0
-    turns = LinearPart.learnt(still(ramp), 0.3 * np.minimum(ramp, 12.0 - ramp) + noise)
+    turns = LinearPart.learn(still(ramp), 0.3 * np.minimum(ramp, 12.0 - ramp) + noise)
     np.testing.assert_array_equal(turns.reach[:1], 10.0)
     assert turns.say(still(beyond))[0] == 0.0
 
 
 def test_it_fades_beyond_what_it_was_taught_and_holds_between() -> None:
     levels = np.repeat([0.0, 12.0, 0.0, 12.0], 200)[None]
-    part = LinearPart.fitted(still(levels), 0.5 * levels)
+    part = LinearPart.fit(still(levels), 0.5 * levels)
 
     def at(voltage: float) -> float:
         return float(part.say(still(np.array([voltage])))[0])

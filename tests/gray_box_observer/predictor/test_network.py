@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from gray_box_observer.predictor.network import Memory, Weights, advance, step
-from gray_box_observer.predictor.normalisation import Normalisation, Range, moved
+from gray_box_observer.predictor.normalisation import Normalisation, Range, rescale_weights
 from gray_box_observer.predictor.training.torch_network import TorchNetwork
 from gray_box_observer.white_box.torch_ops import TorchOps
 
@@ -122,15 +122,18 @@ def test_moving_the_ranges_leaves_what_the_network_computes(seed: int) -> None:
         return result
 
     np.testing.assert_allclose(
-        predict(moved(weights, old, new), new), predict(weights, old), rtol=1e-9, atol=1e-12
+        predict(rescale_weights(weights, old, new), new),
+        predict(weights, old),
+        rtol=1e-9,
+        atol=1e-12,
     )
 
 
 def test_a_range_grows_only_where_data_leave_it() -> None:
     base = Range(0.0, 10.0)
-    assert base.grown(np.array([1.0, 9.0, np.nan])) == base
-    assert base.grown(np.array([np.nan])) == base
-    wider = base.grown(np.array([5.0, 20.0]))
+    assert base.extend_to(np.array([1.0, 9.0, np.nan])) == base
+    assert base.extend_to(np.array([np.nan])) == base
+    wider = base.extend_to(np.array([5.0, 20.0]))
     assert wider.low == 0.0
     assert wider.high > 20.0
 

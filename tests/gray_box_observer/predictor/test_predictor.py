@@ -13,7 +13,7 @@ from dc_motor_sim.excitation import TABLE_5_1
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import Predictor, TrainingRules, Variant
+from gray_box_observer.predictor import Predictor, TrainingSettings, Variant
 from gray_box_observer.predictor import predictor as predictor_module
 from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.initial_network import fresh
@@ -27,9 +27,9 @@ TRUTH = np.array([[0.5, 1.0, 10.0]])
 
 
 def predictor(
-    box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingRules | None = None
+    box: MotorWhiteBox, idle: Any, motors: int = 1, rules: TrainingSettings | None = None
 ) -> Predictor:
-    rules = rules or TrainingRules()
+    rules = rules or TrainingSettings()
     return Predictor(box, motors, TRUTH[0], rules, idle, speed_measured=box.speed_measured)
 
 
@@ -59,7 +59,7 @@ def test_a_free_run_from_voltages_alone_is_right_within_a_hundredth_on_every_set
     recording = record(excitation, 20.0, 3, solver_step_s=0.002)
     for start in ('shipped', 'fresh'):
         said = run(
-            predictor(thesis_box, idle, rules=TrainingRules(start=start)), samples_of(recording)
+            predictor(thesis_box, idle, rules=TrainingSettings(start=start)), samples_of(recording)
         )
         assert error(said[0], recording.true_torque_nm[0]) < 1e-3
 
@@ -111,7 +111,7 @@ def test_sampled_slowly_and_unevenly_it_is_still_right(
     slow = samples(recording, 20)  # 0.2 s: a good part of a time constant
     said = run(predictor(thesis_box, idle), slow)
     true = np.array([s.torque_nm[0] for s in slow])
-    untaught = run(predictor(thesis_box, idle, rules=TrainingRules(start='fresh')), slow)
+    untaught = run(predictor(thesis_box, idle, rules=TrainingSettings(start='fresh')), slow)
     assert error(said[0], true, 5) < 0.01
     assert error(said[0], true, 5) < error(untaught[0], true, 5)
     uneven = samples(recording, 4, jitter=True)
@@ -184,7 +184,7 @@ def test_a_forecast_holds_the_planned_voltage_over_any_horizon_in_one_step(
 
 
 def test_the_thesis_goes_from_sample_to_sample_only(thesis_box: MotorWhiteBox, idle: Any) -> None:
-    one = predictor(thesis_box, idle, rules=TrainingRules(variant=Variant.MAIN))
+    one = predictor(thesis_box, idle, rules=TrainingSettings(variant=Variant.MAIN))
     with pytest.raises(ConfigurationError, match='variant main forecasts the next sample only'):
         one.forecast(0.5, np.array([7.0]), TRUTH)
 
@@ -271,7 +271,7 @@ def test_a_network_gone_wild_stays_between_where_the_motor_is_and_where_it_goes(
 def test_jobs_carry_the_estimate_the_range_and_only_recent_samples(
     thesis_box: MotorWhiteBox, idle: Any, record: Callable[..., Recording]
 ) -> None:
-    one = predictor(thesis_box, idle, rules=TrainingRules(period=500, residual=False))
+    one = predictor(thesis_box, idle, rules=TrainingSettings(period=500, residual=False))
     covariance = np.array([np.diag([1e-4, 1e-3, 0.1])])
     for s in samples(record('R[5,15]D[0.2,2]', 15.0)):
         one.learn(s, one.predict(s.interval_s, s.voltage_v, TRUTH), TRUTH, covariance)
@@ -298,7 +298,7 @@ def test_a_speed_that_comes_but_is_no_signal_teaches_nobody(
     for one_of, brought in zip(
         listening, (np.nan, 3.0), strict=True
     ):  # where speed_source is torque_constant
-        one = predictor(thesis_box, one_of, rules=TrainingRules(period=500))
+        one = predictor(thesis_box, one_of, rules=TrainingSettings(period=500))
         with_speed = [
             s._replace(speed_rad_s=np.array([brought * (k + 1)])) for k, s in enumerate(some)
         ]
@@ -338,7 +338,7 @@ def test_settled_training_costs_nothing_until_the_motor_or_its_range_moves(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:
     told = Told(windows=0, settled=True)
-    one = predictor(thesis_box, told, rules=TrainingRules(residual=False))
+    one = predictor(thesis_box, told, rules=TrainingSettings(residual=False))
     some = samples(record('R[5,15]D[0.2,2]', 10.0))
     run(one, some)
     settled = told.jobs
@@ -362,7 +362,7 @@ def test_what_settles_is_what_the_job_was_of_not_what_came_while_it_ran(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording]
 ) -> None:
     told = Told(windows=0, settled=True)
-    one = predictor(thesis_box, told, rules=TrainingRules(period=100, residual=False))
+    one = predictor(thesis_box, told, rules=TrainingSettings(period=100, residual=False))
     some = samples(record('R[5,15]D[20,20]', 10.0))
     run(one, some[:300])
     assert told.jobs == 1, 'settled at once'
@@ -381,7 +381,7 @@ def test_a_better_network_runs_from_the_next_sample_on_and_a_frozen_predictor_ta
     better = Weights.initial(5, 12, 7)
     told = Told(windows=1, loss=0.5, settled=False, **better.arrays())
     one, some = (
-        predictor(thesis_box, told, rules=TrainingRules(start='fresh')),
+        predictor(thesis_box, told, rules=TrainingSettings(start='fresh')),
         samples(record('R[5,15]D[0.2,2]', 10.0)),
     )
     one.training.freeze(True)
@@ -431,7 +431,7 @@ def test_many_motors_are_predicted_alike_on_a_device(
             many,
             motors,
             np.array(theta),
-            TrainingRules(),
+            TrainingSettings(),
             idle,
             speed_measured=box.speed_measured,
             device=device,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import TrainingRules, lag_features
+from gray_box_observer.predictor import TrainingSettings, lag_features
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart, features
 from gray_box_observer.predictor.network import Weights
@@ -46,7 +46,7 @@ def measured(thesis_box: MotorWhiteBox, record: Callable[..., Recording]) -> Cal
 
 @pytest.fixture
 def physics() -> Weights:
-    return first_network(TrainingRules(), 0)
+    return first_network(TrainingSettings(), 0)
 
 
 def friction(torque_nm: np.ndarray) -> np.ndarray:

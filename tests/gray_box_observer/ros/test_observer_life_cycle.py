@@ -133,7 +133,7 @@ def broken(*_: Any) -> None:
 TRANSITIONS = {
     'configure': ([], '_begin'),
     'activate': (['configure'], '_announce'),
-    'deactivate': (['configure', 'activate'], '_rest'),
+    'deactivate': (['configure', 'activate'], '_deactivate'),
     'cleanup': (['configure'], '_drop_observer'),
     'shutdown': (['configure', 'activate'], '_end'),
 }

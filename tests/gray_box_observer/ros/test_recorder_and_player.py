@@ -82,7 +82,7 @@ def test_what_is_published_is_recorded_replayed_and_received_byte_by_byte(peer, 
     assert '500 messages of 1 topics' in said
     with BagReader(folder) as bag:
         recorded = list(bag.messages())
-        assert bag.lost is None
+        assert bag.loss is None
         (qos,) = parse_qos_text(bag.topics['/motor/voltage'].qos_profiles)
         assert bag.topics['/motor/voltage'].type_hash.startswith('RIHS01_')
     assert [message.data for message in recorded] == sent
@@ -148,7 +148,7 @@ def test_a_recording_is_split_and_compressed_as_asked_and_replayed_whole(
         }
     with BagReader(tmp_path / 'bag') as bag:
         assert [message.data for message in bag.messages()] == expected
-        assert bag.lost is None
+        assert bag.loss is None
     peer.node.destroy_publisher(publisher)
     heard: list[bytes] = []
     peer.node.create_subscription(JointState, 'motor/torque', heard.append, SIGNAL_QOS, raw=True)
@@ -176,7 +176,7 @@ def test_a_full_disk_ends_the_recorder_with_one_line_and_a_readable_bag(peer, tm
     )
     with BagReader(tmp_path / 'bag') as bag:
         efforts = [decode_joint_state(message.data).effort[1] for message in bag.messages()]
-        assert 'it was never finished' in str(bag.lost)
+        assert 'it was never finished' in str(bag.loss)
     assert efforts == [-k for k in range(len(efforts))]
     assert len(efforts) > 100
 
@@ -208,7 +208,7 @@ def test_topics_that_appear_later_are_recorded_with_their_own_quality_of_service
     assert latched.wait_for_all_acked(rclpy.duration.Duration(seconds=TIMEOUT_S))
     assert peer.end(recorder, signal.SIGTERM)[0] == 0
     with BagReader(folder) as bag:
-        values = {m.topic: content.data for m, content in bag.decoded()}
+        values = {m.topic: content.data for m, content in bag.decoded_messages()}
         profiles = {name: parse_qos_text(info.qos_profiles)[0] for name, info in bag.topics.items()}
     assert values == {'/latched': 4.0, '/fast': 5.0}
     assert profiles['/fast']['reliability'] == 'best_effort'
@@ -227,7 +227,7 @@ def test_a_best_effort_publisher_that_joins_a_recorded_topic_is_heard(peer, tmp_
     time.sleep(0.2)
     assert peer.end(recorder)[0] == 0
     with BagReader(tmp_path / 'bag') as bag:
-        assert {content.data for _, content in bag.decoded()} == {7.0}
+        assert {content.data for _, content in bag.decoded_messages()} == {7.0}
 
 
 def test_topics_that_appear_while_simulated_time_stands_still_are_recorded(peer, tmp_path):
@@ -264,7 +264,7 @@ def test_a_type_that_is_not_installed_is_named_and_skipped(peer, tmp_path, monke
         recorder = recorder_node.BagRecorder(Stop(), ['/strange'], str(tmp_path / 'bag'))
         peer.wait(lambda: recorder.get_publishers_info_by_topic('/strange'), 'discovery')
         recorder._discover()
-        assert recorder._refused == {'/strange'}
+        assert recorder._refused_topics == {'/strange'}
         assert publisher.get_subscription_count() == 0
         recorder.close()
         recorder.destroy_node()

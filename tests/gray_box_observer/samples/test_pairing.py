@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gray_box_observer.samples import Pairing, Rejection, Sample
-from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.samples.pairing import PairingSettings
 
 MS = 1_000_000
 Event = tuple[str, int, float]
@@ -104,7 +104,7 @@ def test_a_voltage_stamped_before_the_first_torque_is_in_force_from_there() -> N
 
 
 def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> None:
-    pairing = Pairing(PairingRules(hold_s=0.05))
+    pairing = Pairing(PairingSettings(hold_s=0.05))
     samples = feed(pairing, [('v', 0, 3.0), *(('t', 10 * k, 0.1 * k) for k in range(10))])
     assert [s.stamp_ns // MS for s in samples] == [0, 10, 20, 30, 40]
     assert all(s.voltage_v[0] == 3.0 for s in samples[1:])
@@ -117,7 +117,7 @@ def test_sparse_voltage_is_held_once_torque_has_run_ahead_by_the_patience() -> N
 
 
 def test_a_gap_never_becomes_a_derivative() -> None:
-    pairing = Pairing(PairingRules(gap_s=0.5))
+    pairing = Pairing(PairingSettings(gap_s=0.5))
     samples = feed(
         pairing,
         [
@@ -236,7 +236,7 @@ def test_a_voltage_that_drops_out_makes_no_sample_of_a_voltage_that_nobody_knows
 def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_across_it() -> None:
     """Torque has given the voltage up; what comes then is stamped where nothing was missing yet."""
     voltages, torques = steady(1500)
-    pairing = Pairing(PairingRules(gap_s=5.0))
+    pairing = Pairing(PairingSettings(gap_s=5.0))
     samples = feed(pairing, sorted(voltages + torques, key=lambda e: (e[1], e[0] == 't')))
     samples += feed(pairing, [('t', at, 0.1) for at in range(15_000, 15_500, 10)])
     samples += (
@@ -250,7 +250,7 @@ def test_a_voltage_that_comes_late_and_old_after_an_outage_leads_to_no_sample_ac
 @pytest.mark.parametrize('every', [1, 3])
 def test_of_a_group_no_motor_makes_a_sample_of_a_voltage_that_nobody_knows(every: int) -> None:
     """One motor's voltage is overdue while messages go on; torque as often, or three times."""
-    pairing, samples = Pairing(PairingRules(hold_s=0.0), motors=3), []
+    pairing, samples = Pairing(PairingSettings(hold_s=0.0), motors=3), []
     for k in range(1250 * every):
         if k % every == 0:
             voltage_v = np.array([math.nan if k >= 1050 * every else 1.0, 2.0, 3.0])
@@ -293,7 +293,7 @@ def test_a_lost_message_is_no_silence() -> None:
 
 def test_a_silence_of_just_the_gap_is_still_an_interval() -> None:
     samples = feed(
-        Pairing(PairingRules(gap_s=0.5)),
+        Pairing(PairingSettings(gap_s=0.5)),
         [('v', 0, 5.0), ('t', 0, 0.0), ('v', 500, 5.0), ('t', 500, 1.0)],
     )
     assert samples[1].interval_s[0] == 0.5
@@ -358,7 +358,7 @@ def test_duplicates_and_messages_out_of_order_are_told_apart(kind: str) -> None:
 
 @pytest.mark.parametrize('kind', ['v', 't'])
 def test_a_jump_of_the_clock_restarts_the_history_and_loses_nothing_that_waited(kind: str) -> None:
-    pairing = Pairing(PairingRules(jump_back_s=1.0))
+    pairing = Pairing(PairingSettings(jump_back_s=1.0))
     before = feed(pairing, [('v', 5000, 5.0), ('t', 5000, 0.0), ('t', 5010, 0.1)])
     assert [s.stamp_ns // MS for s in before] == [5000]
     at_jump = feed(pairing, [(kind, 3000, 0.5)])
@@ -414,7 +414,7 @@ def test_ahead_changes_nothing() -> None:
 
 
 def test_nothing_is_foreseen_without_history_or_voltage_or_across_a_gap() -> None:
-    pairing = Pairing(PairingRules(gap_s=0.5))
+    pairing = Pairing(PairingSettings(gap_s=0.5))
     assert pairing.ahead(0) is None
     feed(pairing, [('v', 0, 5.0), ('t', 0, 0.0)])
     assert pairing.ahead(10 * MS) is None  # the voltage is not known that far
@@ -446,7 +446,7 @@ def test_what_is_refused_is_told_by_the_signal_it_was_of() -> None:
 
 def test_everything_received_is_used_or_rejected_or_waits() -> None:
     random = np.random.default_rng(11)
-    pairing, produced, stamp = Pairing(PairingRules(hold_s=0.05)), 0, 0
+    pairing, produced, stamp = Pairing(PairingSettings(hold_s=0.05)), 0, 0
     for _ in range(4000):
         stamp += round(MS * random.choice([1, 5, 10, 10, 10, 700]))
         if random.random() < 0.6:
@@ -591,7 +591,7 @@ def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> No
     """Whatever a message lacks or becomes: no motor is charged for what was not its own."""
     random, motors = np.random.default_rng(7), 4
     pairing, told = (
-        Pairing(PairingRules(hold_s=0.05), motors),
+        Pairing(PairingSettings(hold_s=0.05), motors),
         {signal: np.zeros(motors, int) for signal in 'vt'},
     )
     stamp_ns = 0

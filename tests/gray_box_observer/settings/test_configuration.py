@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 import yaml
 
-from gray_box_observer.context_nodes import GradientRules, VerdictRules
+from gray_box_observer.context_nodes import GradientSettings, VerdictSettings
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import TrainingRules, Variant
-from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.predictor import TrainingSettings, Variant
+from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import RESERVED, Configuration, flatten
 from gray_box_observer.settings.parameters import (
     KNOWN_PARAMETERS,
@@ -74,7 +74,11 @@ def test_every_term_has_an_initial_value_inside_its_bounds() -> None:
 
 @pytest.mark.parametrize(
     ('group', 'rules'),
-    [('gradient', GradientRules()), ('training', TrainingRules()), ('verdict', VerdictRules())],
+    [
+        ('gradient', GradientSettings()),
+        ('training', TrainingSettings()),
+        ('verdict', VerdictSettings()),
+    ],
 )
 def test_declared_defaults_are_those_of_the_rules(group: str, rules: Any) -> None:
     declared = Configuration.from_flat({}).group(group)
@@ -86,13 +90,13 @@ def test_declared_defaults_are_those_of_the_rules(group: str, rules: Any) -> Non
 def test_the_declared_recursive_defaults_are_those_of_the_rules() -> None:
     recursive = pytest.importorskip('gray_box_observer.context_nodes.recursive.estimator')
     declared = Configuration.from_flat({}).group('recursive')
-    rules = recursive.RecursiveRules()
+    rules = recursive.RecursiveSettings()
     for name, value in declared.items():
         assert value == getattr(rules, name), name
 
 
 def test_the_declared_pairing_defaults_are_those_of_the_rules() -> None:
-    configuration, rules = Configuration.from_flat({}), PairingRules()
+    configuration, rules = Configuration.from_flat({}), PairingSettings()
     for name in ('gap_s', 'hold_s', 'jump_back_s'):
         assert configuration[name] == getattr(rules, name)
 
@@ -100,7 +104,7 @@ def test_the_declared_pairing_defaults_are_those_of_the_rules() -> None:
 def test_the_declared_variants_are_those_there_are() -> None:
     spec = next(spec for spec in OBSERVER_PARAMETERS if spec.name == 'variant')
     assert spec.choices == tuple(variant.value for variant in Variant)
-    assert Variant(spec.default) is TrainingRules().variant
+    assert Variant(spec.default) is TrainingSettings().variant
 
 
 def test_a_whole_number_will_do_for_a_real_one_but_not_the_other_way_round() -> None:

@@ -19,7 +19,7 @@ from gray_box_observer.observer.observer import Observer
 from gray_box_observer.predictor import (
     InlineTraining,
     Predictor,
-    TrainingRules,
+    TrainingSettings,
     predictor,
     steady_state_forecaster,
 )
@@ -176,7 +176,7 @@ def test_whatever_is_asked_of_a_predictor_on_a_device_that_fails_is_answered_in_
     box = MotorWhiteBox(
         ('inductance', 'resistance', 'hysteresis'), np.full(2, 0.01), {'back_emf_constant': 0.01}
     )
-    rules, theta = TrainingRules(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
+    rules, theta = TrainingSettings(period=10**9), np.tile([0.5, 1.0, 10.0], (2, 1))
     one = Predictor(
         box, 2, theta[0], rules,
         InlineTraining({'white_box': box.to_dict(), 'rules': rules.to_dict(), 'seed': 0}),
@@ -290,7 +290,7 @@ def test_a_group_is_observed_alike_by_torch_and_without(
     assert [type(one._axis.arrays) for one in (ours, theirs)] == [type(np), TorchOps]
     assert [type(prediction.memory.hidden) for prediction in made] == [np.ndarray, torch.Tensor]
     for name in names:
-        (ours, _), (theirs, _) = (one.known(name) for one in reversed(both))
+        (ours, _), (theirs, _) = (one.estimate_of(name) for one in reversed(both))
         np.testing.assert_allclose(ours.value, theirs.value, rtol=1e-9)
         np.testing.assert_allclose(ours.covariance, theirs.covariance, rtol=1e-6, atol=1e-30)
         assert ours.verdicts == theirs.verdicts

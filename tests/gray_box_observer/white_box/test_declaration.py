@@ -287,7 +287,7 @@ import json
 import numpy as np
 from scipy.integrate import solve_ivp
 from gray_box_observer.context_nodes.native.regular_block import RegularBlocks
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import flow
@@ -323,6 +323,6 @@ print(json.dumps({
     'by differences of states': np.array(by_states).T.tolist(),
     'by coordinate': [column[:, 0, 0].tolist() for column in whole.by_coordinate],
     'by differences of coordinates': np.array(by_coordinates).T.tolist(),
-    'compiled': RegularBlocks(box, RecursiveRules(), ReplayBuffer(1, 128)).compiled,
+    'compiled': RegularBlocks(box, RecursiveSettings(), ReplayBuffer(1, 128)).compiled,
 }))
 """

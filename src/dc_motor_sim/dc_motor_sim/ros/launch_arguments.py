@@ -36,15 +36,15 @@ def parameter_files(name: str, text: str) -> list[str]:
 
 def number(name: str, text: str) -> float:
     """Return the number that an argument writes; a ConfigurationError names the argument."""
-    return _read(float, 'a number', name, text)
+    return _parse(float, 'a number', name, text)
 
 
 def whole_number(name: str, text: str) -> int:
     """Return the whole number that an argument writes; a ConfigurationError names the argument."""
-    return _read(int, 'a whole number', name, text)
+    return _parse(int, 'a whole number', name, text)
 
 
-def _read(parse: Callable[[str], _Number], expectation: str, name: str, text: str) -> _Number:
+def _parse(parse: Callable[[str], _Number], expectation: str, name: str, text: str) -> _Number:
     try:
         return parse(text)
     except ValueError:

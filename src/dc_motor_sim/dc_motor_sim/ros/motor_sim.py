@@ -74,14 +74,14 @@ class MotorSim(Node):
     def __init__(self, command_line_names: Collection[str] = ()) -> None:
         super().__init__('motor_sim')
         settings = parameters.declare(self)
-        self.finished = False
+        self.is_finished = False
         self._options = settings.node
         self._simulation = settings.simulation()
         self._period_ns = self._simulation.period_ns
         self._sample_limit = round(to_nanoseconds(self._options.duration_s) / self._period_ns)
         if self._options.duration_s > 0.0:
             self._sample_limit = max(self._sample_limit, 1)
-        self._made = 0
+        self._made_count = 0
         self._refused_commands = 0
         self._start_stamp_ns = 0
         self._started_ns: int | None = None
@@ -144,7 +144,8 @@ class MotorSim(Node):
                     'interrupt to leave'
                 )
         self.get_logger().info(
-            f'published {self._made} samples, {to_seconds(self._made * self._period_ns):g} '
+            f'published {self._made_count} samples, '
+            f'{to_seconds(self._made_count * self._period_ns):g} '
             'simulated seconds'
         )
 
@@ -198,20 +199,20 @@ class MotorSim(Node):
                 to_nanoseconds(self._options.start_stamp_s) if with_clock else time.time_ns()
             )
         simulated_ns = int((now_ns - self._started_ns) * self._options.clock_speed_up)
-        due_samples = simulated_ns // self._period_ns + 1 - self._made
+        due_samples = simulated_ns // self._period_ns + 1 - self._made_count
         self._warn_of_lag(due_samples)
         if self._sample_limit:
-            due_samples = min(due_samples, self._sample_limit - self._made)
+            due_samples = min(due_samples, self._sample_limit - self._made_count)
         give_way_ns = now_ns + to_nanoseconds(CATCH_UP_S)
         batch = max(
             1, int(to_nanoseconds(CATCH_UP_S * self._options.clock_speed_up)) // self._period_ns
         )
         for _ in range(min(due_samples, batch)):
             self._publish(self._simulation.step())
-            self._made += 1
+            self._made_count += 1
             if time.monotonic_ns() > give_way_ns:  # commands and services must get their turn
                 break
-        self.finished = self._made == self._sample_limit > 0
+        self.is_finished = self._made_count == self._sample_limit > 0
 
     def _may_start(self, now_ns: int) -> bool:
         """Whether the wanted subscribers are there, or have been waited for long enough."""
@@ -281,7 +282,7 @@ class MotorSim(Node):
             throttle_duration_sec=WARNING_INTERVAL_S,
         )
 
-    def _changed(self, changes: Sequence[Parameter]) -> dict[str, PlantParameters]:
+    def _new_plant_parameters(self, changes: Sequence[Parameter]) -> dict[str, PlantParameters]:
         """Return new parameters of every motor that the changes touch; raises SimulationError."""
         present = self._simulation.parameters
         values: dict[str, dict[str, float]] = {}
@@ -290,18 +291,19 @@ class MotorSim(Node):
             if motor in present and name in PlantParameters.__dataclass_fields__:
                 values.setdefault(motor, {})[name] = parameter.value
         return {
-            motor: parameters.replaced(motor, present[motor], new) for motor, new in values.items()
+            motor: parameters.replace_parameters(motor, present[motor], new)
+            for motor, new in values.items()
         }
 
     def _check_parameters(self, changes: list[Parameter]) -> SetParametersResult:
         try:
-            self._simulation.check_parameters(self._changed(changes))
+            self._simulation.check_parameters(self._new_plant_parameters(changes))
         except SimulationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, changes: list[Parameter]) -> None:
-        new_parameters = self._changed(changes)
+        new_parameters = self._new_plant_parameters(changes)
         if new_parameters:
             self._simulation.set_parameters(new_parameters)
 
@@ -370,7 +372,7 @@ def _run(argv: list[str], asked_s: list[float]) -> int:
     executor.add_node(node)
     status = 0
     try:
-        while not (asked_s or node.finished):
+        while not (asked_s or node.is_finished):
             executor.spin_once(timeout_sec=0.1)
         node.mirror_schedule()
         patient_until_s = asked_s[0] + PATIENCE_S if asked_s else 0.0

@@ -199,7 +199,7 @@ def declare(node: Node) -> Settings:
         name = f'{motor}.excitation'
         descriptor = _descriptor(_EXCITATION_OF_MOTOR, live=False)
         excitation[motor] = (
-            _declared(node, name, '', _EXCITATION_OF_MOTOR, descriptor) or own.excitation
+            _declare_one(node, name, '', _EXCITATION_OF_MOTOR, descriptor) or own.excitation
         )
         values = {
             f.name: _declare(node, f'{motor}.{f.name}', f, live=True)
@@ -209,7 +209,9 @@ def declare(node: Node) -> Settings:
     return Settings(own, motors, excitation)
 
 
-def replaced(motor: str, present: PlantParameters, values: Mapping[str, float]) -> PlantParameters:
+def replace_parameters(
+    motor: str, present: PlantParameters, values: Mapping[str, float]
+) -> PlantParameters:
     """Return a motor's parameters with some replaced; a PlantError names the motor."""
     try:
         return replace(present, **values)
@@ -249,12 +251,12 @@ def _usage_line(name: str, default: object, quantity: Quantity) -> str:
 
 def _declare(node: Node, name: str, declaration: Field[Any], *, live: bool) -> Any:
     quantity = quantity_of(declaration)
-    return _declared(
+    return _declare_one(
         node, name, declaration.default, quantity, _descriptor(quantity, live=live, of=declaration)
     )
 
 
-def _declared(
+def _declare_one(
     node: Node, name: str, default: Any, quantity: Quantity, descriptor: ParameterDescriptor
 ) -> Any:
     """Declare one parameter and return its value in the type of its default."""

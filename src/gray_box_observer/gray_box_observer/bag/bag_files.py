@@ -33,7 +33,7 @@ class BagFile:
 
     path: Path
     layout: Layout
-    listed: ListedFile
+    listed_file: ListedFile
 
 
 class BagFiles:
@@ -52,7 +52,7 @@ class BagFiles:
         self.path = path
         self.limits = limits
         self._losses = losses
-        self._opened: tuple[Path, BinaryIO] | None = None
+        self._open_file: tuple[Path, BinaryIO] | None = None
         self._is_closed = False
         try:
             listing = list_files(path)
@@ -65,9 +65,9 @@ class BagFiles:
     def close(self) -> None:
         """Release the file that is open; reading afterwards is an error."""
         self._is_closed = True
-        if self._opened is not None:
-            self._opened[1].close()
-            self._opened = None
+        if self._open_file is not None:
+            self._open_file[1].close()
+            self._open_file = None
 
     def read(
         self, file: BagFile, piece: Piece, topics: Collection[str] | None, room: int
@@ -183,11 +183,11 @@ class BagFiles:
 
     def count(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
         """The messages of one file by topic; its first and last log times extend the spans."""
-        counts = self._counted(file, spans)
+        counts = self._count_messages(file, spans)
         self._compare(file, counts.total())
         return counts
 
-    def _counted(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
+    def _count_messages(self, file: BagFile, spans: list[tuple[int, int]]) -> Counter[str]:
         """From the summary where it can be believed, else by reading."""
         statistics, counts = file.layout.statistics, Counter[str]()
         if statistics is None:
@@ -202,8 +202,8 @@ class BagFiles:
 
     def _compare(self, file: BagFile, message_count: int) -> None:
         """Say where a file holds something else than it should, and where it was never finished."""
-        layout, listed_file = file.layout, file.listed
-        statistics = layout.expected
+        layout, listed_file = file.layout, file.listed_file
+        statistics = layout.stated_statistics
         if statistics is not None and message_count < statistics.message_count:
             complaint = (
                 f'{statistics.message_count - message_count} of {statistics.message_count} '
@@ -275,7 +275,7 @@ class BagFiles:
 
         One wrong byte makes any record into such a message, and no checksum covers it.
         """
-        statistics = file.layout.expected
+        statistics = file.layout.stated_statistics
         if statistics is None or not in_chunks == statistics.message_count > 0:
             return False
         for piece in [piece for piece in message_counts if not piece.is_chunk]:
@@ -292,14 +292,14 @@ class BagFiles:
         """The opened file; only one stands open at a time, for a bag may have thousands."""
         if self._is_closed:
             raise BagError(f'{self.path}: the bag is closed')
-        if self._opened is None or self._opened[0] != path:
+        if self._open_file is None or self._open_file[0] != path:
             stream: BinaryIO = path.open('rb')
             if packed.is_packed(stream):
                 stream = self._unpacked_file(path, stream)
-            if self._opened is not None:
-                self._opened[1].close()
-            self._opened = (path, stream)
-        return self._opened[1]
+            if self._open_file is not None:
+                self._open_file[1].close()
+            self._open_file = (path, stream)
+        return self._open_file[1]
 
     def _unpacked_file(self, path: Path, stream: BinaryIO) -> BinaryIO:
         """The content of a file that rosbag2 has packed as a whole."""

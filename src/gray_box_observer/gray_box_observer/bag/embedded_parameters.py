@@ -32,7 +32,7 @@ def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
     """
     parameters: dict[str, Any] = {}
     for bag in bags:
-        for name, value in _of(bag).items():
+        for name, value in _parameters_of(bag).items():
             if name == 'motors':
                 parameters[name] = list(dict.fromkeys([*parameters.get(name, ()), *value]))
             elif name not in parameters:
@@ -46,7 +46,7 @@ def carried_by(bags: Iterable[Path]) -> dict[str, Any]:
     return parameters
 
 
-def _of(bag: Path) -> dict[str, Any]:
+def _parameters_of(bag: Path) -> dict[str, Any]:
     text = list_files(bag).custom_data.get(_KEY, '{}')
     try:
         parameters = json.loads(text)

@@ -34,7 +34,7 @@ class Pacer:
         self._limit_per_s = max_messages_per_s
         self._allowance = float(BURST)
         self._clock = clock
-        self._changed = threading.Condition()
+        self._condition = threading.Condition()
         self._is_paused = is_paused
         self._is_stopped = False
         self._steps = 0
@@ -48,39 +48,39 @@ class Pacer:
 
     def restart(self, log_time_ns: int) -> None:
         """Begin at this recorded time, now."""
-        with self._changed:
+        with self._condition:
             self._anchor(log_time_ns)
 
     def pause(self) -> None:
         """Let nothing through until `resume`."""
-        with self._changed:
+        with self._condition:
             if not self._is_paused:
                 self._anchor(self._position_ns())
                 self._is_paused = True
-                self._changed.notify_all()
+                self._condition.notify_all()
 
     def resume(self) -> None:
         """Go on from where the recorded time stood."""
-        with self._changed:
+        with self._condition:
             if self._is_paused:
                 self._is_paused = False
                 self._steps = 0
                 self._anchor(self._anchor_ns)
-                self._changed.notify_all()
+                self._condition.notify_all()
 
     def step(self) -> bool:
         """Let the next message through at once; only while paused. False if it is not paused."""
-        with self._changed:
+        with self._condition:
             if self._is_paused:
                 self._steps += 1
-                self._changed.notify_all()
+                self._condition.notify_all()
             return self._is_paused
 
     def stop(self) -> None:
         """Let `wait` return at once, from now on."""
-        with self._changed:
+        with self._condition:
             self._is_stopped = True
-            self._changed.notify_all()
+            self._condition.notify_all()
 
     def wait(
         self,
@@ -96,7 +96,7 @@ class Pacer:
             tick_period_s: How often.
         """
         while True:
-            with self._changed:
+            with self._condition:
                 if self._is_stopped:
                     return False
                 if self._steps:
@@ -104,7 +104,7 @@ class Pacer:
                     self._anchor(log_time_ns)
                     return True
                 if self._is_paused:
-                    self._changed.wait()
+                    self._condition.wait()
                     continue
                 left_s = self._left_s(log_time_ns)
                 if left_s <= 0:
@@ -113,9 +113,9 @@ class Pacer:
                 if (
                     tick is None or self._rate <= 0
                 ):  # without a rate no recorded time passes while waiting
-                    self._changed.wait(min(left_s, 1.0))
+                    self._condition.wait(min(left_s, 1.0))
                     continue
-                self._changed.wait(min(left_s, tick_period_s))
+                self._condition.wait(min(left_s, tick_period_s))
                 now_ns = min(self._position_ns(), log_time_ns)
             tick(now_ns)  # outside the lock: a slow listener must not block a service
 

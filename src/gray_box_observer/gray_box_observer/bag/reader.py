@@ -1,7 +1,7 @@
 """Reading bags: rosbag2 folders and single MCAP files, whole, killed, cut or damaged.
 
 Messages come in the order of their log times. What cannot be read is left out and accounted for in
-`BagReader.lost`; only a bag of which nothing can be read is an error.
+`BagReader.loss`; only a bag of which nothing can be read is an error.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class BagReader:
         return self._message_count
 
     @property
-    def lost(self) -> Loss | None:
+    def loss(self) -> Loss | None:
         """What could not be read so far, or None; ask again once all messages have been read."""
         return self._losses.total(with_names=len(self._files.all) > 1)
 
@@ -138,7 +138,9 @@ class BagReader:
             later_messages.add(order, messages)
             yield from later_messages.before(limit)
 
-    def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
+    def decoded_messages(
+        self, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[RawMessage, Any]]:
         """Every message with its decoded content, in the order of `messages`, of any type.
 
         Messages whose bytes do not fit their type are left out and counted in `lost`.
@@ -207,7 +209,7 @@ class BagReader:
                 channels.setdefault(channel.topic, channel)
         self._message_count = counts.total()
         if not spans or not self._message_count:
-            reason = f': {self.lost}' if self.lost is not None else ''
+            reason = f': {self.loss}' if self.loss is not None else ''
             raise BagError(f'{self.path}: no message in this bag{reason}')
         self._start_ns, self._end_ns = min(s for s, _ in spans), max(e for _, e in spans)
         self._topics = {

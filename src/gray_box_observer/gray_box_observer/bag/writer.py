@@ -184,12 +184,12 @@ class BagWriter:
             self._metadata_is_stale
         ):  # before the first message of a topic or file, so that no reader leaves it out
             self._write_metadata()
-        is_first = not self._file.written[2]
+        is_first = not self._file.written_counts[2]
         self._guard(self._file.flush)
         self._count_as_written()
         self._flushed_s = self._clock()
         if (
-            is_first and self._file.written[2]
+            is_first and self._file.written_counts[2]
         ) or self._flushed_s - self._metadata_s >= _METADATA_PERIOD_S:
             self._write_metadata()
 
@@ -271,7 +271,7 @@ class BagWriter:
 
     @staticmethod
     def _record(file: McapFile) -> FileRecord:
-        return FileRecord(file.path.name, *file.written)
+        return FileRecord(file.path.name, *file.written_counts)
 
     def _write_metadata(self) -> None:
         """Put a new metadata.yaml in the place of the old one in a single step."""

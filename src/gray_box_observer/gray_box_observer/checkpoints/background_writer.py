@@ -22,12 +22,12 @@ class CheckpointWriter:
     """
 
     def __init__(self) -> None:
-        self.written = 0
+        self.written_count = 0
         self.failure: str | None = None
         self._next: tuple[Snapshot, Path] | None = None
         self._busy = False
-        self._closed = False
-        self._changed = threading.Condition()
+        self._is_closed = False
+        self._condition = threading.Condition()
         self._thread: threading.Thread | None = None
 
     @property
@@ -37,31 +37,33 @@ class CheckpointWriter:
 
     def submit(self, snapshot: Snapshot, path: Path) -> None:
         """Hand a snapshot over; returns at once. It takes the place of one that still waits."""
-        with self._changed:
+        with self._condition:
             self._next = snapshot, path
             if self._thread is None:
                 # a daemon: a disk that hangs must not keep the process from ending
                 self._thread = threading.Thread(target=self._run, daemon=True, name='checkpoints')
                 self._thread.start()
-            self._changed.notify_all()
+            self._condition.notify_all()
 
     def flush(self, timeout_s: float) -> bool:
         """Wait until all pending work is written or has failed; tell whether it was in time."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not self._busy and self._next is None, timeout_s)
+        with self._condition:
+            return self._condition.wait_for(
+                lambda: not self._busy and self._next is None, timeout_s
+            )
 
     def close(self, timeout_s: float) -> bool:
         """Write what still waits, then end the thread; tell whether that came to pass in time."""
         is_written = self.flush(timeout_s)
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
+        with self._condition:
+            self._is_closed = True
+            self._condition.notify_all()
         return is_written
 
     def _run(self) -> None:
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._next is not None or self._closed)
+            with self._condition:
+                self._condition.wait_for(lambda: self._next is not None or self._is_closed)
                 if self._next is None:
                     return
                 (snapshot, path), self._next = self._next, None
@@ -73,8 +75,8 @@ class CheckpointWriter:
                 failure = str(error)
             except Exception as error:  # a defect: do not let the others wait for ever
                 failure = f'{path}: {error!r}'
-            with self._changed:
+            with self._condition:
                 self.failure = failure
-                self.written += failure is None
+                self.written_count += failure is None
                 self._busy = False
-                self._changed.notify_all()
+                self._condition.notify_all()

@@ -124,11 +124,11 @@ class Resumed:
     """What came of continuing from a checkpoint.
 
     Attributes:
-        found: whether there was one.
+        is_found: whether there was one.
         refusal: why it could not be used, and where it is kept; None where it could.
     """
 
-    found: bool
+    is_found: bool
     refusal: str | None = None
 
 
@@ -143,11 +143,11 @@ def resume(observer: Observer, path: Path) -> Resumed:
         load(observer, path)
     except GrayBoxError as error:
         if isinstance(error.__cause__, FileNotFoundError):
-            return Resumed(found=False)
+            return Resumed(is_found=False)
         return Resumed(
-            found=True, refusal=f'{error}; it is kept as {set_aside(path, "refused") or path}'
+            is_found=True, refusal=f'{error}; it is kept as {set_aside(path, "refused") or path}'
         )
-    return Resumed(found=True)
+    return Resumed(is_found=True)
 
 
 def set_aside(path: Path, why: str) -> Path | None:

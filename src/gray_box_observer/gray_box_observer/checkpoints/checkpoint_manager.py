@@ -42,7 +42,7 @@ class CheckpointKeeper:
         self._writer = CheckpointWriter()
         self._reports: list[threading.Thread] = []
         self._astray: str | None = None
-        self._kept = 0
+        self._saved_sample_count = 0
         self._since_s: float | None = None
 
     @property
@@ -58,7 +58,7 @@ class CheckpointKeeper:
     def resume(self, observer: Observer) -> Resumed:
         """Continue where the file stands; one that cannot be used is set aside."""
         self._writer.flush(PATIENCE_S)
-        self._kept = 0
+        self._saved_sample_count = 0
         try:
             file = self.file
         except GrayBoxError as error:  # a link was put there since the start
@@ -70,7 +70,7 @@ class CheckpointKeeper:
         if not self.automatic or observer is None or not observer.motors:
             return
         used_count = sum(observer.counts(motor).used for motor in observer.configuration.motors)
-        if used_count == self._kept and self.failure is None:
+        if used_count == self._saved_sample_count and self.failure is None:
             return
         try:
             file = self.file
@@ -79,7 +79,7 @@ class CheckpointKeeper:
             return
         self._astray = None
         self._writer.submit(checkpoint.capture(observer), file)
-        self._kept, self._since_s = used_count, time.monotonic()
+        self._saved_sample_count, self._since_s = used_count, time.monotonic()
 
     def save(self, observer: Observer) -> str:
         """Write the file now; return where it stands.
@@ -115,7 +115,7 @@ class CheckpointKeeper:
 
         None where there is nothing to keep, or what stands there is no checkpoint in the folder.
         """
-        self._kept = 0
+        self._saved_sample_count = 0
         if not self.automatic:
             return None
         self._writer.flush(PATIENCE_S)

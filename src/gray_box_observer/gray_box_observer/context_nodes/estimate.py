@@ -134,7 +134,7 @@ def bounded(value: Array, covariance: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class VerdictRules:
+class VerdictSettings:
     """When a parameter counts as identified.
 
     Attributes:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
@@ -36,7 +36,7 @@ from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
 @dataclass(frozen=True, slots=True)
-class GradientRules:
+class GradientSettings:
     """Settings of the gradient rule; defaults suit tens to hundreds of samples per L/R.
 
     Attributes:
@@ -91,12 +91,12 @@ class GradientUpdate:
         white_box: WhiteBox,
         initial: Array,
         seed: int = 0,
-        rules: GradientRules | None = None,
-        verdict_rules: VerdictRules | None = None,
+        rules: GradientSettings | None = None,
+        verdict_rules: VerdictSettings | None = None,
     ) -> None:
         self._white_box = white_box
-        self._rules = rules or GradientRules()
-        self.verdict_rules = verdict_rules or VerdictRules()
+        self._rules = rules or GradientSettings()
+        self.verdict_rules = verdict_rules or VerdictSettings()
         self._random = np.random.default_rng(seed)
         self._lower = np.log([p.lower for p in white_box.parameters])
         self._upper = np.log([p.upper for p in white_box.parameters])

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictRules
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
@@ -19,7 +19,7 @@ class ContextUpdate(Protocol):
     replay: ReplayBuffer
     """The samples it remembers."""
 
-    verdict_rules: VerdictRules
+    verdict_rules: VerdictSettings
     """When a parameter counts as identified; may be changed at any time."""
 
     @property

@@ -181,8 +181,8 @@ def _feed_all(
     for path in bags:
         with BagReader(path, limits) as bag:
             _feed(bag, path, configuration, outcome, take, progress)
-            if bag.lost:
-                outcome.warnings.append(f'{path}: {bag.lost}')
+            if bag.loss:
+                outcome.warnings.append(f'{path}: {bag.loss}')
         take(outcome.observer.flush())
 
 
@@ -205,7 +205,7 @@ def _feed(
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome.warnings)
     message_input, count = outcome.message_input, 0
-    for raw, message in _decoded(bag, signals, message_input.max_message_bytes):
+    for raw, message in _decode_messages(bag, signals, message_input.max_message_bytes):
         if message is None:
             oversized = len(raw.data) > message_input.max_message_bytes
             for signal in signals[raw.topic]:
@@ -222,12 +222,12 @@ def _feed(
     progress(count % PROGRESS_STEP)
 
 
-def _decoded(
+def _decode_messages(
     bag: BagReader, topics: Collection[str], max_bytes: int
 ) -> Iterator[tuple[RawMessage, Any]]:
     """Yield every message with its content; None if too large, or malformed and not counted."""
     if any(bag.topics[topic].type_name != JOINT_STATE for topic in topics):
-        for raw, message in bag.decoded(topics):
+        for raw, message in bag.decoded_messages(topics):
             yield raw, None if len(raw.data) > max_bytes else message
         return
     decode = JointStateDecoder()
@@ -299,7 +299,7 @@ def _mismatch(where: str, type_name: str, name: str, configuration: Configuratio
 def _why_nothing(bags: Sequence[Path], outcome: Outcome) -> str:
     names = ', '.join(str(path) for path in bags)
     strangers = sorted(
-        {name for signal in outcome.message_input.signals.values() for name in signal.unknown}
+        {name for signal in outcome.message_input.signals.values() for name in signal.unknown_names}
     )
     if strangers:
         motor_names = ', '.join(outcome.observer.configuration.motors)

@@ -11,25 +11,25 @@ import numpy as np
 from gray_box_observer.context_nodes import (
     ContextUpdate,
     Estimate,
-    GradientRules,
+    GradientSettings,
     GradientUpdate,
     RecursiveEstimator,
-    RecursiveRules,
-    VerdictRules,
+    RecursiveSettings,
+    VerdictSettings,
 )
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.predictor import (
-    AlarmRules,
+    AlarmSettings,
     Predictor,
     ResidualAlarm,
     Training,
-    TrainingRules,
+    TrainingSettings,
     Variant,
 )
-from gray_box_observer.samples.pairing import PairingRules
+from gray_box_observer.samples.pairing import PairingSettings
 from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
 from gray_box_observer.settings.device import CPU, DEVICE_FROM, torch_device
 from gray_box_observer.settings.parameters import KNOWN_PARAMETERS
@@ -131,10 +131,10 @@ def context_nodes(
     initial, seed = np.array([motor.initial() for motor in motors]), _seed(configuration, motors[0])
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(
-            white_box, initial, seed, GradientRules(**configuration.group('gradient')), verdicts
+            white_box, initial, seed, GradientSettings(**configuration.group('gradient')), verdicts
         )
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
-    rules = RecursiveRules(**configuration.group('recursive'))
+    rules = RecursiveSettings(**configuration.group('recursive'))
     return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
 
 
@@ -144,21 +144,21 @@ def initial_estimate(configuration: Configuration, motor: MotorConfiguration) ->
     return context_nodes(configuration, [motor], white_box).estimate()
 
 
-def pairing_rules(configuration: Configuration) -> PairingRules:
+def pairing_rules(configuration: Configuration) -> PairingSettings:
     """How patient pairing is."""
-    return PairingRules(
+    return PairingSettings(
         configuration['gap_s'], configuration['hold_s'], configuration['jump_back_s']
     )
 
 
-def verdict_rules(configuration: Configuration) -> VerdictRules:
+def verdict_rules(configuration: Configuration) -> VerdictSettings:
     """When a parameter counts as identified."""
-    return VerdictRules(**configuration.group('verdict'))
+    return VerdictSettings(**configuration.group('verdict'))
 
 
-def alarm_rules(configuration: Configuration) -> AlarmRules:
+def alarm_rules(configuration: Configuration) -> AlarmSettings:
     """Settings of the alarm."""
-    return AlarmRules(**configuration.group('alarm'))
+    return AlarmSettings(**configuration.group('alarm'))
 
 
 def _predictor(
@@ -172,7 +172,7 @@ def _predictor(
     device = torch_device(configuration['device'])
     # every trainer is a process with a context of its own on the device: one a motor would fill it
     taught_on = device if device is not None and count >= DEVICE_FROM else CPU
-    rules = TrainingRules(
+    rules = TrainingSettings(
         variant=Variant(configuration['variant']),
         horizon_s=configuration['horizon_s'],
         voltage_limits_v=(low_v, high_v),

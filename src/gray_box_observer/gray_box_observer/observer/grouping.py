@@ -59,12 +59,14 @@ class Part:
             return pairing.ingest_signal[signal](stamp_ns, value)
         if speeds is not None and signal == 'torque':
             return pairing.torque(
-                stamp_ns, self._spread(values), self._spread(speeds), self._missing
+                stamp_ns, self._spread(values), self._spread(speeds), self._absent_motors
             )
-        return pairing.ingest_signal[signal](stamp_ns, self._spread(values), absent=self._missing)
+        return pairing.ingest_signal[signal](
+            stamp_ns, self._spread(values), absent=self._absent_motors
+        )
 
     @property
-    def _missing(self) -> NDArray[np.bool_] | None:
+    def _absent_motors(self) -> NDArray[np.bool_] | None:
         """Which motors of the group the message does not speak of; None: it speaks of all."""
         if self.target is None:
             return None
@@ -145,7 +147,7 @@ class Grouping:
         if parts is None:
             self.gather(names)
             self._divide({name for name in names if name in self._places})
-            parts = self._found(names)
+            parts = self._find_parts(names)
             if worth_remembering(names):
                 self._parts.remember((signal, names), parts, size_of_names(names))
         return parts
@@ -205,7 +207,7 @@ class Grouping:
         pairing.count_as([group.pairing.counts_for(place) for place in range(len(group.names))])
         return pairing
 
-    def _found(self, names: tuple[str, ...]) -> list[Part]:
+    def _find_parts(self, names: tuple[str, ...]) -> list[Part]:
         """Find where in a message every group stands."""
         places: dict[int, tuple[Group, list[int], list[int]]] = {}
         for at, name in enumerate(names):

@@ -41,7 +41,7 @@ MAX_LIST_BYTES = 8_000_000
 class _Census(NamedTuple):
     """Names in a list: whether a motor of ours, which of them twice, and unknown ones."""
 
-    known: bool
+    has_our_motor: bool
     twice: str | None
     strangers: tuple[str, ...]
 
@@ -69,7 +69,7 @@ class Signal:
         self._lists: BoundedCache[tuple[str, ...], _Census] = BoundedCache(
             MAX_LISTS, MAX_LIST_BYTES
         )
-        self.unknown: Counter[str] = Counter()
+        self.unknown_names: Counter[str] = Counter()
         self._readable = False
 
     def read(self, message: Any) -> tuple[tuple[str, ...], Sequence[float] | Array, bool]:
@@ -113,9 +113,9 @@ class Signal:
         if census.twice is not None:
             raise SampleError(f'{census.twice} is named twice')
         for name in census.strangers:  # remember some of them, for diagnostics
-            if len(self.unknown) < MOST_STRANGERS or name in self.unknown:
-                self.unknown[name] += 1
-        return motor_names, values, census.known
+            if len(self.unknown_names) < MOST_STRANGERS or name in self.unknown_names:
+                self.unknown_names[name] += 1
+        return motor_names, values, census.has_our_motor
 
     def _census(self, names: tuple[str, ...]) -> _Census:
         """Find out who is in a list of names, and remember it."""

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictRules
+from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.predictor import AlarmRules, Prediction, Predictor, ResidualAlarm
+from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
@@ -39,7 +39,7 @@ class DeferredUpdate:
     theta: Array
     covariance: Array
     identified: NDArray[np.bool_]
-    followed: bool = False
+    is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
 
@@ -82,15 +82,15 @@ class MotorObserver:
         self._retested: set[int] = set()
         self._alarm = alarm
         self._deferred: DeferredUpdate | None = None
-        self._frozen = False
+        self._is_frozen = False
         self._precomputed: tuple[bytes, Prediction] | None = None
         self._interval_s, self._evenly = np.empty(0), False
         self.motors = context_nodes.theta.shape[0]
         self._places = np.arange(self.motors)
         self._nobody = np.zeros(self.motors, dtype=bool)
-        self._identified = self._nobody
+        self._is_identified = self._nobody
         self._known_parameters = np.zeros((self.motors, len(white_box.parameters)), dtype=bool)
-        self.changed: NDArray[np.intp] = _NOBODY
+        self.changed_motors: NDArray[np.intp] = _NOBODY
         self._know(self.estimate(), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
@@ -152,7 +152,7 @@ class MotorObserver:
             None if self._predictor is None else self.predict(sample.interval_s, sample.voltage_v)
         )
         deferred = DeferredUpdate(
-            sample, prediction, self._theta, self._covariance, self._identified
+            sample, prediction, self._theta, self._covariance, self._is_identified
         )
         estimate = self.repeat(sample)
         self._deferred = deferred
@@ -187,9 +187,9 @@ class MotorObserver:
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
         deferred = self._deferred
-        if deferred is None or deferred.followed:
+        if deferred is None or deferred.is_followed:
             return
-        deferred.followed = True
+        deferred.is_followed = True
         if self._predictor is not None and deferred.prediction is not None:
             try:
                 self._predictor.follow(deferred.sample, deferred.prediction)
@@ -219,11 +219,15 @@ class MotorObserver:
             self._evenly = np.array_equal(sample.interval_s, self._interval_s)
             self._interval_s = sample.interval_s
         if not has_changed:
-            self.changed = _NOBODY
+            self.changed_motors = _NOBODY
             return None
-        self.changed = _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
-        motors: Any = slice(None) if self.changed.size == self.motors else self.changed
-        estimate = self._tested(self.context_nodes.estimate(motors))
+        self.changed_motors = (
+            _FIRST if self.motors == 1 else np.flatnonzero(self.context_nodes.changed)
+        )
+        motors: Any = (
+            slice(None) if self.changed_motors.size == self.motors else self.changed_motors
+        )
+        estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
         self._know(estimate, motors)
         return estimate
 
@@ -233,17 +237,17 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(motors)
         return self._fit.judged(self.context_nodes, estimate, self._places[motors])
 
-    def _tested(self, estimate: Estimate) -> Estimate:
+    def _limit_by_fit(self, estimate: Estimate) -> Estimate:
         """Test the fit of motors with changed estimates; return these as far as believable.
 
         Who waits for nothing is tested when the sample's results are out.
         """
-        for motor in self._fit.due(self.context_nodes, estimate, self.changed):
+        for motor in self._fit.due(self.context_nodes, estimate, self.changed_motors):
             if self._fit.is_urgent(motor):
                 self._test(motor)
             else:
                 self._tests.append(motor)
-        return self._fit.judged(self.context_nodes, estimate, self.changed)
+        return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
 
     def retested(self) -> list[int]:
         """Return whose fit was tested since the last call: its belief may have changed."""
@@ -261,12 +265,12 @@ class MotorObserver:
 
         What was believed before may still be needed: it is replaced, never written to.
         """
-        if not self._frozen:
-            self._identified = self._identified.copy()
+        if not self._is_frozen:
+            self._is_identified = self._is_identified.copy()
             self._known_parameters[motors] = [
                 [v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts
             ]
-            self._identified[motors] = self._known_parameters[motors].all(axis=1)
+            self._is_identified[motors] = self._known_parameters[motors].all(axis=1)
         if estimate.value.shape[0] == self.motors:
             self._theta, self._covariance = estimate.value, estimate.covariance
         else:
@@ -276,7 +280,7 @@ class MotorObserver:
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
         self.run_deferred()
-        self._frozen = is_frozen
+        self._is_frozen = is_frozen
         self.context_nodes.freeze(is_frozen)
         if self.predictor is not None:
             self.predictor.training.freeze(is_frozen)
@@ -284,11 +288,11 @@ class MotorObserver:
     @property
     def identified(self) -> bool:
         """Whether every parameter was identified when learning last went on, before a freeze."""
-        return bool(self._identified.all())
+        return bool(self._is_identified.all())
 
     def identified_of(self, motor: int) -> bool:
         """The same of one motor."""
-        return bool(self._identified[motor])
+        return bool(self._is_identified[motor])
 
     def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
         """The same of every parameter of one motor."""
@@ -307,7 +311,9 @@ class MotorObserver:
             else self.delay.estimate_of(motor)
         )
 
-    def reconfigure(self, verdicts: VerdictRules, alarm: AlarmRules, core_share: float) -> None:
+    def reconfigure(
+        self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
+    ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
         self.context_nodes.verdict_rules = verdicts
         self._know(self.estimate(), slice(None))
@@ -412,9 +418,9 @@ class MotorObserver:
             dict(group(plain, 'fit')), motor, int(self.context_nodes.replay.received[motor])
         )
         self._know(self.estimate(motor_slice), motor_slice)
-        if self._frozen:  # verdicts tell it no more
-            self._identified = self._identified.copy()
-            self._identified[motor_slice] = plain['identified']
+        if self._is_frozen:  # verdicts tell it no more
+            self._is_identified = self._is_identified.copy()
+            self._is_identified[motor_slice] = plain['identified']
             self._known_parameters[motor_slice] = identified_flags
         if self.predictor is not None:
             self.predictor.restore(_group(arrays, 'network'), motor)

@@ -82,7 +82,7 @@ class Observer:
         torch_device(configuration['device'])  # said before the first sample comes
         self.configuration = configuration
         self._training = training if configuration['predictor'] else None
-        self._frozen = bool(configuration['freeze'])
+        self._is_frozen = bool(configuration['freeze'])
         self._grouping = Grouping(configuration)
         self.motors: dict[str, MotorView] = {}
         self.incidents: dict[str, Incident] = {}
@@ -326,7 +326,7 @@ class Observer:
         """
         return self._of_every_motor(lambda motor: motor.estimate)
 
-    def known(self, motor: str) -> tuple[Estimate, bool]:
+    def estimate_of(self, motor: str) -> tuple[Estimate, bool]:
         """Return a motor's belief, and whether all is identified; the given one at first."""
         view = self.motors.get(motor)
         if view is None:
@@ -381,11 +381,11 @@ class Observer:
     @property
     def frozen(self) -> bool:
         """Whether learning is stopped."""
-        return self._frozen
+        return self._is_frozen
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of every motor; predictions go on."""
-        self._frozen = is_frozen
+        self._is_frozen = is_frozen
         for group in self.every_group:
             if group.observer is not None:
                 self.contain(group, partial(group.observer.freeze, is_frozen))
@@ -401,7 +401,7 @@ class Observer:
                 self.contain(
                     group, partial(group.observer.reconfigure, verdicts, alarm, core_share)
                 )
-        if configuration['freeze'] != self._frozen:
+        if configuration['freeze'] != self._is_frozen:
             self.freeze(configuration['freeze'])
 
     def restore(
@@ -427,7 +427,7 @@ class Observer:
             affected = [
                 group for group in self.every_group if any(name in states for name in group.names)
             ]
-            replacements.extend((group, self._restored(group, states)) for group in affected)
+            replacements.extend((group, self._make_restored(group, states)) for group in affected)
         except BaseException:
             for _, observer in replacements:
                 observer.close()
@@ -446,7 +446,7 @@ class Observer:
             for name in group.names:
                 self.incidents.pop(name, None)
 
-    def _restored(
+    def _make_restored(
         self, group: Group, saved_states: Mapping[str, tuple[dict[str, Any], dict[str, Array]]]
     ) -> MotorObserver:
         """Make the observer of a group from what was saved; what was not saved stays as it is."""
@@ -522,18 +522,20 @@ class Observer:
             if pairing.repeats(sample):  # it was predicted, scored and reported before
                 again = observer.repeat(sample)
                 if again is not None and results:
-                    results[-1] = replace(results[-1], estimate=again, changed=observer.changed)
+                    results[-1] = replace(
+                        results[-1], estimate=again, changed=observer.changed_motors
+                    )
                 continue
             deferred, estimate = observer.step(sample)
             if estimate is not None and not estimate.is_finite:
                 raise ArithmeticError('an estimate that is not finite')
             results.append(
                 GroupResult(
-                    group, sample, deferred.prediction, observer.changed, estimate, deferred
+                    group, sample, deferred.prediction, observer.changed_motors, estimate, deferred
                 )
             )
             delay_s = None
-            if not self._frozen:
+            if not self._is_frozen:
                 delay_s = observer.delay.take(
                     pairing.history, sample.stamp_ns, awaited=estimate is not None
                 )
@@ -563,7 +565,7 @@ class Observer:
         observer = motor_observer(
             self.configuration, motors, self._training, speed_measured=speed_measured
         )
-        observer.freeze(self._frozen)
+        observer.freeze(self._is_frozen)
         return observer
 
     def _flat(self, results: Iterable[GroupResult]) -> list[Result]:

@@ -1,9 +1,9 @@
 """The LSTM that forecasts torque from voltage and context nodes (thesis 4.3, 5.1)."""
 
-from gray_box_observer.predictor.alarm import AlarmRules, ResidualAlarm
+from gray_box_observer.predictor.alarm import AlarmSettings, ResidualAlarm
 from gray_box_observer.predictor.network_inputs import Variant
 from gray_box_observer.predictor.predictor import Prediction, Predictor
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.scores import Skill
 from gray_box_observer.predictor.training.training_backend import (
     InlineTraining,
@@ -12,7 +12,7 @@ from gray_box_observer.predictor.training.training_backend import (
 )
 
 __all__ = [
-    'AlarmRules',
+    'AlarmSettings',
     'InlineTraining',
     'Prediction',
     'Predictor',
@@ -20,6 +20,6 @@ __all__ = [
     'ResidualAlarm',
     'Skill',
     'Training',
-    'TrainingRules',
+    'TrainingSettings',
     'Variant',
 ]

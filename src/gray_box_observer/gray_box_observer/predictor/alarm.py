@@ -42,7 +42,7 @@ REMEDY = (
 
 
 @dataclass(frozen=True, slots=True)
-class AlarmRules:
+class AlarmSettings:
     """Settings of the alarm.
 
     Attributes:
@@ -70,8 +70,8 @@ class ResidualAlarm:
         rules: settings; may be changed at any time.
     """
 
-    def __init__(self, motors: int, rules: AlarmRules | None = None) -> None:
-        self.rules = rules or AlarmRules()
+    def __init__(self, motors: int, rules: AlarmSettings | None = None) -> None:
+        self.rules = rules or AlarmSettings()
         self._axis = Axis(motors)
         self._count: Any = self._all(0)
         self.relearn()

@@ -14,7 +14,7 @@ from safetensors.numpy import load_file, save_file
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.steady_state import INPUTS
 
 SHIPPED = Path(__file__).with_name('start.safetensors')
@@ -26,7 +26,7 @@ def fresh(hidden: int, seed: int) -> Weights:
     return replace(weights, output=np.zeros(hidden), output_bias=np.zeros(1))
 
 
-def first_network(rules: TrainingRules, seed: int) -> Weights:
+def first_network(rules: TrainingSettings, seed: int) -> Weights:
     """Return the network to begin with; a fresh one where the shipped one's size differs."""
     if rules.start == 'shipped':
         shipped = load(SHIPPED)

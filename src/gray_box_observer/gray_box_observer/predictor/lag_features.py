@@ -35,7 +35,7 @@ def cleared(traces: Array, motors: Mask) -> Array:
     return np.where(motors[:, None, None], 0.0, traces) if motors.any() else traces
 
 
-def followed(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Array) -> Array:
+def advance(traces: Array, voltage_v: Array, speed_rad_s: Array, intervals: Array) -> Array:
     """Return the traces at the end of an interval over which voltage and speed are held.
 
     Args:

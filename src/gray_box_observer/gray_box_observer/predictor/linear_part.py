@@ -97,7 +97,7 @@ class LinearPart:
         return cls(np.zeros(FEATURES), np.zeros(FEATURES))
 
     @classmethod
-    def learnt(cls, inputs: Array, targets: Array) -> LinearPart:
+    def learn(cls, inputs: Array, targets: Array) -> LinearPart:
         """Learn as far up the ladder, and as bent, as pays, and nothing where nothing does.
 
         Every part of the time is judged by what the others teach (cross-validation by blocks,
@@ -114,7 +114,7 @@ class LinearPart:
             output = np.empty_like(targets)
             for k in range(PARTS):
                 other_parts = part != k
-                output[:, ~other_parts] = cls.fitted(
+                output[:, ~other_parts] = cls.fit(
                     inputs[:, other_parts], targets[:, other_parts], *level
                 ).say(inputs[:, ~other_parts])
             remaining_error = np.abs(targets - output)
@@ -131,13 +131,13 @@ class LinearPart:
         cls, inputs: Array, targets: Array, rungs: int, bent: bool
     ) -> LinearPart:
         """Fit to all; extrapolate as far as a fit to smaller features predicts the others."""
-        whole = cls.fitted(inputs, targets, rungs, bent)
+        whole = cls.fit(inputs, targets, rungs, bent)
         size = (np.abs(inputs) / np.maximum(whole.reach, 1e-12)).max(axis=(0, 2))
         for further in FURTHER:
             inner = size <= 1.0 / further
             if min(inner.sum(), (~inner).sum()) < FEATURES:
                 continue
-            part = cls.fitted(inputs[:, inner], targets[:, inner], rungs, bent)
+            part = cls.fit(inputs[:, inner], targets[:, inner], rungs, bent)
             remaining_error = np.abs(
                 targets - replace(part, reach=np.full(FEATURES, np.inf)).say(inputs)
             )[:, ~inner]
@@ -146,7 +146,7 @@ class LinearPart:
         return whole
 
     @classmethod
-    def fitted(
+    def fit(
         cls, inputs: Array, targets: Array, rungs: int = LADDER.size, bent: bool = False
     ) -> LinearPart:
         """Fit by regularised least squares (Hoerl and Kennard 1970) of scaled features.
@@ -162,7 +162,7 @@ class LinearPart:
         )
         bend_v = BENDS * float(np.abs(inputs[..., 0]).max()) if bent else np.zeros(0)
         selected_inputs = np.concatenate(
-            [inputs[..., is_used], _held(inputs, bend_v)], axis=-1
+            [inputs[..., is_used], _bounded_voltages(inputs, bend_v)], axis=-1
         ).reshape(targets.size, -1)
         size = np.sqrt(np.mean(selected_inputs**2, axis=0)) + 1e-12
         scaled_inputs = selected_inputs / size
@@ -184,11 +184,13 @@ class LinearPart:
         """Return the weighted sum of features over their last axis, fading beyond the taught."""
         beyond = (np.abs(inputs) / np.maximum(self.reach, 1e-12)).max(axis=-1)
         trusted = np.minimum(np.maximum((STRANGE - beyond) / (STRANGE - TRUSTED), 0.0), 1.0)
-        output: Array = (inputs @ self.weight + _held(inputs, self.bend_v) @ self.bent) * trusted
+        output: Array = (
+            inputs @ self.weight + _bounded_voltages(inputs, self.bend_v) @ self.bent
+        ) * trusted
         return output
 
 
-def _held(inputs: Array, bend_v: Array) -> Array:
+def _bounded_voltages(inputs: Array, bend_v: Array) -> Array:
     """Voltages limited to where the part bends, of the features' shape but the last axis."""
     bounded_v: Array = np.minimum(np.maximum(inputs[..., :1], -bend_v), bend_v)
     return bounded_v

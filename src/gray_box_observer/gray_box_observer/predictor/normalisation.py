@@ -34,7 +34,7 @@ class Range:
         """Map 0..1 back to physical units."""
         return self.low + self.span * value
 
-    def grown(self, values: Array, margin: float = 0.1) -> Range:
+    def extend_to(self, values: Array, margin: float = 0.1) -> Range:
         """Return this range, widened with a margin where the finite values leave it."""
         finite = values[np.isfinite(values)]
         if finite.size == 0:
@@ -54,7 +54,7 @@ class Range:
             return cls(-1.0, 1.0)
         middle = float(np.median(finite))
         tiny = max(1e-9, 1e-6 * abs(middle))
-        return cls(middle - tiny, middle + tiny).grown(finite)
+        return cls(middle - tiny, middle + tiny).extend_to(finite)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +65,12 @@ class Normalisation:
     torque: Range
     speed: Range | None = None
 
-    def grown(self, voltage_v: Array, torque_nm: Array, speed_rad_s: Array) -> Normalisation:
+    def extend_to(self, voltage_v: Array, torque_nm: Array, speed_rad_s: Array) -> Normalisation:
         """Return ranges that cover these data too."""
         return Normalisation(
-            self.voltage.grown(voltage_v),
-            self.torque.grown(torque_nm),
-            None if self.speed is None else self.speed.grown(speed_rad_s),
+            self.voltage.extend_to(voltage_v),
+            self.torque.extend_to(torque_nm),
+            None if self.speed is None else self.speed.extend_to(speed_rad_s),
         )
 
     def to_dict(self) -> dict[str, list[float]]:
@@ -119,7 +119,7 @@ def saved_ranges(arrays: Mapping[str, Any], prefix: str, *, speed: bool) -> dict
     return ranges
 
 
-def moved(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:
+def rescale_weights(weights: Weights, old: Normalisation, new: Normalisation) -> Weights:
     """Return weights that compute under the new ranges what the given ones did before.
 
     Both scalings are affine and the network is affine in its inputs and output, so nothing learnt

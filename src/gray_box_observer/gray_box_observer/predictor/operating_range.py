@@ -30,16 +30,16 @@ class OperatingRange:
     interval_s: Bounds = NOTHING
     speed_rad_s: Bounds = NOTHING
 
-    def grown(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
+    def extend_to(self, voltage_v: Array, interval_s: Array, speed_rad_s: Array) -> OperatingRange:
         """Return the range with these samples; the first of a history tells no voltage."""
         goes_on = interval_s > 0.0
         return OperatingRange(
-            _grown(self.voltage_v, voltage_v[goes_on]),
-            _grown(self.interval_s, interval_s[goes_on]),
-            _grown(self.speed_rad_s, speed_rad_s),
+            _extended_bounds(self.voltage_v, voltage_v[goes_on]),
+            _extended_bounds(self.interval_s, interval_s[goes_on]),
+            _extended_bounds(self.speed_rad_s, speed_rad_s),
         )
 
-    def joined(self, other: OperatingRange) -> OperatingRange:
+    def union(self, other: OperatingRange) -> OperatingRange:
         """Return the range that holds both."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in self.__slots__)
         return OperatingRange(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
@@ -98,7 +98,7 @@ def saved_range(arrays: Mapping[str, Array], prefix: str) -> OperatingRange:
     return OperatingRange(**bounds)
 
 
-def _grown(bounds: Bounds, values: Array) -> Bounds:
+def _extended_bounds(bounds: Bounds, values: Array) -> Bounds:
     finite = values[np.isfinite(values)]
     if finite.size == 0:
         return bounds

@@ -18,7 +18,7 @@ from gray_box_observer.predictor.forecaster import Forecaster, ForecastRequest
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.network_inputs import InputLayout, Variant
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import (
     Recollection,
     ResidualForecaster,
@@ -90,7 +90,7 @@ class Predictor:
     """
 
     def __init__(
-        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingRules,
+        self, white_box: WhiteBox, motors: int, theta_reference: Array, rules: TrainingSettings,
         training: Training, *, speed_measured: bool, seed: int = 0, device: str | None = None,
     ) -> None:  # fmt: skip
         is_physics = rules.variant is Variant.PHYSICS

@@ -15,7 +15,7 @@ RECENT = 500
 
 
 @dataclass(frozen=True, slots=True)
-class TrainingRules:
+class TrainingSettings:
     """How the LSTM is trained.
 
     Attributes:
@@ -98,7 +98,7 @@ class TrainingRules:
         }
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> TrainingRules:
+    def from_dict(cls, values: Mapping[str, Any]) -> TrainingSettings:
         """Build the rules that :meth:`to_dict` described."""
         low_v, high_v = values['voltage_limits_v']
         return cls(

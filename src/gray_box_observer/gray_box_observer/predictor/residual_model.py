@@ -107,7 +107,7 @@ class ResidualModel:
         return correction
 
     @property
-    def learnt(self) -> int:
+    def weight_count(self) -> int:
         """How many numbers were learnt: weights of the network and of the linear part."""
         return sum(
             array.size
@@ -252,7 +252,7 @@ class ResidualForecaster:
         steady = self._axis.to_array(request.way.steady_a)
         signals = request.voltage_v, current, steady, request.speed_rad_s
         readout, network = step(model.weights, memory.network, model.inputs(*signals))
-        traces = self._followed(request, memory, model)
+        traces = self._traces_at_end(request, memory, model)
         correction = self._white_box.output(model.current(readout, features(*signals, traces)))
         return np.where(is_known, correction, 0.0), Recollection(network, traces)
 
@@ -279,15 +279,15 @@ class ResidualForecaster:
         for k in range(inputs.shape[1]):
             readout, network = step(model.weights, network, inputs[:, k])
         end = request.voltage_v, current[:, -1], steady, request.speed_rad_s
-        columns = features(*end, self._followed(request, memory, model))
+        columns = features(*end, self._traces_at_end(request, memory, model))
         return self._white_box.output(model.current(readout, columns))
 
-    def _followed(
+    def _traces_at_end(
         self, request: ForecastRequest, memory: Recollection, model: ResidualModel
     ) -> Array:
         """Traces at the end of an interval."""
         intervals = request.interval_s / model.interval_s
-        return lag_features.followed(
+        return lag_features.advance(
             memory.traces, request.voltage_v, request.speed_rad_s, intervals
         )
 

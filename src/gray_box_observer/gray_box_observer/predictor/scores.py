@@ -45,7 +45,7 @@ class Scores:
 
     def __init__(self, motors: int, window: int = 6000) -> None:
         # time first, for rows are written; and what is not written yet takes no memory
-        self._said = {rival: np.zeros((window, motors)) for rival in RIVALS}
+        self._predictions = {rival: np.zeros((window, motors)) for rival in RIVALS}
         self._torque = np.zeros((window, motors))
         self._window = window
         self._count = 0
@@ -53,7 +53,7 @@ class Scores:
     def add(self, torque_nm: Array, predictions: Mapping[str, Array]) -> None:
         """Score one sample: measured torque and each rival's, (motor,); NaN is not scored."""
         row = self._count % self._window
-        for rival, values in self._said.items():
+        for rival, values in self._predictions.items():
             values[row] = predictions[rival]
         self._torque[row] = torque_nm
         self._count += 1
@@ -63,7 +63,8 @@ class Scores:
         rows = slice(min(self._count, self._window))
         torque_nm = self._torque[rows, motor].copy()
         errors = {
-            rival: np.abs(values[rows, motor] - torque_nm) for rival, values in self._said.items()
+            rival: np.abs(values[rows, motor] - torque_nm)
+            for rival, values in self._predictions.items()
         }
         scored = np.logical_and.reduce([np.isfinite(error) for error in errors.values()])
         count = int(scored.sum())

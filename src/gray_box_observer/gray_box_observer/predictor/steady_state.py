@@ -181,7 +181,7 @@ def flow(
         The current at the end.
     """
     begin = _begin(ops, white_box, way, state, interval_s)
-    return _followed(
+    return _integrate(
         ops, white_box, way, begin, max(1, math.ceil(float(ops.max(begin.length)) / step))
     )
 
@@ -192,11 +192,11 @@ def flow_each(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s
     counts = ops.maximum(ops.ceil(begin.length / FLOW_STEP), 1.0)
     most = ops.max(counts)
     if ops.all(counts == most):
-        return _followed(ops, white_box, way, begin, int(most))
+        return _integrate(ops, white_box, way, begin, int(most))
     end = ops.empty_like(state)
     for count in ops.unique(counts).tolist():
         motors = ops.flatnonzero(counts == count)
-        end[motors] = _followed(
+        end[motors] = _integrate(
             ops, white_box.of_motors(motors), way.select(motors), begin.select(motors), int(count)
         )
     return end
@@ -225,7 +225,7 @@ def _begin(ops: Any, white_box: WhiteBox, way: Course, state: Any, interval_s: A
     return _Begin(state, here, fastest, ops.log1p(fastest * interval_s))
 
 
-def _followed(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps: int) -> Any:
+def _integrate(ops: Any, white_box: WhiteBox, way: Course, begin: _Begin, steps: int) -> Any:
     """Current at the end of an interval cut into so many steps."""
     balance = white_box.balances(begin.state)[State.CURRENT]
     distance = begin.state - way.steady_a

@@ -41,7 +41,7 @@ def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
             most = array['count'] or array['most']
             if most is not None and step >= int(most):
                 return f'{walked} has at most {most} values, so there is no [{step}]'
-            field_type = _known(array['held'] or array['kind'])
+            field_type = _field_type(array['held'] or array['kind'])
             walked += f'[{step}]'
             continue
         if array is not None:
@@ -51,15 +51,15 @@ def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
         fields = field_type.get_fields_and_field_types()
         if step not in fields:
             return f'{walked} has no field {step!r}; there are: {", ".join(fields)}'
-        field_type = _known(fields[step])
+        field_type = _field_type(fields[step])
         walked += f'.{step}'
     array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
-    last = field_type if array is None else _known(array['held'] or array['kind'])
+    last = field_type if array is None else _field_type(array['held'] or array['kind'])
     if not isinstance(last, str):
         return f'{walked} holds no numbers; it has: {", ".join(last.get_fields_and_field_types())}'
     return f'{walked} holds text, no numbers' if _TEXT.fullmatch(last) else ''
 
 
-def _known(type_name: str) -> Any:
+def _field_type(type_name: str) -> Any:
     """The class of a message type, or the name of anything else."""
     return message_class(type_name) or type_name

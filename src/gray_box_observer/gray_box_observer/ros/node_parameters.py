@@ -103,18 +103,18 @@ class LiveParameters:
 
     def _judge(self, parameters: list[Parameter]) -> SetParametersResult:
         try:
-            self._check(self._changed(parameters))
+            self._check(self._merged_configuration(parameters))
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _take_over(self, parameters: list[Parameter]) -> None:
-        configuration = self._changed(parameters)
+        configuration = self._merged_configuration(parameters)
         if configuration != self._configuration:
             self._configuration = configuration
             self._apply(configuration)
 
-    def _changed(self, parameters: list[Parameter]) -> Configuration:
-        return self._configuration.changed(
+    def _merged_configuration(self, parameters: list[Parameter]) -> Configuration:
+        return self._configuration.with_values(
             {parameter.name: parameter.value for parameter in parameters}
         )

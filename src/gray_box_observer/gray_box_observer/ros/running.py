@@ -60,31 +60,31 @@ class Stop:
 
     def __init__(self) -> None:
         self.error: GrayBoxError | None = None
-        self._requested = False
-        self._waiting: Future | None = None
+        self._is_requested = False
+        self._future: Future | None = None
         self._lock = threading.Lock()
 
     def __call__(self, error: GrayBoxError | None = None) -> None:
         """Ask for the end; the first error wins and turns the exit code into 2."""
         with self._lock:
             self.error = self.error or error
-            self._requested = True
-            future = self._waiting
+            self._is_requested = True
+            future = self._future
         if future is not None and not future.done():
             future.set_result(None)
 
     @property
-    def requested(self) -> bool:
+    def is_requested(self) -> bool:
         """Whether the end has been asked for."""
-        return self._requested
+        return self._is_requested
 
     def future(self) -> Future:
         """Return a fresh future that completes at the end; it replaces the previous one."""
         with self._lock:
-            self._waiting = Future()
-            if self._requested:
-                self._waiting.set_result(None)
-            return self._waiting
+            self._future = Future()
+            if self._is_requested:
+                self._future.set_result(None)
+            return self._future
 
 
 def parse_arguments(
@@ -184,7 +184,7 @@ def _spin(node: Node, stop: Stop, executor_factory: Callable[[], Executor]) -> N
     # A thread in the background that computes would keep a callback waiting for ten times as long.
     sys.setswitchinterval(_SWITCH_S)
     try:
-        while not stop.requested:
+        while not stop.is_requested:
             # Sliced: the events executor of rclpy 7.1 runs hot and deaf when it spins without a
             # time-out.
             executor.spin_until_future_complete(stop.future(), _SLICE_S)

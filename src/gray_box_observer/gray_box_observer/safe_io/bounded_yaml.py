@@ -121,19 +121,19 @@ def _events(text: str) -> Iterator[yaml.Event]:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f'line {mark.line + 1}: ' if mark is not None else ''
-        raise InputError(f'{where}{_shown(error.problem or error.context)}') from None
+        raise InputError(f'{where}{_short_text(error.problem or error.context)}') from None
     except (yaml.YAMLError, ValueError) as error:  # such as signs that YAML does not allow
-        raise InputError(_shown(' '.join(str(error).split()))) from None
+        raise InputError(_short_text(' '.join(str(error).split()))) from None
 
 
 def _refuse_reference(event: yaml.NodeEvent) -> None:
     """Refuse whatever makes a node more than the data that is written there."""
     if event.anchor is not None:
         kind = 'an alias' if isinstance(event, yaml.AliasEvent) else 'an anchor'
-        raise _refusal(event, f'{kind} ({_shown(event.anchor)}); write the values out')
+        raise _refusal(event, f'{kind} ({_short_text(event.anchor)}); write the values out')
     tag = getattr(event, 'tag', None)
     if tag not in _PLAIN_TAGS and not (tag == _TEXT_TAG and isinstance(event, yaml.ScalarEvent)):
-        raise _refusal(event, f'the tag {_shown(tag)}; write the plain value')
+        raise _refusal(event, f'the tag {_short_text(tag)}; write the plain value')
 
 
 def _put(node: _Open, value: Any, event: yaml.NodeEvent) -> None:
@@ -154,7 +154,7 @@ def _put_scalar(node: _Open, event: yaml.ScalarEvent) -> None:
     elif is_plain and event.value == '<<':
         raise _refusal(event, 'a merge key (<<); write the values out')
     elif event.value in node.content:
-        raise _refusal(event, f'the key {_shown(event.value)} stands twice')
+        raise _refusal(event, f'the key {_short_text(event.value)} stands twice')
     else:
         node.key = event.value
 
@@ -168,12 +168,12 @@ def _value(event: yaml.ScalarEvent) -> Any:
         # Digits that no integer of 64 bits has are not converted at all: that takes the square of
         # their number.
         if len(text) > 21 or abs(int(text)) >= _WHOLE_LIMIT:
-            raise _refusal(event, f'the number {_shown(text)} has more than 64 bits')
+            raise _refusal(event, f'the number {_short_text(text)} has more than 64 bits')
         return int(text)
     if _FRACTION.fullmatch(text):
         number = float(text)
         if number in (float('inf'), float('-inf')):
-            raise _refusal(event, f'the number {_shown(text)} is too large')
+            raise _refusal(event, f'the number {_short_text(text)} is too large')
         return number
     special = _SPECIAL.fullmatch(text)
     if special is not None:
@@ -187,7 +187,7 @@ def _refusal(event: yaml.Event, complaint: str) -> InputError:
     return InputError(f'{where}{complaint}')
 
 
-def _shown(text: object) -> str:
+def _short_text(text: object) -> str:
     """Text from the file for a message: short, and without signs that a terminal would obey."""
     printable_text = repr(str(text))[1:-1]
     return printable_text if len(printable_text) <= _SHOWN else f'{printable_text[:_SHOWN]}...'

@@ -68,7 +68,7 @@ class HeldVoltage:
         return self._coming[-1][1] if self._coming else self._held_v
 
     @property
-    def known(self) -> bool:
+    def is_known(self) -> bool:
         """Whether the newest voltage is known."""
         return bool(self._coming) or self._held_v is not self._blank
 

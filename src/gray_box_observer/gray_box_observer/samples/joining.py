@@ -87,13 +87,13 @@ class Joining(Protocol):
             gap_ns: a motor that was absent for longer starts its history anew.
         """
 
-    def refused(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> Refused:
         """What was refused of one motor."""
 
-    def missed(self, motor: int) -> dict[str, int]:
+    def missed_counts(self, motor: int) -> dict[str, int]:
         """How many messages of each signal did not speak of a motor."""
 
-    def lost(self, motor: int) -> int:
+    def lost_count(self, motor: int) -> int:
         """How many of the group's samples a motor was absent from."""
 
     def count_as(self, counts: Sequence[PairingCounts]) -> None:
@@ -110,7 +110,7 @@ class OneMotor:
     blank = math.nan
 
     def __init__(self, refusal_counts: Refused) -> None:
-        self._refused = refusal_counts
+        self._refusal_counts = refusal_counts
 
     def restart(self) -> None:
         """Nothing is owed to a single motor."""
@@ -119,7 +119,7 @@ class OneMotor:
         """See :class:`Joining`."""
         if abs(value) <= ABSURD_MAGNITUDE:  # NaN is not
             return True
-        self._refused[signal][
+        self._refusal_counts[signal][
             Rejection.ABSURD if math.isfinite(value) else Rejection.NON_FINITE
         ] += 1
         return False
@@ -134,7 +134,7 @@ class OneMotor:
 
     def refuse(self, signal: str, reason: Rejection, values: float) -> None:
         """See :class:`Joining`."""
-        self._refused[signal][reason] += 1
+        self._refusal_counts[signal][reason] += 1
 
     def one(self, values: float, motor: int) -> float:
         """See :class:`Joining`."""
@@ -150,7 +150,7 @@ class OneMotor:
     def with_speed(self, torque_nm: float, speed_rad_s: float) -> float | None:
         """See :class:`Joining`."""
         if math.isnan(speed_rad_s):
-            self._refused['torque'][Rejection.NO_SPEED] += 1
+            self._refusal_counts['torque'][Rejection.NO_SPEED] += 1
             return None
         return torque_nm
 
@@ -167,25 +167,25 @@ class OneMotor:
             return Sample.of_one_motor(stamp_ns, seconds(passed_ns), mean_v, torque_nm, speed_rad_s)
         voltage_v = held_v[1] if math.isnan(held_v[0]) else held_v[0]
         if math.isnan(voltage_v):
-            self._refused['torque'][Rejection.NO_VOLTAGE] += 1
+            self._refusal_counts['torque'][Rejection.NO_VOLTAGE] += 1
             return None
         return Sample.of_one_motor(stamp_ns, 0.0, voltage_v, torque_nm, speed_rad_s)
 
-    def refused(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> Refused:
         """See :class:`Joining`."""
-        return {signal: counter.copy() for signal, counter in self._refused.items()}
+        return {signal: counter.copy() for signal, counter in self._refusal_counts.items()}
 
-    def missed(self, motor: int) -> dict[str, int]:
+    def missed_counts(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
         return {'voltage': 0, 'torque': 0}
 
-    def lost(self, motor: int) -> int:
+    def lost_count(self, motor: int) -> int:
         """See :class:`Joining`."""
         return 0
 
     def count_as(self, counts: Sequence[PairingCounts]) -> None:
         """See :class:`Joining`."""
-        for signal, counter in self._refused.items():
+        for signal, counter in self._refusal_counts.items():
             counter.clear()
             counter.update(counts[0].refused[signal])
 
@@ -204,8 +204,8 @@ class ManyMotors:
             signal: {reason: np.zeros(motors, dtype=int) for reason in Rejection}
             for signal in signals
         }
-        self._missed = {signal: np.zeros(motors, dtype=int) for signal in signals}
-        self._lost = np.zeros(motors, dtype=int)
+        self._missed_counts = {signal: np.zeros(motors, dtype=int) for signal in signals}
+        self._lost_counts = np.zeros(motors, dtype=int)
         self.restart()
 
     def restart(self) -> None:
@@ -267,7 +267,7 @@ class ManyMotors:
     ) -> None:
         bad = ~good
         if absent is not None:
-            self._missed[signal] += absent
+            self._missed_counts[signal] += absent
             bad &= ~absent
         finite = np.isfinite(values)
         self._own[signal][Rejection.NON_FINITE] += bad & ~finite
@@ -325,7 +325,7 @@ class ManyMotors:
         self._regular = bool(np.all(here))
         if not np.any(here):
             return None
-        self._lost += ~here
+        self._lost_counts += ~here
         interval_s = np.where(begins | ~here, 0.0, span_ns / NANOSECONDS_PER_SECOND)
         if self._regular:
             return Sample(stamp_ns, interval_s, mean_v, torque_nm, speed)
@@ -333,7 +333,7 @@ class ManyMotors:
         voltage_v, speed = np.where(here, mean_v, 0.0), np.where(here, speed, np.nan)
         return Sample(stamp_ns, interval_s, voltage_v, torque_nm, speed, here)
 
-    def refused(self, motor: int) -> Refused:
+    def refusal_counts(self, motor: int) -> Refused:
         """See :class:`Joining`."""
         refusal_counts: Refused = {'speed': Counter()}
         for signal, counts in self._own.items():
@@ -342,13 +342,13 @@ class ManyMotors:
             )
         return refusal_counts
 
-    def missed(self, motor: int) -> dict[str, int]:
+    def missed_counts(self, motor: int) -> dict[str, int]:
         """See :class:`Joining`."""
-        return {signal: int(count[motor]) for signal, count in self._missed.items()}
+        return {signal: int(count[motor]) for signal, count in self._missed_counts.items()}
 
-    def lost(self, motor: int) -> int:
+    def lost_count(self, motor: int) -> int:
         """See :class:`Joining`."""
-        return int(self._lost[motor])
+        return int(self._lost_counts[motor])
 
     def count_as(self, counts: Sequence[PairingCounts]) -> None:
         """See :class:`Joining`."""
@@ -356,7 +356,7 @@ class ManyMotors:
             for reason in by_reason:
                 by_reason[reason] = np.array([of.refused[signal][reason] for of in counts])
         received_counts = np.array([(of.received_voltage, of.received_torque) for of in counts])
-        self._missed = dict(
+        self._missed_counts = dict(
             zip(
                 ('voltage', 'torque'),
                 (received_counts.max(axis=0) - received_counts).T,
@@ -364,4 +364,4 @@ class ManyMotors:
             )
         )
         used_counts = np.array([of.used for of in counts])
-        self._lost = used_counts.max() - used_counts
+        self._lost_counts = used_counts.max() - used_counts

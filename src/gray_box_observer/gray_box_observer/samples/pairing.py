@@ -41,7 +41,7 @@ from gray_box_observer.samples.sample import Sample, nanoseconds, seconds
 
 
 @dataclass(frozen=True, slots=True)
-class PairingRules:
+class PairingSettings:
     """How patient pairing is.
 
     Attributes:
@@ -88,7 +88,7 @@ class Pairing:
     """
 
     def __init__(
-        self, rules: PairingRules | None = None, motors: int = 1, *, own_speed: bool = False,
+        self, rules: PairingSettings | None = None, motors: int = 1, *, own_speed: bool = False,
         uses_speed: bool = True, delay_s: float = 0.0,
     ) -> None:  # fmt: skip
         self.motors = motors
@@ -96,7 +96,7 @@ class Pairing:
         self._uses_speed = uses_speed
         self.needs_speed: bool | None = True if own_speed else None
         self._delay_ns = 0
-        self.reconfigure(rules or PairingRules())
+        self.reconfigure(rules or PairingSettings())
         self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
         self._joining: Joining = OneMotor(self.refused) if motors == 1 else ManyMotors(motors)
         self.received_torque = 0
@@ -116,7 +116,7 @@ class Pairing:
         self._set_delay(delay_s)
         self._restart()
 
-    def reconfigure(self, rules: PairingRules) -> None:
+    def reconfigure(self, rules: PairingSettings) -> None:
         """Be as patient as other rules say, from the next message on."""
         self._rules = rules
         self._gap_ns = round(rules.gap_s * 1e9)
@@ -317,7 +317,7 @@ class Pairing:
         newest_ns = self._voltages.newest_ns
         return (
             None
-            if newest_ns is None or not self._voltages.known
+            if newest_ns is None or not self._voltages.is_known
             else (newest_ns, self._voltages.newest_v)
         )
 
@@ -351,10 +351,13 @@ class Pairing:
 
     def counts_for(self, motor: int) -> PairingCounts:
         """Return what became of one motor's messages."""
-        missed_counts, lost_count = self._joining.missed(motor), self._joining.lost(motor)
+        missed_counts, lost_count = (
+            self._joining.missed_counts(motor),
+            self._joining.lost_count(motor),
+        )
         received_voltage, refusal_counts = (
             self.received_voltage - missed_counts['voltage'],
-            self._joining.refused(motor),
+            self._joining.refusal_counts(motor),
         )
         return PairingCounts(
             refused=refusal_counts,

@@ -83,7 +83,7 @@ class ReplayBuffer:
         self._staged = 0
         self._gaps = False
         self._end = np.zeros(motors, dtype=int)  # column behind the newest sample
-        self._gone = np.zeros(motors, dtype=int)  # samples that stood before column 0
+        self._gone_count = np.zeros(motors, dtype=int)  # samples that stood before column 0
         self._begin = np.zeros(motors, dtype=int)  # place before the oldest that is remembered
         self._even = True
         self.total = 0
@@ -151,7 +151,7 @@ class ReplayBuffer:
                 (self._end - keep)[:, None] + np.arange(most), self._rows.shape[0] - 1
             )
             self._data[:, :, :most] = self._data[:, np.arange(self._end.size)[:, None], columns]
-        self._gone += self._end - keep
+        self._gone_count += self._end - keep
         self._end[:] = keep
         self._find_top()
 
@@ -159,7 +159,7 @@ class ReplayBuffer:
     def received(self) -> NDArray[np.int_]:
         """Place of every motor's newest sample in its stream, shape (motor,)."""
         self.settle()
-        places: NDArray[np.int_] = self._gone + self._end
+        places: NDArray[np.int_] = self._gone_count + self._end
         return places
 
     @property
@@ -170,7 +170,7 @@ class ReplayBuffer:
         sample that has not been told to be forgotten. All stay where they are as long as the buffer
         lives; for compiled code, after :meth:`settle`.
         """
-        return self._data, self._gone, self._end, self._begin
+        return self._data, self._gone_count, self._end, self._begin
 
     def begin(self, motors: Any = slice(None)) -> NDArray[np.int_]:
         """Return the place before the oldest sample that is not to be forgotten, (motor,)."""
@@ -215,7 +215,9 @@ class ReplayBuffer:
             until: place in each stream of the last one; None: the newest.
         """
         self.settle()
-        ends = self._end[chosen_motors] if until is None else until - self._gone[chosen_motors]
+        ends = (
+            self._end[chosen_motors] if until is None else until - self._gone_count[chosen_motors]
+        )
         end = int(ends[0])
         if ends.size == 1 or np.all(ends == end):
             return self._data[:, chosen_motors, end - count : end]
@@ -260,7 +262,7 @@ class ReplayBuffer:
         self._data[:, motors, :keep] = content[:, :, cut:]
         if not self._speed_measured:
             self._data[SPEED, motors, :keep] = 0.0
-        self._end[motors], self._gone[motors], self._begin[motors] = (
+        self._end[motors], self._gone_count[motors], self._begin[motors] = (
             keep,
             dropped_count + cut,
             begin,

@@ -42,7 +42,7 @@ class Rhythm:
         self.silence_s = math.inf
         self.missing = 0
         self.pauses = -1  # the first sample begins the first history
-        self._seen = 0
+        self._sample_count = 0
         self._unbroken = 0
 
     def silent(self, interval_s: float) -> bool:
@@ -59,9 +59,9 @@ class Rhythm:
         if interval_s <= 0.0:
             self.pauses += 1
             return
-        self._seen += 1
-        if self._seen <= LEARNT:  # quick at first: the mean
-            self.usual_s += (interval_s - self.usual_s) / self._seen
+        self._sample_count += 1
+        if self._sample_count <= LEARNT:  # quick at first: the mean
+            self.usual_s += (interval_s - self.usual_s) / self._sample_count
             return
         usual_s = self.usual_s
         self._unbroken = 0 if interval_s > SILENCE * usual_s else self._unbroken + 1

@@ -33,7 +33,7 @@ class StoppedPairing:
     needs_speed = False
 
     def __init__(self, counts: Sequence[PairingCounts]) -> None:
-        self._counts = [_closed(one) for one in counts]
+        self._counts = [_close_counts(one) for one in counts]
         self._came = {
             signal: np.zeros(len(counts), dtype=int) for signal in ('voltage', 'torque', 'speed')
         }
@@ -97,7 +97,7 @@ class StoppedPairing:
         """There is nothing to be patient for."""
 
 
-def _closed(counts: PairingCounts) -> PairingCounts:
+def _close_counts(counts: PairingCounts) -> PairingCounts:
     """Return the counts with what is not accounted for, and what waits, as refused."""
     refusal_counts = {signal: counter.copy() for signal, counter in counts.refused.items()}
     open_torques = counts.received_torque - counts.used - refusal_counts['torque'].total()

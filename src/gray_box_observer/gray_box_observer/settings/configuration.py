@@ -192,7 +192,7 @@ class Configuration:
         check_name(values['device'])
         for name in SIGNALS:
             _check_signal(name, values)
-        shared = _stated(DEFAULTS, unread_values)
+        shared = _stated_names(DEFAULTS, unread_values)
         common = {
             spec.name: unread_values.pop(f'{DEFAULTS}.{spec.name}', spec.default)
             for spec in MOTOR_PARAMETERS
@@ -201,7 +201,7 @@ class Configuration:
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(unread_values)))
 
-    def changed(self, new_values: Mapping[str, Any]) -> Configuration:
+    def with_values(self, new_values: Mapping[str, Any]) -> Configuration:
         """Return the configuration with values changed by dotted names; unknown ones are ignored.
 
         Raises:
@@ -213,7 +213,7 @@ class Configuration:
         changes = {name: value for name, value in new_values.items() if name in flat}
         configuration = self.from_flat(flat | changes)
         motors = {
-            name: replace(motor, stated=self.motors[name].stated | _stated(name, changes))
+            name: replace(motor, stated=self.motors[name].stated | _stated_names(name, changes))
             for name, motor in configuration.motors.items()
         }
         return replace(configuration, motors=motors, unknown=self.unknown)
@@ -376,7 +376,7 @@ def expanded(names: Any) -> Any:
     return expanded_names
 
 
-def _stated(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
+def _stated_names(group: str, flat: Mapping[str, Any]) -> frozenset[str]:
     """Return the names of MOTOR_PARAMETERS that a group states among dotted names."""
     return frozenset(spec.name for spec in MOTOR_PARAMETERS if f'{group}.{spec.name}' in flat)
 
@@ -409,7 +409,7 @@ def _motor(
     name: str, unread_values: dict[str, Any], common: Mapping[str, Any], shared: frozenset[str]
 ) -> MotorConfiguration:
     """Take one motor's group out of the values; what it lacks is that of all motors."""
-    stated_names = shared | _stated(name, unread_values)
+    stated_names = shared | _stated_names(name, unread_values)
     values = {
         spec.name: spec.check(
             unread_values.pop(f'{name}.{spec.name}', _own(common[spec.name])), f'{name}.'

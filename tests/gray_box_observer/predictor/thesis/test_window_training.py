@@ -10,7 +10,7 @@ import torch
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.predictor import InlineTraining, Predictor, TrainingRules, Variant
+from gray_box_observer.predictor import InlineTraining, Predictor, TrainingSettings, Variant
 from gray_box_observer.predictor.thesis.variant_losses import Windows, stage_two_loss
 from gray_box_observer.predictor.thesis.window_trainer import WindowTrainer
 from gray_box_observer.predictor.training import worker_messages
@@ -19,12 +19,12 @@ from gray_box_observer.white_box import MotorWhiteBox
 
 THESIS = [variant for variant in Variant if variant is not Variant.PHYSICS]
 TRUTH = np.array([[0.5, 1.0, 10.0]])
-SMALL = TrainingRules(
+SMALL = TrainingSettings(
     variant=Variant.MAIN, hidden=4, context=8, minibatch=8, steps=10, period=50, learning_rate=0.01
 )
 
 
-def configuration(box: MotorWhiteBox, rules: TrainingRules, seed: int = 5) -> dict[str, Any]:
+def configuration(box: MotorWhiteBox, rules: TrainingSettings, seed: int = 5) -> dict[str, Any]:
     return {
         'white_box': box.to_dict(),
         'rules': rules.to_dict(),
@@ -61,7 +61,7 @@ def test_the_loss_of_every_variant_falls(
     record: Callable[..., Recording],
     samples_of: Callable[..., list[Sample]],
 ) -> None:
-    rules = TrainingRules(
+    rules = TrainingSettings(
         variant=variant, hidden=6, context=10, minibatch=16, steps=20, learning_rate=0.02
     )
     samples = samples_of(
@@ -206,7 +206,7 @@ def test_two_motors_train_one_network(
     assert np.isfinite(trainer.train(job)['loss'])
 
 
-def predictor(box: MotorWhiteBox, rules: TrainingRules = SMALL) -> Predictor:
+def predictor(box: MotorWhiteBox, rules: TrainingSettings = SMALL) -> Predictor:
     return Predictor(
         box,
         1,
@@ -287,16 +287,16 @@ def test_a_network_of_another_size_is_refused(
 ) -> None:
     one = predictor(thesis_box)
     run(one, samples[:160])
-    other = predictor(thesis_box, TrainingRules(variant=Variant.MAIN, hidden=5, context=8))
+    other = predictor(thesis_box, TrainingSettings(variant=Variant.MAIN, hidden=5, context=8))
     with pytest.raises(ConfigurationError, match='4 hidden units and 4 inputs, expected 5 and 4'):
         other.restore(one.state())
 
 
 def test_rules_survive_their_plain_form_and_refuse_nonsense() -> None:
-    rules = TrainingRules(variant=Variant.SUPERVISED, hidden=3)
-    assert TrainingRules.from_dict(rules.to_dict()) == rules
+    rules = TrainingSettings(variant=Variant.SUPERVISED, hidden=3)
+    assert TrainingSettings.from_dict(rules.to_dict()) == rules
     with pytest.raises(ConfigurationError, match='hidden must be at least 1, got 0'):
-        TrainingRules(hidden=0)
+        TrainingSettings(hidden=0)
 
 
 def test_it_teaches_on_the_device_of_its_rules_with_the_physics_there_too(

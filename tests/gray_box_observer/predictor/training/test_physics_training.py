@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import InlineTraining, TrainingRules
+from gray_box_observer.predictor import InlineTraining, TrainingSettings
 from gray_box_observer.predictor.initial_network import SHIPPED, first_network, fresh, load
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.operating_range import OperatingRange
@@ -36,11 +36,11 @@ SEEN = OperatingRange((5.0, 15.0), (0.01, 0.01))
 HARD = OperatingRange((-33.0, 33.0), (0.1, 0.4))
 """Slow sampling in all quadrants: here the way there is bent, and there is something to learn."""
 
-FRESH = TrainingRules(hidden=6, minibatch=24, steps=15, learning_rate=0.02, start='fresh')
+FRESH = TrainingSettings(hidden=6, minibatch=24, steps=15, learning_rate=0.02, start='fresh')
 
 
 def configuration(
-    box: MotorWhiteBox, rules: TrainingRules = FRESH, seed: int = 5
+    box: MotorWhiteBox, rules: TrainingSettings = FRESH, seed: int = 5
 ) -> dict[str, Any]:
     return {
         'white_box': box.to_dict(),
@@ -92,15 +92,15 @@ def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> Non
     short = taught.intervals.duration < 0.01
     assert short.sum() > 50
     np.testing.assert_allclose(
-        (taught.moved * size)[short], (slope * sequences.interval_s)[short], rtol=0.02
+        (taught.targets * size)[short], (slope * sequences.interval_s)[short], rtol=0.02
     )
 
 
 def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None:
     taught = training_batch(fresh(4, 0), drawn())
     exact = replace(taught, moved=taught.intervals.distance * np.expm1(-taught.intervals.duration))
-    linear = replace(exact.intervals, settling=0.0 * taught.moved, halfway=0.0 * taught.moved)
-    readout = torch.zeros(taught.moved.shape)
+    linear = replace(exact.intervals, settling=0.0 * taught.targets, halfway=0.0 * taught.targets)
+    readout = torch.zeros(taught.targets.shape)
     assert float(defect_loss(replace(exact, intervals=linear), readout)) < 1e-5
     assert float(defect_loss(taught, readout)) > 1e-4
 
@@ -118,8 +118,8 @@ def test_the_pupil_says_in_torch_what_the_streamed_network_says() -> None:
 
 def test_lessons_join_sequence_by_sequence() -> None:
     parts = [training_batch(fresh(3, 0), drawn(seed, 4)) for seed in range(2)]
-    joined = TrainingBatch.joined(parts)
-    np.testing.assert_array_equal(joined.moved[4:], parts[1].moved)
+    joined = TrainingBatch.concatenate(parts)
+    np.testing.assert_array_equal(joined.targets[4:], parts[1].targets)
     np.testing.assert_array_equal(joined.intervals.duration[:4], parts[0].intervals.duration)
 
 
@@ -157,7 +157,7 @@ def test_a_trainer_lets_only_better_networks_run(
 def test_the_network_that_ships_has_nothing_to_gain_on_the_motor_of_the_thesis_and_needs_no_torch(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
-    result = PhysicsTrainer(configuration(thesis_box, TrainingRules())).train(job_of(samples))
+    result = PhysicsTrainer(configuration(thesis_box, TrainingSettings())).train(job_of(samples))
     assert result['settled']
     assert result['windows'] == 0
     assert 'input' not in result
@@ -208,7 +208,7 @@ def test_a_network_that_has_forgotten_other_motors_does_not_run(
     assert free_run_error(load(SHIPPED), family, exact) < 0.5 * free_run_error(
         fresh(12, 0), family, exact
     )
-    trainer: Any = PhysicsTrainer(configuration(thesis_box, TrainingRules()))
+    trainer: Any = PhysicsTrainer(configuration(thesis_box, TrainingSettings()))
     assert trainer._better(load(SHIPPED), Flattering(), 1.0, job)
     assert not trainer._better(fresh(12, 0), Flattering(), 1.0, job)
 
@@ -332,13 +332,13 @@ def test_the_family_reaches_far_beyond_the_thesis_motor() -> None:
 
 
 def test_the_range_only_grows() -> None:
-    first = OperatingRange().grown(
+    first = OperatingRange().extend_to(
         np.array([[9.0, 3.0]]), np.array([[0.0, 0.01]]), np.array([[np.nan, 2.0]])
     )
     assert first == OperatingRange((3.0, 3.0), (0.01, 0.01), (2.0, 2.0))
-    second = first.grown(np.array([[-1.0]]), np.array([[0.3]]), np.array([[np.nan]]))
+    second = first.extend_to(np.array([[-1.0]]), np.array([[0.3]]), np.array([[np.nan]]))
     assert second == OperatingRange((-1.0, 3.0), (0.01, 0.3), (2.0, 2.0))
-    assert second.grown(np.array([[1.0]]), np.array([[0.02]]), np.array([[2.0]])) == second
+    assert second.extend_to(np.array([[1.0]]), np.array([[0.02]]), np.array([[2.0]])) == second
     assert OperatingRange.from_dict(second.to_dict()) == second
     assert not OperatingRange().tells(speed_measured=False)
     assert first.tells(speed_measured=True)
@@ -358,7 +358,7 @@ def test_without_torch_the_shipped_network_still_serves(
 ) -> None:
     monkeypatch.setitem(sys.modules, 'torch', None)
     monkeypatch.delitem(sys.modules, 'gray_box_observer.predictor.training.teaching', raising=False)
-    settled = InlineTraining(configuration(thesis_box, TrainingRules()))
+    settled = InlineTraining(configuration(thesis_box, TrainingSettings()))
     settled.submit(job_of(samples))
     assert settled.failure is None
     told = settled.collect()

@@ -11,7 +11,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
-from gray_box_observer.predictor import Predictor, TrainingRules
+from gray_box_observer.predictor import Predictor, TrainingSettings
 from gray_box_observer.predictor.training.histories import histories
 from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
 from gray_box_observer.predictor.training.residual_schedule import ResidualSchedule
@@ -20,7 +20,7 @@ from gray_box_observer.predictor.training.segments import SEGMENT, SIGNALS
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
-RULES = TrainingRules(replay_capacity=3 * SEGMENT, segments=3)
+RULES = TrainingSettings(replay_capacity=3 * SEGMENT, segments=3)
 TRUTH = np.array([[0.5, 1.0, 10.0]])
 SHARP = np.zeros((1, 3, 3))
 
@@ -33,12 +33,12 @@ def told_by(number: Any, voltage_v: Any) -> Any:
 class Run:
     """A schedule beside its newest samples; the physics' value is the negative torque."""
 
-    def __init__(self, rules: TrainingRules = RULES) -> None:
+    def __init__(self, rules: TrainingSettings = RULES) -> None:
         self.replay, self.schedule = (
             ReplayBuffer(1, rules.replay_capacity),
             ResidualSchedule(1, rules),
         )
-        self.schedule.moved(TRUTH, SHARP)
+        self.schedule.has_moved(TRUTH, SHARP)
 
     def on(self, count: int, voltage_v: float = 5.0, restart: bool = False) -> Run:
         """Go on with samples whose torque tells their number."""
@@ -104,10 +104,12 @@ def test_no_sample_ever_both_teaches_and_judges() -> None:
 
 def test_parameters_that_moved_make_what_was_kept_worthless() -> None:
     run = Run().on(9 * SEGMENT, 9.0)
-    assert not run.schedule.moved(1.04 * TRUTH, SHARP)
+    assert not run.schedule.has_moved(1.04 * TRUTH, SHARP)
     vague = np.diag([0.0, 0.0, (0.5 * TRUTH[0, 2]) ** 2])[None]
-    assert not run.schedule.moved(TRUTH * [1.0, 1.0, 2.0], vague)  # noise of what is hardly known
-    assert run.schedule.moved(1.06 * TRUTH, SHARP)
+    assert not run.schedule.has_moved(
+        TRUTH * [1.0, 1.0, 2.0], vague
+    )  # noise of what is hardly known
+    assert run.schedule.has_moved(1.06 * TRUTH, SHARP)
     run.schedule.begin_anew(run.replay.total)
     moved = run.replay.total
     for count in (100, 4 * SEGMENT, 700, 8 * SEGMENT):
@@ -119,7 +121,7 @@ def test_parameters_that_moved_make_what_was_kept_worthless() -> None:
 def test_without_a_store_or_newest_samples_to_fill_it_these_are_all_that_is_learnt_from(
     capacity: int, segments: int
 ) -> None:
-    run = Run(TrainingRules(replay_capacity=capacity, segments=segments)).on(3000)
+    run = Run(TrainingSettings(replay_capacity=capacity, segments=segments)).on(3000)
     assert run.job()['number'].tolist() == list(range(3000 - capacity, 3000))
 
 
@@ -131,7 +133,7 @@ def test_saved_and_restored_it_goes_on_bit_for_bit() -> None:
     first, second = (run.on(4000, 2.0).job() for run in (one, other))
     for name, array in first.items():
         assert array.tobytes() == second[name].tobytes(), name
-    smaller = Run(TrainingRules(replay_capacity=2 * SEGMENT, segments=2))
+    smaller = Run(TrainingSettings(replay_capacity=2 * SEGMENT, segments=2))
     smaller.schedule.restore(one.schedule.state())
     assert np.unique(smaller.on(2000).job()['number'][: 2 * SEGMENT] // SEGMENT).size == 2
 
@@ -214,7 +216,7 @@ def relative_error(one: Predictor, samples: list[Sample]) -> float:
 def test_after_long_in_one_regime_the_correction_still_knows_another(
     thesis_box: MotorWhiteBox, idle: Any, brushes: Callable[..., list[Sample]], segments: int
 ) -> None:
-    rules = TrainingRules(replay_capacity=2 * SEGMENT, segments=segments)
+    rules = TrainingSettings(replay_capacity=2 * SEGMENT, segments=segments)
     one = Predictor(thesis_box, 1, TRUTH[0], rules, idle, speed_measured=False)
     relative_error(one, brushes('R[5,15]D[1,5]', 120.0, 1))
     relative_error(one, brushes('R[1,2]D[3,3]', 200.0, 2))

@@ -10,19 +10,21 @@ import psutil
 import pytest
 
 from dc_motor_sim.simulation import Recording
-from gray_box_observer.predictor import InlineTraining, ProcessTraining, TrainingRules, Variant
+from gray_box_observer.predictor import InlineTraining, ProcessTraining, TrainingSettings, Variant
 from gray_box_observer.samples import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 
 TRUTH = np.array([[0.5, 1.0, 10.0]])
-SMALL = TrainingRules(variant=Variant.MAIN, hidden=4, context=8, minibatch=8, steps=10, period=50)
+SMALL = TrainingSettings(
+    variant=Variant.MAIN, hidden=4, context=8, minibatch=8, steps=10, period=50
+)
 
 
 PATIENCE_S = 150.0
 """Time that a training process has; a busy machine takes some."""
 
 
-def configuration(box: MotorWhiteBox, rules: TrainingRules, seed: int = 5) -> dict[str, Any]:
+def configuration(box: MotorWhiteBox, rules: TrainingSettings, seed: int = 5) -> dict[str, Any]:
     return {
         'white_box': box.to_dict(),
         'rules': rules.to_dict(),

@@ -67,7 +67,7 @@ class McapFile:
         try:
             self._stream = path.open('xb', buffering=0)
         except OSError as error:
-            raise _refused(path, error) from None
+            raise _write_error(path, error) from None
         try:
             self._write(MAGIC + bytes_of(Header(profile='ros2', library=library)))
         except BagError:
@@ -75,7 +75,7 @@ class McapFile:
             raise
 
     @property
-    def written(self) -> tuple[int, int, int]:
+    def written_counts(self) -> tuple[int, int, int]:
         """First and last log time and number of the messages that are in the file."""
         return self._tail.start_ns, self._tail.end_ns, self._tail.message_count
 
@@ -190,7 +190,7 @@ class McapFile:
             self._put(content + tail)
         except (OSError, ValueError) as error:
             self._undo()
-            raise _refused(self.path, error) from None
+            raise _write_error(self.path, error) from None
         self.size, self._written_tail = data_end, tail
 
     def _put(self, content: bytes) -> None:
@@ -215,6 +215,6 @@ def _packer(compression: str, level: int | None) -> Callable[[bytes], bytes]:
     return lambda records: records
 
 
-def _refused(path: Path, error: Exception) -> BagError:
+def _write_error(path: Path, error: Exception) -> BagError:
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return BagError(f'{path}: cannot be written: {reason}')

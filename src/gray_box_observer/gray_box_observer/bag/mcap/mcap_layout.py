@@ -97,14 +97,14 @@ class Layout:
     fits: bool = False
 
     @property
-    def expected(self) -> Statistics | None:
+    def stated_statistics(self) -> Statistics | None:
         """What the file's end says that it holds; None if that is unknown."""
         return None if self.end is None else self.end.statistics
 
     @property
     def statistics(self) -> Statistics | None:
         """The same if it is to be believed."""
-        return self.expected if self.fits else None
+        return self.stated_statistics if self.fits else None
 
 
 def walk(stream: BinaryIO, size: int) -> Layout:

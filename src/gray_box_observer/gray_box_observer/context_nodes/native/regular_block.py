@@ -21,7 +21,7 @@ from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.recursive import change_test
 from gray_box_observer.context_nodes.recursive.batch_fit import CREDIBLE
 from gray_box_observer.context_nodes.recursive.constant_voltage import HOLD_TOLERANCE, SETTLED
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied
 from gray_box_observer.context_nodes.recursive.normal_equations import CORRELATION_SLACK, OUTLIER
 from gray_box_observer.context_nodes.recursive.random_walk import heating
@@ -64,7 +64,7 @@ WRITTEN = {
     'hold_covariance': 'hold.covariance',
     'hold_settled_now': 'hold.settled',
 }
-"""What an regular block changes, and where that stands in :class:`~.estimator_state.EstimatorState`."""
+"""What a regular block changes, by its place in the estimator's state."""
 
 READ = {
     'current_a': 'belief.current_a',
@@ -161,7 +161,7 @@ class RegularBlocks:
         replay: samples of all motors.
     """
 
-    def __init__(self, white_box: WhiteBox, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+    def __init__(self, white_box: WhiteBox, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
         self._pointed: tuple[Any, ...] = ()
         loaded = library()
@@ -179,7 +179,7 @@ class RegularBlocks:
         return self._library is not None
 
     def _describe(
-        self, white_box: MotorWhiteBox, rules: RecursiveRules, replay: ReplayBuffer
+        self, white_box: MotorWhiteBox, rules: RecursiveSettings, replay: ReplayBuffer
     ) -> None:
         """Write down what never changes."""
         motors = replay.motors
@@ -261,7 +261,8 @@ class RegularBlocks:
         Args:
             state: of all motors; written to.
             motors: their places; their samples reach to the end of the block.
-            next_update_at: shape (motor,): where in its stream the next work on a motor is due; written to.
+            next_update_at: shape (motor,): where in its stream the next work on a motor is due;
+                written to.
             is_block_update: shape (motor,): whether that is a block; written to.
 
         Returns:
@@ -278,8 +279,12 @@ class RegularBlocks:
         return state, status
 
     def learn_due(
-        self, state: EstimatorState, next_update_at: NDArray[np.int64], is_block_update: NDArray[np.bool_], most: int
-    ) -> tuple[EstimatorState, BatchResult]:  # fmt: skip
+        self,
+        state: EstimatorState,
+        next_update_at: NDArray[np.int64],
+        is_block_update: NDArray[np.bool_],
+        most: int,
+    ) -> tuple[EstimatorState, BatchResult]:
         """Learn the next block of every motor that is due for one, as :meth:`learn` does.
 
         Args:
@@ -320,7 +325,7 @@ class RegularBlocks:
         return state
 
 
-def _fits(loaded: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveRules) -> bool:
+def _fits(loaded: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSettings) -> bool:
     """Whether `regular_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 2)()
     return (

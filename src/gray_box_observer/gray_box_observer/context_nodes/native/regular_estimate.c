@@ -1,7 +1,7 @@
 /* Values, covariance and verdicts of motors none of whose parameters is known vaguely.
  *
  * The same as estimator.py, estimate, with flow.py, parameter_covariance, and estimate.py,
- * VerdictRules; to the last bit. Where something is known vaguely the spread of its logarithm is
+ * VerdictSettings; to the last bit. Where something is known vaguely the spread of its logarithm is
  * not that of its value, which numpy then works out.
  */
 #include <math.h>

@@ -11,7 +11,12 @@ import ctypes
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import LOG_NORMAL, Verdict, VerdictRules, verdicts_of
+from gray_box_observer.context_nodes.estimate import (
+    LOG_NORMAL,
+    Verdict,
+    VerdictSettings,
+    verdicts_of,
+)
 from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.context_nodes.recursive.belief import Belief
 from gray_box_observer.white_box.interface import Array, Parameter, bounds
@@ -67,14 +72,14 @@ class RegularEstimates:
         )
         self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._told)
         self._belief: Belief | None = None
-        self._rules: VerdictRules | None = None
+        self._rules: VerdictSettings | None = None
         self._shares: tuple[Array | None, Array | None] = (None, None)
 
     def estimate(
         self,
         belief: Belief,
         motors: NDArray[np.int64] | None,
-        rules: VerdictRules,
+        rules: VerdictSettings,
         share: Array | None = None,
         reach: Array | None = None,
     ) -> tuple[Array, Array, tuple[tuple[Verdict, ...], ...]] | None:  # fmt: skip
@@ -120,7 +125,7 @@ class RegularEstimates:
         self._shares = share, reach
         return True
 
-    def _point(self, belief: Belief, rules: VerdictRules) -> bool:
+    def _point(self, belief: Belief, rules: VerdictSettings) -> bool:
         """Let the compiled code read this belief; tell whether it can."""
         if rules is not self._rules:
             for name in _RULES:

@@ -36,7 +36,7 @@ from gray_box_observer.context_nodes.recursive.change_tracking import (
     patience,
 )
 from gray_box_observer.context_nodes.recursive.constant_voltage import ConstantVoltage
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import (
     EstimatorState,
     chosen,
@@ -92,7 +92,7 @@ class BlockUpdater:
     def __init__(
         self,
         white_box: WhiteBox,
-        rules: RecursiveRules,
+        rules: RecursiveSettings,
         replay: ReplayBuffer,
         changes: ChangeTracker,
     ) -> None:

@@ -20,7 +20,7 @@ from gray_box_observer.context_nodes.recursive.change_test import (
     changes,
     evidence_for,
 )
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState, copied, put
 from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelection
 from gray_box_observer.context_nodes.recursive.trajectory import CURRENT, SampleWindow
@@ -54,7 +54,7 @@ class ChangeTracker:
         rules: settings.
     """
 
-    def __init__(self, parameters: tuple[Parameter, ...], rules: RecursiveRules) -> None:
+    def __init__(self, parameters: tuple[Parameter, ...], rules: RecursiveSettings) -> None:
         self._rules = rules
         self._changes = changes(parameters, rules.drift_relative_std)
         self._heats = random_walk.heating(parameters)

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import (
     Estimate,
-    VerdictRules,
+    VerdictSettings,
     bounded,
     spread_of_values,
 )
@@ -37,7 +37,7 @@ from gray_box_observer.context_nodes.recursive.belief import (
 )
 from gray_box_observer.context_nodes.recursive.block_updater import WALK_AGAIN, BlockUpdater
 from gray_box_observer.context_nodes.recursive.change_tracking import ChangeTracker
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import (
     EstimatorState,
     chosen,
@@ -78,13 +78,13 @@ class RecursiveEstimator:
         white_box: WhiteBox,
         initial: Array,
         seed: int = 0,
-        rules: RecursiveRules | None = None,
-        verdict_rules: VerdictRules | None = None,
+        rules: RecursiveSettings | None = None,
+        verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
     ) -> None:
         self._white_box = white_box
-        self._rules = rules or RecursiveRules()
-        self.verdict_rules = verdict_rules or VerdictRules()
+        self._rules = rules or RecursiveSettings()
+        self.verdict_rules = verdict_rules or VerdictSettings()
         self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class RecursiveRules:
+class RecursiveSettings:
     """Settings of the recursive rule.
 
     Attributes:

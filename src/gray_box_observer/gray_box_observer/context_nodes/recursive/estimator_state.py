@@ -78,30 +78,36 @@ class EstimatorState:
     def nothing(cls, prior: Prior, first_fit: int) -> EstimatorState:
         """Return the state before the first sample."""
         motors, n = prior.p.shape
-        belief, memories = Belief.before_data(prior), len(MEMORIES_BLOCKS)
-        counts = [np.zeros(motors, dtype=int) for _ in range(10)]
-        (
-            anchor_position,
-            position,
-            pending,
-            noise_count,
-            since,
-            examined_at,
-            in_vain,
-            outliers,
-            kicks,
-            change_count,
-        ) = counts
-        is_started, next_fit_at = np.zeros(motors, dtype=bool), np.full(motors, first_fit)
-        made = cls(
-            belief, prior, belief, anchor_position, position, is_started, next_fit_at, pending, noise_count,
-            np.zeros(motors), np.zeros(motors), since, np.zeros(motors),
-            np.zeros((motors, memories, n)),
-            np.zeros((motors, memories, n, n)), HoldState.none(motors, n), np.zeros(motors),
-            np.zeros((motors, n)), np.zeros((motors, n)), examined_at, in_vain, outliers, kicks,
-            change_count,
-        )  # fmt: skip
-        return copied(made)  # entries are written to: no two may share an array
+        memories = len(MEMORIES_BLOCKS)
+        belief = Belief.before_data(prior)
+        zeros, no_counts = np.zeros(motors), np.zeros(motors, dtype=int)
+        state = cls(
+            belief=belief,
+            prior=prior,
+            anchor=belief,
+            anchor_position=no_counts,
+            position=no_counts,
+            is_started=np.zeros(motors, dtype=bool),
+            next_fit_at=np.full(motors, first_fit),
+            pending=no_counts,
+            noise_count=no_counts,
+            walk_rate=zeros,
+            suspicion=zeros,
+            since=no_counts,
+            left_out=zeros,
+            score=np.zeros((motors, memories, n)),
+            information=np.zeros((motors, memories, n, n)),
+            hold=HoldState.none(motors, n),
+            least_noise=zeros,
+            share=np.zeros((motors, n)),
+            reach=np.zeros((motors, n)),
+            examined_at=no_counts,
+            in_vain=no_counts,
+            outliers=no_counts,
+            kicks=no_counts,
+            change_count=no_counts,
+        )
+        return copied(state)  # entries are written to: no two may share an array
 
     @property
     def motors(self) -> int:

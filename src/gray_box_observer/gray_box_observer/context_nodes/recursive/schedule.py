@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.estimator_state import EstimatorState
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 
@@ -50,7 +50,7 @@ class UpdateSchedule:
         is_block_update: shape (motor,): whether that is a block.
     """
 
-    def __init__(self, rules: RecursiveRules, replay: ReplayBuffer) -> None:
+    def __init__(self, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._rules = rules
         self._replay = replay
         self.next_update_at = np.zeros(replay.motors, dtype=int)

@@ -114,7 +114,7 @@ def _tell(options: argparse.Namespace, results: Sequence[BagResult]) -> None:
     """Write what was asked for, and say what went wrong."""
     for result in results:
         if result.error not in (None, _INTERRUPTED):
-            _say(_named(result))
+            _say(_bag_label(result))
     warned = sum(bool(result.warnings) for result in results)
     if warned:
         _say(f'warning: {warned} bags have warnings; --table and --json say which')
@@ -138,7 +138,7 @@ def _say(text: str) -> None:
         print(printable(f'identify: {text}'), file=sys.stderr)
 
 
-def _named(result: BagResult) -> str:
+def _bag_label(result: BagResult) -> str:
     """The error of a bag in one line that names the bag once."""
     error = result.error or ''
     return error if error.startswith(result.bag) else f'{result.bag}: {error}'

@@ -11,7 +11,7 @@ from gray_box_observer.predictor.forecaster import ForecastRequest
 from gray_box_observer.predictor.network import Mask, Memory, Weights, check_weights, step
 from gray_box_observer.predictor.network_inputs import InputLayout
 from gray_box_observer.predictor.normalisation import Normalisation, saved_ranges
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.white_box.interface import Array
 
 
@@ -24,7 +24,7 @@ class WindowForecaster:
         rules: settings.
     """
 
-    def __init__(self, motors: int, layout: InputLayout, rules: TrainingRules) -> None:
+    def __init__(self, motors: int, layout: InputLayout, rules: TrainingSettings) -> None:
         self._motors = motors
         self._layout = layout
         self._rules = rules

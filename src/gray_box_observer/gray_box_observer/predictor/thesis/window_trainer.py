@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.network_inputs import InputLayout
-from gray_box_observer.predictor.normalisation import Normalisation, moved
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.normalisation import Normalisation, rescale_weights
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.thesis.variant_losses import Windows, stage_two_loss
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.torch_network import (
@@ -30,12 +30,12 @@ class WindowTrainer:
 
     Args:
         configuration: ``white_box`` (its :meth:`~MotorWhiteBox.to_dict`), ``rules`` (of
-            :class:`TrainingRules`), ``theta_reference`` and ``seed``.
+            :class:`TrainingSettings`), ``theta_reference`` and ``seed``.
     """
 
     def __init__(self, configuration: Mapping[str, Any]) -> None:
         self._description = configuration['white_box']
-        self._rules = TrainingRules.from_dict(configuration['rules'])
+        self._rules = TrainingSettings.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
         device = self._rules.device
         self._white_box = MotorWhiteBox.from_dict(
@@ -149,9 +149,9 @@ class WindowTrainer:
             speed = job['speed_rad_s'] if self._white_box.speed_measured else None
             self._normalisation = Normalisation.from_data(voltage, job['torque_nm'], speed)
             return
-        new = self._normalisation.grown(voltage, job['torque_nm'], job['speed_rad_s'])
+        new = self._normalisation.extend_to(voltage, job['torque_nm'], job['speed_rad_s'])
         if new != self._normalisation:
-            self._network.load(moved(self._network.export(), self._normalisation, new))
+            self._network.load(rescale_weights(self._network.export(), self._normalisation, new))
             self._normalisation = new
 
     def _step(self, job: Message, starts: Array) -> float:

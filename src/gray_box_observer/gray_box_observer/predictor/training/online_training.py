@@ -12,7 +12,7 @@ from gray_box_observer.predictor.forecaster import Forecaster
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import ResidualForecaster
 from gray_box_observer.predictor.training.residual_schedule import (
     ResidualSchedule,
@@ -50,7 +50,7 @@ class OnlineTraining:
     """
 
     def __init__(
-        self, motors: int, rules: TrainingRules, training: Training, forecaster: Forecaster,
+        self, motors: int, rules: TrainingSettings, training: Training, forecaster: Forecaster,
         residual: ResidualForecaster, *, speed_measured: bool,
     ) -> None:  # fmt: skip
         self._motors = motors
@@ -67,11 +67,11 @@ class OnlineTraining:
         self.jobs_done = 0
         self.jobs_late = 0
         self.loss: float | None = None
-        self._frozen = False
+        self._is_frozen = False
         self._resumes: NDArray[np.bool_] | None = None  # whose history begins anew
-        self._seen = OperatingRange()
+        self._range_seen = OperatingRange()
         self._start_from: dict[str, Any] = {}
-        self._settled: dict[int, tuple[Array, OperatingRange]] = {}
+        self._settled_states: dict[int, tuple[Array, OperatingRange]] = {}
         self._turn = 0
         self._job: dict[str, Any] = {}
         self._learning: dict[str, Array] = {}
@@ -94,7 +94,7 @@ class OnlineTraining:
             covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at
                 all.
         """
-        if self._frozen:
+        if self._is_frozen:
             return
         speed_rad_s = speed_rad_s if self._no_speed is None else self._no_speed
         if self._resumes is not None:
@@ -110,13 +110,13 @@ class OnlineTraining:
     @property
     def due_next(self) -> bool:
         """Whether a job may start or finish with the next sample."""
-        return not self._frozen and (self.replay.total + 1) % self._rules.period == 0
+        return not self._is_frozen and (self.replay.total + 1) % self._rules.period == 0
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume; frozen samples are not kept, and a new signal history follows."""
-        if is_frozen == self._frozen:
+        if is_frozen == self._is_frozen:
             return
-        self._frozen = is_frozen
+        self._is_frozen = is_frozen
         self._resumes = None if is_frozen else np.ones(self._motors, dtype=bool)
 
     def refill(self, content: Array) -> None:
@@ -150,13 +150,13 @@ class OnlineTraining:
         A job whose result is still to come is saved as it was handed over: it is run again.
         """
         common = {
-            **_named('seen', self._seen.to_dict()),
+            **_prefixed('seen', self._range_seen.to_dict()),
             'replay': self.replay.content(slice(motor, motor + 1)),
             'total': np.array(self.replay.total),
         }
-        if motor in self._settled:
-            theta, range_seen = self._settled[motor]
-            common |= {'settled_theta': theta, **_named('settled_seen', range_seen.to_dict())}
+        if motor in self._settled_states:
+            theta, range_seen = self._settled_states[motor]
+            common |= {'settled_theta': theta, **_prefixed('settled_seen', range_seen.to_dict())}
         if self._motors > 1:  # training goes on from the network, whichever motor's turn it was
             return common
         return {
@@ -168,7 +168,7 @@ class OnlineTraining:
                 for name, value in self._job.items()
                 if name != 'seen'
             },
-            **_named('job_seen', self._job.get('seen', {})),
+            **_prefixed('job_seen', self._job.get('seen', {})),
         }
 
     def restore(self, arrays: Mapping[str, Array], motor: int = 0) -> None:
@@ -180,17 +180,17 @@ class OnlineTraining:
         self._check(arrays)
         if 'replay' in arrays:  # a network alone may be taken over too
             self.replay.refill(arrays['replay'], slice(motor, motor + 1))
-        self._settled.pop(motor, None)
+        self._settled_states.pop(motor, None)
         if 'settled_theta' in arrays:
-            self._settled[motor] = (
+            self._settled_states[motor] = (
                 arrays['settled_theta'].copy(),
                 saved_range(arrays, 'settled_seen'),
             )
         if self._motors > 1:
-            self._seen = self._seen.joined(saved_range(arrays, 'seen'))
+            self._range_seen = self._range_seen.union(saved_range(arrays, 'seen'))
             self._start_from = self._forecaster.start()
             return
-        self._seen = saved_range(arrays, 'seen')
+        self._range_seen = saved_range(arrays, 'seen')
         if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
             self.replay.total = int(arrays['total'])
             self._schedule.restore(
@@ -240,18 +240,20 @@ class OnlineTraining:
     def _train(self, theta: Array, covariance: Array) -> None:
         """Adopt the finished job's network and hand over the next; never wait for a late job."""
         signals = (self.replay.voltage_v, self.replay.interval_s, self.replay.speed_rad_s)
-        self._seen = self._seen.grown(*(signal(self._rules.period) for signal in signals))
+        self._range_seen = self._range_seen.extend_to(
+            *(signal(self._rules.period) for signal in signals)
+        )
         if self._training.busy:
             result = self._training.collect()
             if result is None:
                 self.jobs_late += 1
                 return
             self._adopt(result)
-        if self._schedule.moved(
+        if self._schedule.has_moved(
             theta, covariance
         ):  # what was learnt of other parameters is worth nothing now
             self._begin_residual_anew(from_number=self.replay.total)
-        residual = self._schedule.due(self.replay)
+        residual = self._schedule.is_due(self.replay)
         turn, motor_slice = self._turn, slice(self._turn, self._turn + 1)
         self._turn = (self._turn + 1) % self._motors
         idle = (
@@ -271,7 +273,7 @@ class OnlineTraining:
                 **samples,
                 'theta': theta[motor_slice].copy(),
                 'covariance': covariance[motor_slice].copy(),
-                'seen': self._seen.to_dict(),
+                'seen': self._range_seen.to_dict(),
                 'residual': residual,
                 'residual_anew': anew,
                 'motor': turn,
@@ -288,10 +290,12 @@ class OnlineTraining:
         self._start_from = {}
 
     def _nothing_to_gain(self, motor: int, theta: Array, covariance: Array) -> bool:
-        if motor not in self._settled:
+        if motor not in self._settled_states:
             return False
-        settled_theta, settled_range = self._settled[motor]
-        return settled_range == self._seen and not have_moved(theta, settled_theta, covariance)
+        settled_theta, settled_range = self._settled_states[motor]
+        return settled_range == self._range_seen and not have_moved(
+            theta, settled_theta, covariance
+        )
 
     def _adopt(self, result: dict[str, Any]) -> None:
         self.jobs_done += 1
@@ -305,10 +309,10 @@ class OnlineTraining:
         self._learning = {
             name: array for name, array in result.items() if name.startswith('learning_')
         }
-        self._settled.pop(motor, None)
+        self._settled_states.pop(motor, None)
         if result.get('settled'):
             # for what the job was of: the motor and its range may have moved while it ran
-            self._settled[motor] = job['theta'], OperatingRange.from_dict(job['seen'])
+            self._settled_states[motor] = job['theta'], OperatingRange.from_dict(job['seen'])
         self.loss = result.get('loss', self.loss)
         if not self._schedule.anew:  # else it was learnt of parameters that are no more
             self._residual.adopt(result, newest(self.replay, LONGEST))
@@ -316,6 +320,6 @@ class OnlineTraining:
             self._forecaster.adopt(result)
 
 
-def _named(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
+def _prefixed(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:
     """Name the entries of an operating range as arrays."""
     return {f'{prefix}_{name}': np.array(pair) for name, pair in bounds.items()}

@@ -32,16 +32,16 @@ class TrainingBatch:
     Attributes:
         inputs: shape (sequence, time, input).
         intervals: fields of shape (sequence, time), the distance in units of the sequence's spread.
-        moved: shape (sequence, time): exact change of the current, in units of the sequence's
+        targets: shape (sequence, time): exact change of the current, in units of the sequence's
             spread.
     """
 
     inputs: Array
     intervals: Relaxation
-    moved: Array
+    targets: Array
 
     @classmethod
-    def joined(cls, parts: list[TrainingBatch]) -> TrainingBatch:
+    def concatenate(cls, parts: list[TrainingBatch]) -> TrainingBatch:
         """Return the sequences of several lessons of equal length as one."""
         intervals = Relaxation(
             **{
@@ -50,7 +50,7 @@ class TrainingBatch:
             }
         )
         inputs, targets = (
-            np.concatenate([getattr(p, name) for p in parts]) for name in ('inputs', 'moved')
+            np.concatenate([getattr(p, name) for p in parts]) for name in ('inputs', 'targets')
         )
         return cls(inputs, intervals, targets)
 

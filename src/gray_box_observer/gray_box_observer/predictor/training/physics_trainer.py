@@ -14,7 +14,7 @@ import numpy as np
 from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import histories, newest_history
 from gray_box_observer.predictor.training.physics_batches import (
@@ -65,12 +65,12 @@ class PhysicsTrainer:
     def __init__(self, configuration: Mapping[str, Any]) -> None:
         self._group = MotorWhiteBox.from_dict(configuration['white_box'], _constant)
         self._white_box = self._group
-        self._rules = TrainingRules.from_dict(configuration['rules'])
+        self._rules = TrainingSettings.from_dict(configuration['rules'])
         self._seed = int(configuration['seed'])
         self._random = np.random.default_rng([self._seed, 1])
         self._running = first_network(self._rules, self._seed)
         self._trainable: TrainableNetwork | None = None
-        self._refused = 0
+        self._refusal_count = 0
         self._residual = ResidualTrainer(self._seed, self._rules.device)
         self._family = _HeldOut(
             draw_family(np.random.default_rng([self._seed, 2]), HELD_OUT, LENGTH)
@@ -126,13 +126,13 @@ class PhysicsTrainer:
         }
         candidate = self._trainable.weights
         if self._better(candidate, own, now, job):
-            self._running, self._refused = candidate, 0
+            self._running, self._refusal_count = candidate, 0
             answer |= self._running.arrays()
         else:
-            self._refused += 1
-        is_settled = self._refused >= self._rules.patience
+            self._refusal_count += 1
+        is_settled = self._refusal_count >= self._rules.patience
         if is_settled:
-            self._trainable, self._refused = None, 0
+            self._trainable, self._refusal_count = None, 0
         return {**answer, 'settled': is_settled, 'error': own.error(self._running)}
 
     def _state(self) -> dict[str, Array]:
@@ -146,7 +146,7 @@ class PhysicsTrainer:
         return {
             **trainable,
             **residual,
-            'refused': np.array(self._refused),
+            'refused': np.array(self._refusal_count),
             'random': random_state.pack(self._random),
         }
 
@@ -156,7 +156,10 @@ class PhysicsTrainer:
         self._residual = ResidualTrainer(self._seed, self._rules.device)
         if 'random' not in arrays:
             return
-        self._random, self._refused = random_state.unpack(arrays['random']), int(arrays['refused'])
+        self._random, self._refusal_count = (
+            random_state.unpack(arrays['random']),
+            int(arrays['refused']),
+        )
         self._residual.restore(
             {name[9:]: array for name, array in arrays.items() if name.startswith('residual_')}
         )
@@ -201,7 +204,7 @@ class PhysicsTrainer:
             self._draw(self._random, job, range_seen, count),
             draw_family(self._random, count, LENGTH),
         ]
-        return TrainingBatch.joined(
+        return TrainingBatch.concatenate(
             [training_batch(weights, sequences) for sequences in sequence_sets]
         )
 

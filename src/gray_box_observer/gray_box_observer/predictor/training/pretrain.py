@@ -18,7 +18,7 @@ from tqdm import tqdm
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor.initial_network import SHIPPED, fresh, save
 from gray_box_observer.predictor.network import Weights
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.training.physics_batches import (
     exact_run,
     free_run,
@@ -46,7 +46,7 @@ def pretrain(seed: int, hidden: int, progress: Iterator[float]) -> Weights:
     from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
     random = np.random.default_rng([seed, 1])
-    trainable = TrainableNetwork(fresh(hidden, seed), FIRST_RATE, TrainingRules().gradient_clip)
+    trainable = TrainableNetwork(fresh(hidden, seed), FIRST_RATE, TrainingSettings().gradient_clip)
     for progress_share in progress:
         rate = LAST_RATE + (FIRST_RATE - LAST_RATE) * 0.5 * (
             1.0 + math.cos(math.pi * progress_share)
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         '--hidden',
         type=int,
-        default=TrainingRules().hidden,
+        default=TrainingSettings().hidden,
         help='hidden units (default: %(default)s)',
     )
     parser.add_argument(

@@ -9,7 +9,7 @@ import numpy as np
 
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.predictor.network_inputs import Variant
-from gray_box_observer.predictor.predictor_settings import TrainingRules
+from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.training.segments import SEGMENT, SIGNALS, Segment, SegmentStore
 from gray_box_observer.safe_io.saved_state import (
     LARGEST_SIGNAL,
@@ -56,7 +56,7 @@ class ResidualSchedule:
         anew: whether the next round begins with nothing.
     """
 
-    def __init__(self, motors: int, rules: TrainingRules) -> None:
+    def __init__(self, motors: int, rules: TrainingSettings) -> None:
         self._learns = rules.residual and rules.variant is Variant.PHYSICS and motors == 1
         self._capacity = rules.replay_capacity
         self._theta = np.zeros((0, 0))
@@ -88,7 +88,7 @@ class ResidualSchedule:
         signals = np.stack([getattr(replay, name)(back * SEGMENT)[:, :SEGMENT] for name in SIGNALS])
         self._store.add(Segment(first, signals, self._starts[-back]))
 
-    def moved(self, theta: Array, covariance: Array) -> bool:
+    def has_moved(self, theta: Array, covariance: Array) -> bool:
         """Whether the parameters moved since the restart: older samples are another motor's."""
         before = self._theta
         if before.shape == theta.shape and not have_moved(theta, before, covariance):
@@ -103,7 +103,7 @@ class ResidualSchedule:
         self._store.forget()
         self.anew = True
 
-    def due(self, replay: ReplayBuffer) -> bool:
+    def is_due(self, replay: ReplayBuffer) -> bool:
         """Whether there is so much more to learn from that it is worth a round."""
         samples = min(len(replay), replay.total - self._from)
         return self._learns and replay.total - self._asked >= max(PERIOD, samples // 3)

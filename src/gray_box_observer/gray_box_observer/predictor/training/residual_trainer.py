@@ -72,7 +72,7 @@ STEPS = 150
 class _Run:
     """Signal histories in a row with what the physics says of them; arrays of (motor, time).
 
-    ``number``, ``anew``, ``cut`` and ``heard`` have shape (time,): which sample it is, counted
+    ``number``, ``anew``, ``cut`` and ``is_warm`` have shape (time,): which sample it is, counted
     since the beginning, where a history begins, where it goes on from samples that are lost, and
     whether what is said of it counts: it does not while the memory fills that streams full.
     """
@@ -80,7 +80,7 @@ class _Run:
     number: NDArray[np.int64]
     anew: NDArray[np.bool_]
     cut: NDArray[np.bool_]
-    heard: NDArray[np.bool_]
+    is_warm: NDArray[np.bool_]
     interval_s: Array
     voltage_v: Array
     speed_rad_s: Array
@@ -128,10 +128,10 @@ class ResidualTrainer:
             return {}
         run = _against_physics(weights, long_histories)
         if self._trainable is None and not worth_learning(
-            run.residual_a[:, run.heard], run.predicted_a[:, run.heard]
+            run.residual_a[:, run.is_warm], run.predicted_a[:, run.is_warm]
         ):
             return {}
-        taught_model = self._taught(run, steps)
+        taught_model = self._teach(run, steps)
         weights = taught_model.weights
         silent = replace(
             weights,
@@ -169,7 +169,7 @@ class ResidualTrainer:
         )
         self._best = [] if best is None else [best]
 
-    def _taught(self, run: _Run, steps: int) -> ResidualModel:
+    def _teach(self, run: _Run, steps: int) -> ResidualModel:
         """Teach on all blocks but the judging ones."""
         from gray_box_observer.predictor.training.trainable_residual import TrainableResidual
 
@@ -185,14 +185,14 @@ class ResidualTrainer:
         blank = ResidualModel(
             self._trainable.weights, LinearPart.silent(), size, limit_a, 1.0, support, pace_s
         )
-        teaching = ~judging(run.number) & run.heard
+        teaching = ~judging(run.number) & run.is_warm
         at = (
             cells(run.predicted_a / size[1])[:, teaching],
             cells(run.voltage_v / size[0])[:, teaching],
         )
         np.add.at(support, at, 1.0)
         columns, targets = _features(run, pace_s), run.residual_a / limit_a
-        linear = LinearPart.learnt(columns[:, teaching], targets[:, teaching])
+        linear = LinearPart.learn(columns[:, teaching], targets[:, teaching])
         inputs = blank.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
         self._trainable.learn(
             self._random, inputs, targets - linear.say(columns), teaching, run.anew, steps
@@ -219,8 +219,8 @@ def _outgrown(old: tuple[Array, float], new: tuple[Array, float]) -> bool:
 
 def _judge(correction: ResidualModel, run: _Run) -> tuple[ResidualModel, float]:
     """Return the correction with the share that judging blocks support, and its error."""
-    output = _said(replace(correction, share=1.0), run)
-    judges = judging(run.number) & run.heard
+    output = _outputs(replace(correction, share=1.0), run)
+    judges = judging(run.number) & run.is_warm
     residual, output = run.residual_a[:, judges], output[:, judges]
     share = float(
         np.clip(np.sum(residual * output) / max(float(np.sum(output**2)), 1e-300), 0.0, 1.0)
@@ -301,7 +301,7 @@ def _features(run: _Run, pace_s: float) -> Array:
     return features(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s, traces)
 
 
-def _said(correction: ResidualModel, run: _Run) -> Array:
+def _outputs(correction: ResidualModel, run: _Run) -> Array:
     """What a correction says along the histories, by the code that streams, shape (motor, time)."""
     inputs = correction.inputs(run.voltage_v, run.predicted_a, run.steady_a, run.speed_rad_s)
     memory, readout = (

@@ -43,7 +43,7 @@ def defect_loss(training_batch: TrainingBatch, readout: torch.Tensor) -> torch.T
         }
     )
     movement = interval.distance * torch.expm1(-exponent(torch, interval, readout))
-    defect = movement - _like(readout, training_batch.moved)
+    defect = movement - _like(readout, training_batch.targets)
     adds_up = -torch.expm1(-interval.duration.clamp_min(SHORTEST))
     loss: torch.Tensor = (defect.abs() / adds_up).mean()
     return loss

@@ -45,7 +45,7 @@ def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
 
     Args:
         configuration: ``white_box`` (its :meth:`~MotorWhiteBox.to_dict`), ``rules`` (of
-            :class:`TrainingRules`), ``theta_reference`` and ``seed``.
+            :class:`TrainingSettings`), ``theta_reference`` and ``seed``.
 
     Raises:
         ImportError: no torch, which the thesis's variants need from the first job on.

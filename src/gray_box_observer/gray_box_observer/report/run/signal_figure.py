@@ -36,13 +36,13 @@ class _Rows:
     def __init__(self, time_s: FloatArray) -> None:
         self._time_s = time_s
         self.data: list[Trace] = []
-        self.drawn: dict[str, tuple[int, int]] = {}
+        self.drawn_counts: dict[str, tuple[int, int]] = {}
 
     def add(
         self, row: int, values: FloatArray, scale: Scale, name: str, color: str, **style: Any
     ) -> None:
         places = thinned(self._time_s, values)
-        self.drawn[name] = (len(places), len(values))
+        self.drawn_counts[name] = (len(places), len(values))
         times = numbers(self._time_s[places], TIME_DIGITS)
         trace = line(times, numbers(values[places] * scale.factor), name, color, **style)
         trace['yaxis'] = 'y' if row == 0 else f'y{row + 1}'
@@ -112,7 +112,7 @@ def signal_figure(motor: MotorHistory) -> Figure:
         )
     if motor.changes_s:
         remarks.append('Vertical lines: the motor was found changed.')
-    caption = ' '.join([*remarks, thinning_note(rows.drawn)]).strip()
+    caption = ' '.join([*remarks, thinning_note(rows.drawn_counts)]).strip()
     views = [_time_views(motor.span_s())]
     if present:
         views.append(

@@ -42,7 +42,7 @@ def render_trends(history: ArchiveHistory) -> str:
     """
     figures: dict[str, Figure] = {}
     motors = ''.join(_motor(index, motor, figures) for index, motor in enumerate(history.motors))
-    return assembled(history, _headline(history), motors + _failed(history), figures)
+    return assembled(history, _headline(history), motors + _failure_table(history), figures)
 
 
 def drift_words(drift: Drift | None) -> str:
@@ -99,7 +99,7 @@ def _motor(index: int, motor: MotorTrend, figures: dict[str, Figure]) -> str:
     return ''.join(parts) + '</div></section>'
 
 
-def _failed(history: ArchiveHistory) -> str:
+def _failure_table(history: ArchiveHistory) -> str:
     """Return the bags that gave nothing, with the reason."""
     if not history.failed:
         return ''

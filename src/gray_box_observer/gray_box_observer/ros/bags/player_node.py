@@ -147,8 +147,8 @@ class BagPlayer(Node):
         self._thread.join(timeout=2 * _ACK_PATIENCE_S)
         if sys.stderr.isatty():
             print(file=sys.stderr)
-        if self._reader.lost is not None:
-            self.get_logger().warning(printable(f'{self._reader.path}: {self._reader.lost}'))
+        if self._reader.loss is not None:
+            self.get_logger().warning(printable(f'{self._reader.path}: {self._reader.loss}'))
         self.get_logger().info(f'{self._count} messages replayed')
         self._reader.close()
 
@@ -238,7 +238,7 @@ class BagPlayer(Node):
         enough = any if is_own_wait and not watched else all
         watched = watched or list(self._publishers_by_topic.values())
         began_s, is_told = time.monotonic(), False
-        while not (self._stop.requested or self._is_closing):
+        while not (self._stop.is_requested or self._is_closing):
             counts = {
                 publisher.topic_name: publisher.get_subscription_count() for publisher in watched
             }

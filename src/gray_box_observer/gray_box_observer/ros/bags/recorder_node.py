@@ -79,15 +79,15 @@ class BagRecorder(Node):
         self._stop = stop
         values = declare(self, RECORDER_PARAMETERS, preceding)
         names = [*topics, *(name for name in values['topics'] if name)]
-        self._wanted = {self.resolve_topic_name(name) for name in names}
+        self._wanted_topics = {self.resolve_topic_name(name) for name in names}
         self._is_all = values['all'] or all_topics
         self._with_internals = values['include_ros_internals']
         self._depth = values['queue_depth']
         folder = output or values['output'] or time.strftime('rosbag2_%Y_%m_%d-%H_%M_%S')
         self._writer = BagWriter(Path(folder).expanduser(), _options(values))
         self._lookup = share_lookup()
-        self._recorded: dict[str, _Recorded] = {}
-        self._refused: set[str] = set()
+        self._recordings: dict[str, _Recorded] = {}
+        self._refused_topics: set[str] = set()
         self._declared: dict[str, str] = {}
         self._started_s = time.monotonic()
         self._uses_sim_time = bool(self.get_parameter('use_sim_time').value)
@@ -136,14 +136,14 @@ class BagRecorder(Node):
     def _is_wanted(self, name: str) -> bool:
         if self._is_all:
             return self._with_internals or name not in _LEFT_OUT_OF_ALL
-        if self._wanted:
-            return name in self._wanted
+        if self._wanted_topics:
+            return name in self._wanted_topics
         return name in self._defaults or name.startswith(self._observer_prefix)
 
     def _discover(self) -> None:
         """Subscribe to new wanted topics; loosen subscriptions that miss a publisher."""
         for name, types in self.get_topic_names_and_types():
-            if name in self._refused or not self._is_wanted(name):
+            if name in self._refused_topics or not self._is_wanted(name):
                 continue
             endpoints = self.get_publishers_info_by_topic(name)
             if not endpoints:
@@ -152,7 +152,7 @@ class BagRecorder(Node):
                 self._refuse(name, f'has several types: {", ".join(types)}')
                 continue
             profile = subscription_profile([e.qos_profile for e in endpoints], self._depth)
-            recording = self._recorded.get(name)
+            recording = self._recordings.get(name)
             if recording is not None:
                 if needs_weaker(recording.profile, profile):
                     self.destroy_subscription(recording.subscription)
@@ -194,10 +194,10 @@ class BagRecorder(Node):
         except (NoTypeSupportImportedException, ImportError, AttributeError, RuntimeError) as error:
             self._refuse(name, f'cannot be subscribed to: {error}')
             return
-        self._recorded[name] = _Recorded(type_name, profile, subscription)
+        self._recordings[name] = _Recorded(type_name, profile, subscription)
 
     def _refuse(self, name: str, reason: str) -> None:
-        self._refused.add(name)
+        self._refused_topics.add(name)
         self.get_logger().warning(printable(f'{name} is not recorded: {reason}'))
 
     def _write(self, name: str, data: bytes, info: dict[str, int]) -> None:
@@ -212,7 +212,7 @@ class BagRecorder(Node):
         The executor hands out one message per round; taking the rest here carries many times its
         rate.
         """
-        subscription = self._recorded[name].subscription
+        subscription = self._recordings[name].subscription
         with subscription.handle:
             for _ in range(limit):
                 serialized = subscription.handle.take_message(subscription.msg_type, True)
@@ -223,14 +223,16 @@ class BagRecorder(Node):
 
     def _drain(self) -> None:
         """Take what waits in the readers: it came before the end was asked for."""
-        for name in self._recorded:
+        for name in self._recordings:
             self._take_waiting(name, self._depth)
 
     def _summary(self) -> str:
         seconds = time.monotonic() - self._started_s
         size = self._writer.byte_count / 1e6
         count = self._writer.message_count
-        return f'{count} messages of {len(self._recorded)} topics in {seconds:.1f} s, {size:.2f} MB'
+        return (
+            f'{count} messages of {len(self._recordings)} topics in {seconds:.1f} s, {size:.2f} MB'
+        )
 
     def _report(self) -> None:
         if sys.stderr.isatty():

@@ -65,7 +65,7 @@ class Commentary:
         self._began_s: float | None = None
         self._told_s = -PERIOD_S
         self._heard_s: dict[tuple[str, str], float] = {}
-        self._missing: set[tuple[str, str]] = set()
+        self._missing_signals: set[tuple[str, str]] = set()
         self.forget()
 
     def listen(self) -> None:
@@ -78,12 +78,12 @@ class Commentary:
         if self._speed_has_topic:
             signals.append(('speed', ''))
         self._heard_s = dict.fromkeys(signals, now_s)
-        self._missing = set()
+        self._missing_signals = set()
 
     def forget(self) -> None:
         """Begin anew with an observer that knows nothing."""
-        self._seen: set[str] = set()
-        self._found: set[str] = set()
+        self._seen_motors: set[str] = set()
+        self._found_motors: set[str] = set()
         self._verdicts: dict[str, Verdicts] = {}
 
     def look(self, observer: Observer, traffic: Traffic) -> None:
@@ -96,7 +96,7 @@ class Commentary:
         now_s = self._clock()
         for motor, of_motor in traffic.motors.items():
             if of_motor.used:
-                self._seen.add(motor)
+                self._seen_motors.add(motor)
             for signal, count in of_motor.received.items():
                 if count:
                     self._heard_s[signal, motor] = now_s
@@ -107,7 +107,7 @@ class Commentary:
         back = self._back(now_s)
         arrivals = self._newly_found()
         absences = self._newly_missing(now_s, observer)
-        verdict_news, is_doubtful = self._changed(observer)
+        verdict_news, is_doubtful = self._verdict_changes(observer)
         news = [*arrivals, *back, *absences, *verdict_news]
         if news:
             self._told_s = now_s
@@ -147,12 +147,12 @@ class Commentary:
         return '; '.join([line, *verdict_lines])
 
     def _newly_found(self) -> list[str]:
-        new = self._seen - self._found
+        new = self._seen_motors - self._found_motors
         motors = [motor for motor in self._motors if motor in new]
-        self._found |= new
+        self._found_motors |= new
         return [f'found {_motors_in_words(motors)}: samples come'] if motors else []
 
-    def _changed(self, observer: Observer) -> tuple[list[str], bool]:
+    def _verdict_changes(self, observer: Observer) -> tuple[list[str], bool]:
         """Motors whose verdicts are others than were told, and whether one is in doubt now."""
         changes: list[tuple[str, Estimate, list[int]]] = []
         for names, estimate in observer.group_estimates():
@@ -188,30 +188,30 @@ class Commentary:
             key: now_s - heard_s
             for key, heard_s in self._heard_s.items()
             if now_s - heard_s >= PERIOD_S
-            and key not in self._missing
+            and key not in self._missing_signals
             and key[1] not in stopped_motors
         }
         if not silences:
             return []
-        self._missing |= silences.keys()
+        self._missing_signals |= silences.keys()
         phrases = []
         for motors, names in _by_motors(silences).items():
             longest_s = max(silences[name, motor] for name in names for motor in motors)
-            phrases.append(f'no {" and no ".join(names)}{_of(motors)} for {longest_s:.0f} s')
+            phrases.append(f'no {" and no ".join(names)}{_of_motors(motors)} for {longest_s:.0f} s')
         why = self._why(sorted({signal for signal, _ in silences}, reverse=True))
         return [f'{"; ".join(phrases)}: {why}' if why else '; '.join(phrases)]
 
     def _back(self, now_s: float) -> list[str]:
         """Signals reported missing that have come again; not those of motors found just now."""
-        back = [key for key in self._missing if now_s - self._heard_s[key] < PERIOD_S]
-        self._missing.difference_update(back)
+        back = [key for key in self._missing_signals if now_s - self._heard_s[key] < PERIOD_S]
+        self._missing_signals.difference_update(back)
         reported_signals = [
-            (signal, motor) for signal, motor in back if motor in self._found or not motor
+            (signal, motor) for signal, motor in back if motor in self._found_motors or not motor
         ]
         phrases = []
         for motor_list, names in _by_motors(reported_signals).items():
             verb = 'come' if len(names) > 1 else 'comes'
-            phrases.append(f'{" and ".join(names)}{_of(motor_list)} {verb} again')
+            phrases.append(f'{" and ".join(names)}{_of_motors(motor_list)} {verb} again')
         return phrases
 
 
@@ -226,7 +226,7 @@ def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[st
     return signals_by_motors
 
 
-def _of(motors: tuple[str, ...]) -> str:
+def _of_motors(motors: tuple[str, ...]) -> str:
     """Whose signal it is; nothing of one that is not told motor by motor."""
     return '' if motors == ('',) else f' of {_motors_in_words(motors)}'
 

@@ -116,7 +116,7 @@ class Diagnoser:
     def _warn_of_strangers(self, observer: Observer, message_input: MessageInput) -> None:
         """Warn once where messages name other motors while a configured one is never named."""
         for name in ('voltage', 'torque'):
-            strangers = sorted(message_input.signals[name].unknown)
+            strangers = sorted(message_input.signals[name].unknown_names)
             silent = [
                 motor
                 for motor in self._motors

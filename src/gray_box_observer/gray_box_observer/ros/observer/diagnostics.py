@@ -136,7 +136,7 @@ def _status(
 def _judge(motor: str, now: Situation) -> Judgement:
     """Find the first thing that an operator has to know."""
     return (
-        _stopped(motor, now)
+        _judge_stopped(motor, now)
         or _namesake(now)
         or _nothing_yet(motor, now)
         or _failed_training(motor, now)
@@ -146,7 +146,7 @@ def _judge(motor: str, now: Situation) -> Judgement:
     )
 
 
-def _stopped(motor: str, now: Situation) -> Judgement | None:
+def _judge_stopped(motor: str, now: Situation) -> Judgement | None:
     """Why a motor is observed no more."""
     incident = now.observer.incidents.get(motor)
     if incident is None:
@@ -179,7 +179,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
             ),
             '',
         )
-        return _refused(motor, now) or (
+        return _judge_refusals(motor, now) or (
             DiagnosticStatus.STALE,
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
@@ -207,7 +207,7 @@ def _failed_training(motor: str, now: Situation) -> Judgement | None:
 def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     """Why no sample came of late, or too many were refused."""
     traffic = now.traffic.motors[motor]
-    judgement = _refused(motor, now)
+    judgement = _judge_refusals(motor, now)
     if judgement is not None:
         return judgement
     if traffic.used:
@@ -230,7 +230,7 @@ def _nothing_new(motor: str, now: Situation) -> Judgement | None:
     return DiagnosticStatus.STALE, f'no new sample: {" and ".join(topics)}: does its driver run?'
 
 
-def _refused(motor: str, now: Situation) -> Judgement | None:
+def _judge_refusals(motor: str, now: Situation) -> Judgement | None:
     """Why too many messages were refused of late, if they were."""
     traffic = now.traffic.motors[motor]
     count = traffic.rejected.total()

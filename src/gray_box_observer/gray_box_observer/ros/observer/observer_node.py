@@ -140,7 +140,7 @@ class ObserverNode(LifecycleNode):
         return self._change(
             'deactivate',
             'inactive',
-            self._rest,
+            self._deactivate,
             lambda: super(ObserverNode, self).on_deactivate(state),
         )
 
@@ -230,7 +230,7 @@ class ObserverNode(LifecycleNode):
             resumption = self._keeper.resume(self._observer)
             if resumption.refusal is not None:
                 self.get_logger().error(f'starting from the initial values: {resumption.refusal}')
-            elif resumption.found:
+            elif resumption.is_found:
                 self.get_logger().info(f'continuing from {self._keeper.file}')
             else:
                 self.get_logger().info(
@@ -243,13 +243,13 @@ class ObserverNode(LifecycleNode):
         if self._outputs is None:
             self._outputs = Outputs(self, self._configuration)
 
-    def _rest(self) -> None:
+    def _deactivate(self) -> None:
         self._inputs.close()
         self._keep()
 
     def _end(self) -> None:
         self._sum_up()
-        self._rest()
+        self._deactivate()
         self._forget()
 
     def _sum_up(self) -> None:
@@ -276,7 +276,7 @@ class ObserverNode(LifecycleNode):
             self._observer is None
             or self._message_input is None
             or self._outputs is None
-            or self._stop.requested
+            or self._stop.is_requested
         ):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
@@ -304,7 +304,7 @@ class ObserverNode(LifecycleNode):
         self._do_due_task(quiet=bool(input_result.groups) and not self._deferred_results)
 
     def _refuse(self, name: str, reason: Rejection) -> None:
-        if self._message_input is None or self._stop.requested:
+        if self._message_input is None or self._stop.is_requested:
             return
         self._message_input.refuse(name, reason)
         self._do_due_task(quiet=False)
@@ -351,7 +351,7 @@ class ObserverNode(LifecycleNode):
         self._run_deferred()
         if self._observer is not None and self._outputs is not None:
             for group in self._observer.every_group:
-                self._observer.contain(group, partial(self._outputs.tested, group))
+                self._observer.contain(group, partial(self._outputs.publish_tested, group))
         traffic = self._diagnoser.publish(self._state, self._observer, self._message_input)
         if traffic is not None and self._observer is not None and self._state == 'active':
             self._commentary.look(self._observer, traffic)
@@ -506,7 +506,7 @@ class ObserverNode(LifecycleNode):
     @staticmethod
     def _announce_motor(observer: Observer, outputs: Outputs, motor: str) -> None:
         outputs.alarm(motor, observer.alarm(motor))
-        estimate, is_identified = observer.known(motor)
+        estimate, is_identified = observer.estimate_of(motor)
         outputs.estimate(motor, estimate, is_identified)
         outputs.parameters_identified(
             motor, estimate.parameters, observer.parameters_identified(motor)

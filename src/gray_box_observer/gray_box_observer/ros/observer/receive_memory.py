@@ -36,7 +36,7 @@ class ReceiveMemory:
 
     def __init__(self, writers: Callable[[], Iterable[int]] = tuple) -> None:
         self._writers = writers
-        self._written: dict[int, int] = {}
+        self._page_counts: dict[int, int] = {}
         self.mark()
 
     def mark(self) -> None:
@@ -58,7 +58,7 @@ class ReceiveMemory:
     def _faults(self) -> tuple[int, int]:
         """Return the pages first touched by this thread and the writers, and by all threads."""
         # one that has ended keeps what it had when it was last seen
-        self._written.update(
+        self._page_counts.update(
             {
                 thread: count
                 for thread in self._writers()
@@ -66,7 +66,7 @@ class ReceiveMemory:
             }
         )
         own, total = _faults()
-        return own + sum(self._written.values()), total
+        return own + sum(self._page_counts.values()), total
 
 
 def give_memory_back() -> None:

@@ -87,7 +87,7 @@ class Inputs:
         writers: Callable[[], Iterable[int]] = tuple,
     ) -> None:
         self._node = node
-        self._take = take
+        self._ingest = take
         self._refuse = refuse
         self._topics = {
             name: configuration[f'{name}.topic']
@@ -107,7 +107,7 @@ class Inputs:
         self._queues: dict[str, ReceiveQueue] = {}
         self._memory = ReceiveMemory(writers)
         self._watch: Timer | None = None
-        self._refused: dict[str, str] = {}
+        self._refusals: dict[str, str] = {}
 
     def open(self) -> None:
         """Begin to listen.
@@ -203,23 +203,23 @@ class Inputs:
         return partial(_deserialized, kind)
 
     def _receive(self, name: str, decode: Decode, data: bytes) -> None:
-        message = self._decoded(name, decode, data)
+        message = self._decode(name, decode, data)
         if message is not None:
-            self._take(name, message, 0)
+            self._ingest(name, message, 0)
 
     def _receive_bare(self, name: str, decode: Decode, data: bytes, info: dict[str, Any]) -> None:
-        message = self._decoded(name, decode, data)
+        message = self._decode(name, decode, data)
         if message is None:
             return
         clock = self._node.get_clock()
         # the middleware stamps by the wall clock, which tells nothing of simulated time
-        self._take(
+        self._ingest(
             name,
             message,
             clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp'],
         )
 
-    def _decoded(self, name: str, decode: Decode, data: bytes) -> Any:
+    def _decode(self, name: str, decode: Decode, data: bytes) -> Any:
         """Return the message of some bytes; None, reported, if too many or malformed."""
         queue = self._queues.get(name)
         if queue is None:  # it waited while listening ended
@@ -249,8 +249,8 @@ class Inputs:
         return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
 
     def _incompatible(self, name: str, event: Any) -> None:
-        self._refused[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
-        self._node.get_logger().warning(self._refusal(name, self._refused[name]))
+        self._refusals[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        self._node.get_logger().warning(self._refusal(name, self._refusals[name]))
 
     def _refusal(self, name: str, policy: str) -> str:
         topic = self._node.resolve_topic_name(self._topics[name])
@@ -289,7 +289,7 @@ class Inputs:
         differing = [
             p for p in ('reliability', 'durability') if getattr(profile, p) != getattr(offered, p)
         ]
-        return self._refused.get(name) or (differing[0] if differing else 'quality of service')
+        return self._refusals.get(name) or (differing[0] if differing else 'quality of service')
 
 
 def _deserialized(kind: Any, data: bytes) -> Any:

@@ -44,7 +44,7 @@ class Outputs:
 
     def __init__(self, node: LifecycleNode, configuration: Configuration) -> None:
         self._node = node
-        self._predicted = self._create(node, topics.PREDICTED_TORQUE)
+        self._predicted_torque = self._create(node, topics.PREDICTED_TORQUE)
         horizon = configuration['horizon_s'] > 0.0
         self._forecast = self._create(node, topics.FORECAST_TORQUE) if horizon else None
         self._estimates = LatchedTopic(node, topics.ESTIMATES)
@@ -75,7 +75,7 @@ class Outputs:
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
-        self._told: dict[str, bool] = {}
+        self._alarm_states: dict[str, bool] = {}
 
     @staticmethod
     def _create(node: LifecycleNode, topic: topics.Topic, *, active: bool = False) -> Publish:
@@ -97,7 +97,7 @@ class Outputs:
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
             if self._alarm and result.estimate is not None:
-                self._changed(result.group, result.changed.tolist(), result.estimate)
+                self._publish_changed(result.group, result.changed.tolist(), result.estimate)
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""
@@ -105,9 +105,9 @@ class Outputs:
             raised = result.alarm
             if self._alarm:
                 self._alarms(result.group.names, raised)
-                self.tested(result.group)
+                self.publish_tested(result.group)
 
-    def tested(self, group: Group) -> None:
+    def publish_tested(self, group: Group) -> None:
         """Publish the beliefs of a group's motors that were tested since, and their fit."""
         observer = group.observer
         if observer is None or not self._fit:
@@ -133,7 +133,7 @@ class Outputs:
         data = self._torques.render(names, stamp_ns, torque_nm)
         if data is None:
             return False
-        self._predicted(data)
+        self._predicted_torque(data)
         return True
 
     def forecast(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> None:
@@ -147,7 +147,7 @@ class Outputs:
             self._foretold[names] = stamp_ns
             self._forecast(data)
 
-    def _changed(self, group: Group, motors: list[int], estimate: Estimate) -> None:
+    def _publish_changed(self, group: Group, motors: list[int], estimate: Estimate) -> None:
         for row, motor in enumerate(motors):
             name = group.names[motor]
             self.estimate(name, estimate if len(motors) == 1 else estimate.of(row))
@@ -161,7 +161,7 @@ class Outputs:
         if before is not None and np.array_equal(before, raised):
             return
         for name, stands in zip(names, raised.tolist(), strict=True):
-            if self._told.get(name) != stands:
+            if self._alarm_states.get(name) != stands:
                 self.alarm(name, stands)
         self._alarmed[names] = raised.copy()
 
@@ -253,7 +253,7 @@ class Outputs:
         """Publish whether the residual alarm stands, whatever was published before."""
         self._alarmed.clear()  # what samples have said last is not what stands there now
         if motor in self._alarm:
-            self._told[motor] = raised
+            self._alarm_states[motor] = raised
             self._alarm[motor](self._is[raised])
 
     def retract(self) -> None:
@@ -271,7 +271,7 @@ class Outputs:
         if motor not in self._identified:
             return
         self._alarmed.clear()
-        self._told[motor] = False
+        self._alarm_states[motor] = False
         self._identified[motor].correct(self._is[False])
         self._alarm[motor].correct(self._is[False])
         for latched in self._parameter_identified[motor].values():

@@ -67,8 +67,8 @@ class TrafficMeter:
 
     def forget(self) -> None:
         """Begin anew, with a new observer."""
-        self._counted: Counter[tuple[str, str]] = Counter()
-        self._settled: Counter[str] = Counter()
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._settled_changes: Counter[str] = Counter()
         self.rhythms: dict[str, Rhythm] = {}
         self._of_group: dict[tuple[str, ...], Rhythm] = {}
         self._newest_of_group: dict[tuple[str, ...], int] = {}
@@ -123,11 +123,11 @@ class TrafficMeter:
             else observer.contain(observer.group_of(motor), lambda: view.counters)
         )
         changes = 0 if counters is None else counters.get('motor changes', 0)
-        since = changes - self._settled[motor]
+        since = changes - self._settled_changes[motor]
         if (
             view is not None and view.identified and not observer.alarm(motor)
         ):  # told this once, at least
-            self._settled[motor] = changes
+            self._settled_changes[motor] = changes
         return MotorTraffic(
             self._new('used', motor, pairing.used),
             self._new_rejections(motor, pairing.rejected) + unread,
@@ -142,6 +142,6 @@ class TrafficMeter:
         return Counter({reason: self._new(reason, name, count) for reason, count in counts.items()})
 
     def _new(self, counter_name: str, name: str, count: int) -> int:
-        before = self._counted[counter_name, name]
-        self._counted[counter_name, name] = count
+        before = self._counts[counter_name, name]
+        self._counts[counter_name, name] = count
         return count - before
