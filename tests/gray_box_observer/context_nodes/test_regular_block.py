@@ -171,7 +171,7 @@ def test_regular_blocks_are_learnt_as_numpy_learns_them(
         monkeypatch, box, np.tile(START, (motors, 1)), samples, RecursiveSettings()
     )
     assert count.given >= 80 * motors
-    assert count.state >= 0.98 * count.given
+    assert count.learnt >= 0.98 * count.given
     (_, ours), (_, theirs) = nodes.state(motors - 1), by_numpy.state(motors - 1)
     for name, array in ours.items():
         # between the two lies rounding; what tests for a change have added up is small against what
@@ -197,7 +197,7 @@ def test_so_are_those_of_other_physics_with_measured_speed(
     start = np.array([[1.5, 3.0, 30.0, 0.03, 0.2][: len(names)]])
     samples = simulated('R[-15,15]D[0.2,3]', 25.0, speed=True)
     _, _, count = both(monkeypatch, box, start, samples, RecursiveSettings())
-    assert count.state > 0.5 * count.given > 30
+    assert count.learnt > 0.5 * count.given > 30
 
 
 @pytest.mark.parametrize('jitter', [0.0, 0.01])
@@ -232,7 +232,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
     box = MotorWhiteBox(THESIS, 0.01, KNOWN)
     samples = simulated('R[5,15]D[0.05,0.3]', 20.0, inductance=0.01)
     nodes, _, count = both(monkeypatch, box, START, samples, RecursiveSettings())
-    assert count.state > 0.9 * count.given > 40
+    assert count.learnt > 0.9 * count.given > 40
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
 
@@ -243,7 +243,7 @@ def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.Monkey
     )
     moving, held = simulated('R[5,15]D[0.2,3]', 30.0), simulated('C[9]', 30.0)
     _, _, count = both(monkeypatch, box, START, [*moving, held[0].beginning(), *held[1:]], rules)
-    assert count.state > 0.9 * count.given
+    assert count.learnt > 0.9 * count.given
     plant = PlantParameters()
     warm = Simulation(
         {'m': plant}, 'R[5,15]D[0.2,3]', seed=4, schedule=('m.resistance=1..1.3@0..60',)
@@ -293,7 +293,7 @@ def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     disturbed: list[Sample],
 ) -> None:
     nodes, _, count = both(monkeypatch, thesis_box, START, disturbed, RecursiveSettings())
-    assert 0 < count.state < count.given
+    assert 0 < count.learnt < count.given
     told = nodes.counters()
     assert told['torque outliers'] > 10
     assert told['state kicks'] > 10
@@ -332,7 +332,7 @@ def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
 ) -> None:
     box, start, samples = gone_wrong(seed)
     _, _, count = both(monkeypatch, box, start, samples, RecursiveSettings())
-    assert 0 < count.state < count.given
+    assert 0 < count.learnt < count.given
 
 
 def test_a_motor_whose_matrix_is_singular_ends_nobody() -> None:
@@ -373,7 +373,7 @@ def test_without_compiled_code_numpy_learns_everything(
     count.watch(nodes)
     for sample in simulated('R[5,15]D[0.2,3]', 20.0):
         nodes.learn(sample)
-    assert count.state == 0 < count.given
+    assert count.learnt == 0 < count.given
     np.testing.assert_allclose(nodes.theta, [[0.5, 1.0, 10.0]], rtol=0.05)
 
 
@@ -426,5 +426,5 @@ def test_quantised_currents_that_stand_still_teach_the_same_nothing(
         for sample in simulated('R[5,15]D[1,6]', 20.0, noise=0.0)
     ]
     quick, _, count = both(monkeypatch, thesis_box, START, samples, RecursiveSettings())
-    assert count.state > 20
+    assert count.learnt > 20
     assert quick.noise_std_nm[0] >= 0.99 * step_nm / np.sqrt(12.0)
