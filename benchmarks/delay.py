@@ -74,7 +74,7 @@ def watch(
             stamp_ns, torque_nm
         )
         for sample in samples:
-            asker.take(pairing.history, sample.stamp_ns)
+            asker.update(pairing.history, sample.stamp_ns)
         said.add(asker.estimate.verdict)
     return Course(asker.estimate, DelayVerdict.UNDECLARED in said, DelayVerdict.SUSPECTED in said)
 

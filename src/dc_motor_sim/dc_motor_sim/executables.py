@@ -6,8 +6,7 @@ import os
 import signal
 from collections.abc import Sequence
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What asks a process to end."""
+from dc_motor_sim.end_signals import SIGNALS
 
 
 def motor_sim(args: Sequence[str] | None = None) -> int:

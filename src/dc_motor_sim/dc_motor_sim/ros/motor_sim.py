@@ -30,7 +30,7 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 
-from dc_motor_sim import executables
+from dc_motor_sim.end_signals import SIGNALS
 from dc_motor_sim.errors import ConfigurationError, SimulationError
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros import command_line, discovery, parameters, topics
@@ -326,9 +326,7 @@ def main(args: Sequence[str] | None = None) -> int:
     asked_s: list[float] = []
 
     # rclpy's own handlers would shut the context down under the last samples.
-    handled = [
-        number for number in executables.SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
-    ]
+    handled = [number for number in SIGNALS if signal.getsignal(number) is not signal.SIG_IGN]
     for number in handled:
         signal.signal(number, lambda *_: asked_s.append(time.monotonic()))
     try:

@@ -1,4 +1,4 @@
-"""The unknown physical parameters (thesis: parameter context nodes) and their update rules."""
+"""The unknown physical parameters (thesis: parameter context nodes). Read `update_rule.py` first."""
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictSettings
 from gray_box_observer.context_nodes.gradient import GradientSettings, GradientUpdate

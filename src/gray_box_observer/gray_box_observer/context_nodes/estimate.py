@@ -46,7 +46,7 @@ class Estimate:
     covariance: Array
     verdicts: tuple[tuple[Verdict, ...], ...]
 
-    def of(self, motor: int) -> Estimate:
+    def for_motor(self, motor: int) -> Estimate:
         """Return the estimate of one motor, with a motor axis of one."""
         one = slice(motor, motor + 1)
         return Estimate(

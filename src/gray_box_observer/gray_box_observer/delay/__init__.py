@@ -1,4 +1,4 @@
-"""The delay between voltage and torque: found, judged, and applied where the user asks for it."""
+"""The delay between voltage and torque: found, judged, applied if asked. Read `watch.py` first."""
 
 from gray_box_observer.delay.round import DelayRound
 from gray_box_observer.delay.watch import DelayEstimate, DelayVerdict, DelayWatch

@@ -31,7 +31,7 @@ class DelayRound:
         self._count = 0
         self._history: RawHistory | None = None
 
-    def take(self, history: RawHistory, stamp_ns: int, *, awaited: bool = False) -> None:
+    def update(self, history: RawHistory, stamp_ns: int, *, awaited: bool = False) -> None:
         """Go on by one sample of the group; every so often a piece of work is done.
 
         Args:
@@ -47,7 +47,7 @@ class DelayRound:
         if not watch.searching:
             self._history = history.select_motor(self._turn)
         assert self._history is not None
-        watch.take(self._history, stamp_ns, self._count - self._asked[self._turn])
+        watch.update(self._history, stamp_ns, self._count - self._asked[self._turn])
         self._asked[self._turn] = self._count
         if not watch.searching:
             self._turn = (self._turn + 1) % len(self._watches)

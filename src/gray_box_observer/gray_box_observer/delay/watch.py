@@ -150,7 +150,7 @@ class DelayWatch:
         self._work: Generator[None, None, _Found | None] | None = None
         self._before: _Found | None = None
 
-    def take(
+    def update(
         self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
     ) -> float | None:  # fmt: skip
         """Go on by one piece of work, where there is any.

@@ -1,1 +1,1 @@
-"""The observer over recorded bags (`offline_run.py`), and the `identify` command around it."""
+"""The observer over recorded bags, and its command. Read `offline_run.py`, then `command.py`."""

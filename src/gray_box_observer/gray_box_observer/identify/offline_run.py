@@ -111,7 +111,7 @@ def run(
     outcome = Outcome(observer, MessageInput(observer, configuration))
     digest, courses = hashlib.sha256(), outcome.courses
 
-    def take(results: Iterable[Result]) -> None:
+    def ingest(results: Iterable[Result]) -> None:
         for result in results:
             course = courses.get(result.motor)
             if course is None:
@@ -129,7 +129,7 @@ def run(
                 listener(result)
 
     try:
-        _feed_all(bags, configuration, outcome, take, progress, limits)
+        _feed_all(bags, configuration, outcome, ingest, progress, limits)
     finally:
         observer.close()
     if not courses and not observer.incidents:
@@ -162,28 +162,28 @@ def feed(
         ConfigurationError: messages do not have the configured fields.
     """
 
-    def take(results: Iterable[Result]) -> None:
+    def ingest(results: Iterable[Result]) -> None:
         for result in results:
             listener(result)
 
-    _feed_all(bags, configuration, outcome, take, progress, limits)
+    _feed_all(bags, configuration, outcome, ingest, progress, limits)
 
 
 def _feed_all(
     bags: Sequence[Path],
     configuration: Configuration,
     outcome: Outcome,
-    take: Callable[[Iterable[Result]], None],
+    ingest: Callable[[Iterable[Result]], None],
     progress: Progress,
     limits: ReadLimits | None = None,
 ) -> None:
     """Feed bags one after another."""
     for path in bags:
         with BagReader(path, limits) as bag:
-            _feed(bag, path, configuration, outcome, take, progress)
+            _feed(bag, path, configuration, outcome, ingest, progress)
             if bag.loss:
                 outcome.warnings.append(f'{path}: {bag.loss}')
-        take(outcome.observer.flush())
+        ingest(outcome.observer.flush())
 
 
 def match_topics(configured_name: str, available: Iterable[str]) -> list[str]:
@@ -200,7 +200,7 @@ def _feed(
     path: Path,
     configuration: Configuration,
     outcome: Outcome,
-    take: Callable[[Iterable[Result]], None],
+    ingest: Callable[[Iterable[Result]], None],
     progress: Progress,
 ) -> None:
     signals = _signals_of(bag, path, configuration, outcome.warnings)
@@ -215,7 +215,7 @@ def _feed(
             continue
         for signal in signals[raw.topic]:
             for result in message_input.ingest(signal, message, raw.publish_time_ns).groups:
-                take(outcome.observer.results(result))
+                ingest(outcome.observer.results(result))
         count += 1
         if count % PROGRESS_STEP == 0:
             progress(PROGRESS_STEP)

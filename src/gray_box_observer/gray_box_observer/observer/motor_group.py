@@ -113,7 +113,9 @@ class GroupResult:
                     prediction.torque_nm[one], partial(_rollout_of, prediction, one), None, None
                 )
             estimate = (
-                self.estimate.of(row[motor]) if self.estimate is not None and motor in row else None
+                self.estimate.for_motor(row[motor])
+                if self.estimate is not None and motor in row
+                else None
             )
             alone = Sample(
                 sample.stamp_ns, sample.interval_s[one], sample.voltage_v[one],

@@ -536,7 +536,7 @@ class Observer:
             )
             delay_s = None
             if not self._is_frozen:
-                delay_s = observer.delay.take(
+                delay_s = observer.delay.update(
                     pairing.history, sample.stamp_ns, awaited=estimate is not None
                 )
             if delay_s is not None:

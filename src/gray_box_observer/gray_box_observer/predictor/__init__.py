@@ -1,4 +1,4 @@
-"""The LSTM that forecasts torque from voltage and context nodes (thesis 4.3, 5.1)."""
+"""The LSTM that forecasts torque (thesis 4.3, 5.1). Read `predictor.py` first."""
 
 from gray_box_observer.predictor.alarm import AlarmSettings, ResidualAlarm
 from gray_box_observer.predictor.network_inputs import Variant

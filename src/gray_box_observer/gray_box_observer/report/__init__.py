@@ -1,4 +1,4 @@
-"""The HTML reports, of a run and of an archive of runs: one file each, no network."""
+"""HTML reports of a run and of archives: one file each, no network. Read `run/page.py` first."""
 
 from gray_box_observer.report.report_errors import ReportError
 from gray_box_observer.report.run.history import MotorHistory, ParameterHistory, RunHistory

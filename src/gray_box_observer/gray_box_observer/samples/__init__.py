@@ -1,4 +1,4 @@
-"""Samples: how voltage and torque are paired by stamp, and what is refused and why."""
+"""Samples: messages paired by stamp; what is refused and why. Read `pairing.py` first."""
 
 from gray_box_observer.samples.pairing import Pairing
 from gray_box_observer.samples.raw_history import RawHistory

@@ -86,7 +86,7 @@ class Interval:
     end_speed_rad_s: Array
     length_s: Array
 
-    def of(self, index: NDArray[np.intp]) -> Interval:
+    def select(self, index: NDArray[np.intp]) -> Interval:
         """Return those of the chosen motors."""
         speeds = self.speed_rad_s[index], self.end_speed_rad_s[index]
         return Interval(self.voltage_v[index], *speeds, self.length_s[index])
@@ -184,7 +184,7 @@ def flow(
     whole = here.mapped(ops.empty_like)
     for count in counts:  # no motor moves otherwise than it would alone
         which = ops.flatnonzero(steps == count)
-        own = interval.of(which)
+        own = interval.select(which)
         rate_of = _rate_at(ops, white_box.of_motors(which), p[which], own.voltage_v)
         begin, rate = (
             [state[which] for state in start],

@@ -1,1 +1,1 @@
-"""The rule that learns block by block, with batch fits and change tests. See `estimator.py`."""
+"""The rule that learns block by block, with batch fits and change tests. Read `estimator.py`."""

@@ -170,7 +170,7 @@ class _Search:
         self._best_scale, self._best_p = np.full_like(self._scale, np.inf), self._p
         self._damping = np.ones_like(self._scale)
 
-    def of(self, which: NDArray[np.bool_]) -> _Search:
+    def select(self, which: NDArray[np.bool_]) -> _Search:
         """Return the search of some of the motors."""
         if np.all(which):
             return self
@@ -183,14 +183,14 @@ class _Search:
                 setattr(
                     part,
                     name,
-                    value.of_motors(index) if value is self._white_box else value.of(index),
+                    value.of_motors(index) if value is self._white_box else value.select(index),
                 )
         return part
 
     def split(self, which: NDArray[np.bool_]) -> list[tuple[_Search, bool]]:
         """Return the searches of the motors in a mask and of the others, where there are any."""
         return [
-            (self.of(mask), marked)
+            (self.select(mask), marked)
             for mask, marked in ((which, True), (~which, False))
             if np.any(mask)
         ]
@@ -213,10 +213,10 @@ class _Search:
             )
             there = ~worse & (search._step(~worse) < TOLERANCE)
             if iteration > trusting and np.any(there):
-                arrived.append(search.of(there))
+                arrived.append(search.select(there))
                 if np.all(there):
                     return arrived
-                search = search.of(~there)
+                search = search.select(~there)
         return [*arrived, search]
 
     def _go_back(self, worse: NDArray[np.bool_]) -> None:

@@ -36,7 +36,7 @@ class Prior:
         """Return a prior of independent coordinates, all known as well."""
         return cls(p, np.tile(relative_std**2 * np.eye(p.shape[1]), (p.shape[0], 1, 1)))
 
-    def of(self, index: NDArray[np.intp]) -> Prior:
+    def select(self, index: NDArray[np.intp]) -> Prior:
         """Return the prior of the chosen motors."""
         return Prior(self.p[index], self.covariance[index])
 
@@ -97,7 +97,7 @@ class Belief:
         ones = np.ones(motors)
         return cls(ones, prior.p, 0.0 * ones, covariance, ones, 0.0 * ones, np.zeros((motors, n)))
 
-    def of(self, index: NDArray[np.intp]) -> Belief:
+    def select(self, index: NDArray[np.intp]) -> Belief:
         """Return what is believed of the chosen motors."""
         return Belief(*(array[index] for array in self.arrays().values()))
 

@@ -79,10 +79,10 @@ class Block:
     information: Array
     right: Array
 
-    def of(self, index: NDArray[np.intp]) -> Block:
+    def select(self, index: NDArray[np.intp]) -> Block:
         """Return the block of the chosen motors."""
         signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
-        return Block(self.stretch.of(index), self.path.of(index), *signals)
+        return Block(self.stretch.select(index), self.path.select(index), *signals)
 
     def silenced(self, which: NDArray[np.bool_]) -> Block:
         """Return the block without information on some motors, (motor,); they only move on."""

@@ -277,7 +277,7 @@ class BlockUpdater:
         elif calm.any():
             index = np.flatnonzero(calm)
             part = motors.part(index)
-            self._learn(part, block.of(index))
+            self._learn(part, block.select(index))
             put(state, index, part.state)
         if (begun := fresh & state.hold.begun).any():
             self._begin_again(motors, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
@@ -315,7 +315,7 @@ class BlockUpdater:
         reached = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (
             belief.sensitivity * size
         )
-        scores, alarm, memory = self._drift.take(
+        scores, alarm, memory = self._drift.update(
             (state.score, state.information), *block_step.surprise(belief, block)
         )
         state.score, state.information = scores
@@ -368,7 +368,7 @@ class BlockUpdater:
             walked = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
         state.belief = block_step.learn(motors.white_box, state.belief, block, walked)
         self._follow_noise(state, block)
-        state.hold, state.belief = self._holds.take(
+        state.hold, state.belief = self._holds.update(
             state.hold, state.belief, block.stretch, block.path.factor
         )
         self._move_anchors(state, slice(None))

@@ -70,7 +70,7 @@ class ChangeTest:
         self._threshold = threshold
         self._keep = keep()[:, None]
 
-    def take(
+    def update(
         self, before: Scores, score: Array, information: Array
     ) -> tuple[Scores, NDArray[np.bool_], Array]:
         """Take one block.

@@ -133,7 +133,7 @@ class ConstantVoltage:
         )  # the state and what heats
         self._long_s = long_s
 
-    def take(
+    def update(
         self, held: HoldState, belief: Belief, stretch: SampleWindow, decay: Array
     ) -> tuple[HoldState, Belief]:
         """Follow one block of samples that the belief has learnt; return what may be believed.

@@ -39,7 +39,7 @@ class Scaling:
     current_a: Array
     p: Array
 
-    def of(self, index: NDArray[np.intp]) -> Scaling:
+    def select(self, index: NDArray[np.intp]) -> Scaling:
         """Return the units of the chosen motors."""
         return Scaling(self.current_a[index], self.p[index])
 

@@ -81,7 +81,7 @@ class SampleWindow:
         """Return the stretch with further restarts, shape (motor, k)."""
         return replace(self, restart=self.restart | at)
 
-    def of(self, index: NDArray[np.intp]) -> SampleWindow:
+    def select(self, index: NDArray[np.intp]) -> SampleWindow:
         """Return the stretch of the chosen motors."""
         voltage, interval, speed = (
             self.voltage_v[index],
@@ -153,7 +153,7 @@ class Trajectory:
     by_coordinate: Array
     factor: Array
 
-    def of(self, index: NDArray[np.intp]) -> Trajectory:
+    def select(self, index: NDArray[np.intp]) -> Trajectory:
         """Return the trajectories of the chosen motors."""
         return Trajectory(
             self.state[index],
@@ -177,7 +177,7 @@ class Linearised:
     offset: Array
     by_coordinate: Array
 
-    def of(self, index: NDArray[np.intp]) -> Linearised:
+    def select(self, index: NDArray[np.intp]) -> Linearised:
         """Return the intervals of the chosen motors."""
         return Linearised(self.decay[index], self.offset[index], self.by_coordinate[:, index])
 

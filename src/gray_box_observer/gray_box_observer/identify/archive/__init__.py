@@ -1,1 +1,1 @@
-"""Archives: many bags, each identified by itself, one after another or spread over a cluster."""
+"""Archives: many bags, each identified by itself. Read `bag_work.py` first."""

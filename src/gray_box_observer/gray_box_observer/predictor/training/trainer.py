@@ -1,4 +1,4 @@
-"""The contract of a trainer, and the choice of one.
+"""The contract of a trainer.
 
 A job and its result are plain arrays, so that the same trainer serves inside a process of its own
 (live) and inline (offline) with the same numbers out.
@@ -6,10 +6,7 @@ A job and its result are plain arrays, so that the same trainer serves inside a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, Protocol
-
-from gray_box_observer.predictor.network_inputs import Variant
 
 Message = dict[str, Any]
 """Arrays and plain values by name: what passes between the observer and its trainer."""
@@ -38,22 +35,3 @@ class Trainer(Protocol):
             network's arrays, where a new one shall run; ``learning_*``, arrays from which another
             trainer goes on alike (optimiser and random state), where the variant has them.
         """
-
-
-def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
-    """Build the trainer of a variant.
-
-    Args:
-        configuration: ``white_box`` (its :meth:`~MotorWhiteBox.to_dict`), ``rules`` (of
-            :class:`TrainingSettings`), ``theta_reference`` and ``seed``.
-
-    Raises:
-        ImportError: no torch, which the thesis's variants need from the first job on.
-    """
-    if configuration['rules']['variant'] == Variant.PHYSICS.value:
-        from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
-
-        return PhysicsTrainer(configuration)
-    from gray_box_observer.predictor.thesis.window_trainer import WindowTrainer
-
-    return WindowTrainer(configuration)

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.predictor.training import worker_messages
-from gray_box_observer.predictor.training.trainer import make_trainer
+from gray_box_observer.predictor.training.trainer_choice import make_trainer
 
 
 class Training(Protocol):

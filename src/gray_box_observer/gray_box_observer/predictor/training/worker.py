@@ -8,7 +8,7 @@ import sys
 import time
 
 from gray_box_observer.predictor.training import worker_messages
-from gray_box_observer.predictor.training.trainer import make_trainer
+from gray_box_observer.predictor.training.trainer_choice import make_trainer
 
 
 def main() -> int:

@@ -180,7 +180,7 @@ class BagRecorder(Node):
         return True
 
     def _subscribe(self, name: str, type_name: str, profile: QoSProfile) -> None:
-        def take(data: bytes, info: dict[str, int]) -> None:
+        def on_bytes(data: bytes, info: dict[str, int]) -> None:
             try:
                 self._write(name, data, info)
                 self._take_waiting(name, _BATCH)
@@ -189,7 +189,7 @@ class BagRecorder(Node):
 
         try:
             subscription = self.create_subscription(
-                message_class(type_name), name, take, profile, raw=True
+                message_class(type_name), name, on_bytes, profile, raw=True
             )
         except (NoTypeSupportImportedException, ImportError, AttributeError, RuntimeError) as error:
             self._refuse(name, f'cannot be subscribed to: {error}')

@@ -131,7 +131,7 @@ class Commentary:
             f'{rejected_count or "none"} rejected'
         )
         estimates = [
-            (name, e.of(k))
+            (name, e.for_motor(k))
             for names, e in observer.group_estimates()
             for k, name in enumerate(names)
         ]
@@ -166,7 +166,7 @@ class Commentary:
                     before = before if len(before) == len(verdicts) else initial_verdicts
                     self._verdicts[name] = verdicts
                     places = [j for j, verdict in enumerate(verdicts) if verdict is not before[j]]
-                    changes.append((name, estimate.of(place), places))
+                    changes.append((name, estimate.for_motor(place), places))
         doubtful = any(
             estimate.verdicts[0][j] in DOUBTFUL for _, estimate, places in changes for j in places
         )
@@ -221,8 +221,8 @@ def _by_motors(keys: Iterable[tuple[str, str]]) -> dict[tuple[str, ...], list[st
     for signal, motor in keys:
         motors.setdefault(signal, []).append(motor)
     signals_by_motors: dict[tuple[str, ...], list[str]] = {}
-    for signal, of in sorted(motors.items(), reverse=True):  # voltage before torque
-        signals_by_motors.setdefault(tuple(sorted(of)), []).append(signal)
+    for signal, for_motor in sorted(motors.items(), reverse=True):  # voltage before torque
+        signals_by_motors.setdefault(tuple(sorted(for_motor)), []).append(signal)
     return signals_by_motors
 
 

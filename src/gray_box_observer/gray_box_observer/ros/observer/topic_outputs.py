@@ -150,7 +150,7 @@ class Outputs:
     def _publish_changed(self, group: Group, motors: list[int], estimate: Estimate) -> None:
         for row, motor in enumerate(motors):
             name = group.names[motor]
-            self.estimate(name, estimate if len(motors) == 1 else estimate.of(row))
+            self.estimate(name, estimate if len(motors) == 1 else estimate.for_motor(row))
             if group.observer is not None:
                 self.parameters_identified(
                     name, estimate.parameters, group.observer.parameters_identified_of(motor)
