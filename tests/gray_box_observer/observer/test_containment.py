@@ -151,7 +151,7 @@ def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch, part):
             getattr(estimate, part)[:] = np.nan
         return estimate
 
-    monkeypatch.setattr(MotorObserver, 'repeat', poisoned)
+    monkeypatch.setattr(MotorObserver, 'update_parameters', poisoned)
     feed(observer, ('motor',), range(FAILS_AT, 300))
     assert 'not finite' in observer.incidents['motor'].reason
     assert not observer.motors

@@ -14,7 +14,7 @@ from gray_box_observer.predictor.initial_network import first_network
 from gray_box_observer.predictor.linear_part import FEATURES, LinearPart, features
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, ResidualModel
-from gray_box_observer.predictor.significance import borne_out
+from gray_box_observer.predictor.significance import is_significant
 from gray_box_observer.predictor.training.histories import History
 from gray_box_observer.predictor.training.residual_trainer import ResidualTrainer, worth_learning
 from gray_box_observer.predictor.training.synthetic_sequences import Sequences
@@ -96,19 +96,19 @@ def test_white_noise_has_no_structure_and_a_ripple_has() -> None:
 
 def test_rest_between_runs_does_not_speak_against_a_gain_and_one_block_alone_not_for_it() -> None:
     had = np.array([0.0, 0.0, 0.0, 1.0, 1.2, 0.9])
-    assert borne_out(had, 0.8 * had)
-    assert not borne_out(had, 0.01 * had)
-    assert not borne_out(had, np.array([0.0, 0.0, 0.0, 0.9, -0.8, 0.4]))
-    assert not borne_out(
+    assert is_significant(had, 0.8 * had)
+    assert not is_significant(had, 0.01 * had)
+    assert not is_significant(had, np.array([0.0, 0.0, 0.0, 0.9, -0.8, 0.4]))
+    assert not is_significant(
         np.array([0.0, 0.0, 0.0, 0.0, 0.01, 1.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.008, 0.8])
     )
-    assert not borne_out(np.zeros(6), np.zeros(6))
+    assert not is_significant(np.zeros(6), np.zeros(6))
 
 
 def test_a_gain_in_one_regime_is_borne_out_where_no_other_loses() -> None:
     had = np.array([1.0, 6.0, 5.0, 2.0, 3.0, 4.0])
-    assert borne_out(had, np.array([0.0, 2.0, 3.0, 0.0, 0.2, 0.2]))
-    assert not borne_out(had, np.array([0.0, 2.0, 3.0, -0.8, -1.5, 0.2]))
+    assert is_significant(had, np.array([0.0, 2.0, 3.0, 0.0, 0.2, 0.2]))
+    assert not is_significant(had, np.array([0.0, 2.0, 3.0, -0.8, -1.5, 0.2]))
 
 
 def test_windows_stay_in_their_history_and_hear_its_beginning() -> None:

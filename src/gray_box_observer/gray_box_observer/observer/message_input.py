@@ -38,7 +38,7 @@ MAX_LIST_BYTES = 8_000_000
 """What these lists may take together."""
 
 
-class _Census(NamedTuple):
+class _NameCheck(NamedTuple):
     """Names in a list: whether a motor of ours, which of them twice, and unknown ones."""
 
     has_our_motor: bool
@@ -66,7 +66,7 @@ class Signal:
         self.scale: float = configuration[f'{name}.scale']
         self.offset: float = configuration[f'{name}.offset']
         self._motors = dict.fromkeys(configuration.motors)
-        self._lists: BoundedCache[tuple[str, ...], _Census] = BoundedCache(
+        self._lists: BoundedCache[tuple[str, ...], _NameCheck] = BoundedCache(
             MAX_LISTS, MAX_LIST_BYTES
         )
         self.unknown_names: Counter[str] = Counter()
@@ -109,23 +109,23 @@ class Signal:
             values: Sequence[float] | Array = (self.scale * float(value[0]) + self.offset,)
         else:
             values = self.scale * np.asarray(value, dtype=float) + self.offset
-        census = self._lists.get(motor_names) or self._census(motor_names)
-        if census.twice is not None:
-            raise SampleError(f'{census.twice} is named twice')
-        for name in census.strangers:  # remember some of them, for diagnostics
+        name_check = self._lists.get(motor_names) or self._check_names(motor_names)
+        if name_check.twice is not None:
+            raise SampleError(f'{name_check.twice} is named twice')
+        for name in name_check.strangers:  # remember some of them, for diagnostics
             if len(self.unknown_names) < MOST_STRANGERS or name in self.unknown_names:
                 self.unknown_names[name] += 1
-        return motor_names, values, census.has_our_motor
+        return motor_names, values, name_check.has_our_motor
 
-    def _census(self, names: tuple[str, ...]) -> _Census:
+    def _check_names(self, names: tuple[str, ...]) -> _NameCheck:
         """Find out who is in a list of names, and remember it."""
         ours = Counter(name for name in names if name in self._motors)
         strangers = dict.fromkeys(name[:LONGEST_NAME] for name in names if name not in self._motors)
         twice = next((name for name, count in ours.items() if count > 1), None)
-        census = _Census(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
+        name_check = _NameCheck(bool(ours), twice, tuple(strangers)[:MOST_STRANGERS])
         if worth_remembering(names):
-            self._lists.remember(names, census, size_of_names(names))
-        return census
+            self._lists.remember(names, name_check, size_of_names(names))
+        return name_check
 
     def _only_motor(self) -> tuple[str, ...]:
         if len(self._motors) != 1:

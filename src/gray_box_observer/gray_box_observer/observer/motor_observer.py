@@ -154,7 +154,7 @@ class MotorObserver:
         deferred = DeferredUpdate(
             sample, prediction, self._theta, self._covariance, self._is_identified
         )
-        estimate = self.repeat(sample)
+        estimate = self.update_parameters(sample)
         self._deferred = deferred
         return deferred, estimate
 
@@ -182,7 +182,7 @@ class MotorObserver:
             )
         deferred.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
-            self._predictor.study(sample, prediction, deferred.theta, deferred.covariance)
+            self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
@@ -192,7 +192,7 @@ class MotorObserver:
         deferred.is_followed = True
         if self._predictor is not None and deferred.prediction is not None:
             try:
-                self._predictor.follow(deferred.sample, deferred.prediction)
+                self._predictor.advance(deferred.sample, deferred.prediction)
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
@@ -211,7 +211,7 @@ class MotorObserver:
         self.run_deferred()
         return self._alarm
 
-    def repeat(self, sample: Sample) -> Estimate | None:
+    def update_parameters(self, sample: Sample) -> Estimate | None:
         """Learn a predicted and scored sample; return the estimates that have changed."""
         has_changed = self.context_nodes.learn(sample)
         if self._predictor is not None:

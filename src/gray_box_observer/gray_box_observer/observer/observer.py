@@ -520,7 +520,7 @@ class Observer:
             observer = group.observer
             assert observer is not None
             if pairing.repeats(sample):  # it was predicted, scored and reported before
-                again = observer.repeat(sample)
+                again = observer.update_parameters(sample)
                 if again is not None and results:
                     results[-1] = replace(
                         results[-1], estimate=again, changed=observer.changed_motors

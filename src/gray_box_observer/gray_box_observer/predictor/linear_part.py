@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.predictor.lag_features import LADDER, SIGNALS
-from gray_box_observer.predictor.significance import PARTS, SIGNIFICANT, borne_out
+from gray_box_observer.predictor.significance import PARTS, SIGNIFICANT, is_significant
 from gray_box_observer.white_box.interface import Array
 
 NOW = 4
@@ -118,7 +118,7 @@ class LinearPart:
                     inputs[:, other_parts], targets[:, other_parts], *level
                 ).say(inputs[:, ~other_parts])
             remaining_error = np.abs(targets - output)
-            if borne_out(*_gains(least, remaining_error), SIGNIFICANT if level[1] else CHOSEN):
+            if is_significant(*_gains(least, remaining_error), SIGNIFICANT if level[1] else CHOSEN):
                 best_level, least = level, remaining_error
         return (
             cls.silent()
@@ -141,7 +141,7 @@ class LinearPart:
             remaining_error = np.abs(
                 targets - replace(part, reach=np.full(FEATURES, np.inf)).say(inputs)
             )[:, ~inner]
-            if borne_out(*_gains(np.abs(targets[:, ~inner]), remaining_error)):
+            if is_significant(*_gains(np.abs(targets[:, ~inner]), remaining_error)):
                 return replace(whole, reach=whole.reach * further / TRUSTED)
         return whole
 

@@ -206,11 +206,11 @@ class Predictor:
     def learn(
         self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
     ) -> None:
-        """Go on from a sample and learn it: :meth:`follow` and :meth:`study`."""
-        self.follow(sample, prediction)
-        self.study(sample, prediction, theta, covariance)
+        """Go on from a sample and learn it: :meth:`advance` and :meth:`score_and_train`."""
+        self.advance(sample, prediction)
+        self.score_and_train(sample, prediction, theta, covariance)
 
-    def follow(self, sample: Sample, prediction: Prediction) -> None:
+    def advance(self, sample: Sample, prediction: Prediction) -> None:
         """Go on from a sample to where the next one is predicted from.
 
         Args:
@@ -234,13 +234,13 @@ class Predictor:
             np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed
         )
 
-    def study(
+    def score_and_train(
         self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
     ) -> None:
         """Score what was predicted, and let the sample be trained on.
 
-        Comes after :meth:`follow` and before the next sample is followed; where :attr:`training` is
-        ``due_next``, also before it is predicted, for a trained network may take over.
+        Comes after :meth:`advance` and before the next sample is followed; where :attr:`training`
+        is ``due_next``, also before it is predicted, for a trained network may take over.
 
         Args:
             sample: what came.

@@ -19,7 +19,7 @@ SPEAKING = 2.0
 """Fewest parts that must have something to say, counted as many of equal error would say it."""
 
 
-def borne_out(had: Array, gains: Array, significant: float = SIGNIFICANT) -> bool:
+def is_significant(had: Array, gains: Array, significant: float = SIGNIFICANT) -> bool:
     """Whether parts tell of a gain that is worth it and more than chance.
 
     The gain is a ratio, all that was gained to all that there was, with the standard error of one

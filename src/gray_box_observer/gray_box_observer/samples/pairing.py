@@ -62,8 +62,8 @@ class Pairing:
     """Turns stamped voltages and torques into samples, counting what cannot be used.
 
     Everything that comes in is used or counted under its reason. Of torque, ``received = used +
-    refused + waiting``; of voltage, ``received = taken + refused``. Of a group :meth:`of` tells
-    what became of each motor's.
+    refused + waiting``; of voltage, ``received = taken + refused``. Of a group :meth:`counts_for`
+    tells what became of each motor's.
 
     Args:
         rules: how patient it is.
@@ -80,7 +80,7 @@ class Pairing:
         held: samples completed by patience running out, their voltage held on; many of them mean
             late voltages.
         refused: what could not be used of a single motor, by signal and reason; of one of a group
-            see :meth:`of`.
+            see :meth:`counts_for`.
         taken_voltage: voltages that have come into force, or will.
         needs_speed: whether a torque sample without speed is refused; None until the first sample
             has settled it.

@@ -217,7 +217,7 @@ def test_half_of_what_is_taught_is_of_all_the_family(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:
     trainer: Any = PhysicsTrainer(configuration(thesis_box))
-    trainer._trainable = trainer._enrol()
+    trainer._trainable = trainer._start_training()
     taught = trainer._training_batch(job_of(samples, HARD), HARD)
     own, other = (
         taught.intervals.duration[: FRESH.minibatch],

@@ -117,10 +117,10 @@ def walk(stream: BinaryIO, size: int) -> Layout:
     Raises:
         OSError: The file cannot be read.
     """
-    return _Walk(stream, size).run()
+    return _Scanner(stream, size).run()
 
 
-class _Walk:
+class _Scanner:
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self._stream = stream
         self._layout = Layout(size, end=read_end(stream, size))

@@ -115,7 +115,7 @@ class PhysicsTrainer:
         if now <= ENOUGH:
             return {'windows': 0, 'settled': True, 'error': now}
         if self._trainable is None:
-            self._trainable = self._enrol()
+            self._trainable = self._start_training()
         losses = [
             self._trainable.learn(self._training_batch(job, range_seen))
             for _ in range(self._rules.steps)
@@ -172,7 +172,7 @@ class PhysicsTrainer:
                 trainable, rules.learning_rate, rules.gradient_clip, rules.device
             )
 
-    def _enrol(self) -> TrainableNetwork:
+    def _start_training(self) -> TrainableNetwork:
         from gray_box_observer.predictor.training.teaching import TrainableNetwork
 
         rules = self._rules

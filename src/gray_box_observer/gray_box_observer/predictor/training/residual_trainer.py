@@ -20,7 +20,7 @@ from gray_box_observer.predictor import lag_features
 from gray_box_observer.predictor.linear_part import LinearPart, features
 from gray_box_observer.predictor.network import Memory, Weights, step
 from gray_box_observer.predictor.residual_model import BINS, INPUTS, WARM, ResidualModel, cells
-from gray_box_observer.predictor.significance import PARTS, borne_out
+from gray_box_observer.predictor.significance import PARTS, is_significant
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import History
 from gray_box_observer.predictor.training.physics_batches import free_run, steady_currents
@@ -230,7 +230,7 @@ def _judge(correction: ResidualModel, run: _Run) -> tuple[ResidualModel, float]:
         np.array([p.mean() for p in np.array_split(a, PARTS, axis=1)])
         for a in (before, before - after)
     )
-    real = borne_out(had, gains)
+    real = is_significant(had, gains)
     return replace(correction, share=share if real else 0.0), float(
         (after if real else before).mean()
     )
