@@ -11,7 +11,10 @@ PACKAGE = 'gray_box_observer'
 # slower.
 COMPILED = Extension(
     f'{PACKAGE}.context_nodes.native._compiled',
-    [f'{PACKAGE}/context_nodes/native/regular_{what}.c' for what in ('block', 'estimate')],
+    [
+        f'{PACKAGE}/context_nodes/native/{name}.c'
+        for name in ('regular_block', 'regular_estimate', 'whole_motor')
+    ],
     include_dirs=[PACKAGE],
     depends=[str(path) for path in sorted(Path(PACKAGE, 'white_box').glob('*.h'))],
     # Products fused with sums would make results depend on the processor; vectors are passed inside
