@@ -12,35 +12,15 @@ INLINE double fastest(const Linear *here)
                   absolute(here->by_state[SPEED][SPEED]) + coupled);
 }
 
-/* The same over an interval in which a state may pass zero, where a softened sign is steep. */
-INLINE double fastest_over(const double *p, double torque_constant, const double *state, const Linear *here,
-                           double voltage, double length)
+/* Equal steps from a start, as many as a stiffness asks for; `here` is the rate at the start. */
+static Linear in_steps(const double *p, double torque_constant, const double *start, const Linear *rate, double voltage,
+                       double length, double stiffness, double largest_step, int64_t most_steps)
 {
-    double at[STATES], found = fastest(here);
-    int passes = 0;
-    for (int s = 0; s < STATES; s++) {
-        const int near = absolute(state[s]) <= length * absolute(here->value[s]);
-        at[s] = near ? 0.0 : state[s];
-        passes |= near;
-    }
-    if (passes) {
-        const Linear there = rate_of(p, torque_constant, at, voltage);
-        found = larger(found, fastest(&there));
-    }
-    return found;
-}
-
-/* Move one interval on, in as many equal steps as its fastest rate asks for. */
-static Linear interval_moved(const double *p, double torque_constant, const double *start, double voltage,
-                             double length, double largest_step, int64_t most_steps)
-{
-    Linear here = rate_of(p, torque_constant, start, voltage);
-    const double stiffness = fastest_over(p, torque_constant, start, &here, voltage, length) * length;
-    const double wanted = ceil(stiffness / largest_step);
+    const double wanted = ceil(stiffness * length / largest_step);
     const int stiff = !(wanted <= (double)most_steps);
     const int64_t count = stiff ? most_steps : wanted < 1.0 ? 1 : (int64_t)wanted;
     const double step = length / (double)count;
-    Linear whole = {{0}, {{0}}, {{0}}};
+    Linear here = *rate, whole = {{0}, {{0}}, {{0}}};
     for (int s = 0; s < STATES; s++) whole.value[s] = start[s], whole.by_state[s][s] = 1.0;
     for (int64_t k = 0; k < count; k++) {
         if (k > 0) here = rate_of(p, torque_constant, whole.value, voltage);
@@ -49,6 +29,35 @@ static Linear interval_moved(const double *p, double torque_constant, const doub
         whole = joined(&whole, &part);
     }
     return whole;
+}
+
+/* Which states pass zero on the way, or may: there a softened sign is steep. */
+INLINE int passing(const double *start, const Linear *here, const double *end, double length)
+{
+    int passes = 0;
+    for (int s = 0; s < STATES; s++) {
+        const int near = absolute(start[s]) <= length * absolute(here->value[s]);
+        passes |= (near || start[s] * end[s] <= 0.0) << s;
+    }
+    return passes;
+}
+
+/* Move one interval on, again in shorter steps where a state has passed zero. */
+static Linear interval_moved(const double *p, double torque_constant, const double *start, double voltage,
+                             double length, double largest_step, int64_t most_steps)
+{
+    const Linear here = rate_of(p, torque_constant, start, voltage);
+    const double away = fastest(&here);
+    const Linear moved =
+        in_steps(p, torque_constant, start, &here, voltage, length, away, largest_step, most_steps);
+    const int passes = passing(start, &here, moved.value, length);
+    if (!passes) return moved;
+    double at[STATES];
+    for (int s = 0; s < STATES; s++) at[s] = passes >> s & 1 ? 0.0 : start[s];
+    const Linear there = rate_of(p, torque_constant, at, voltage);
+    const double steepest = fastest(&there);
+    if (!(steepest > away)) return moved;
+    return in_steps(p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps);
 }
 
 int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }

@@ -28,10 +28,10 @@ from gray_box_observer.white_box.interface import Array
 
 STATES = len(State)
 
-LARGEST_STEP = 0.25
-"""Largest product of step and fastest rate: a Runge-Kutta step is then right to 1e-5 of a decay."""
+LARGEST_STEP = 0.5
+"""Largest product of step and fastest rate: a Runge-Kutta step is then right to 3e-4 of a decay."""
 
-MOST_STEPS = 64
+MOST_STEPS = 256
 """Steps in an interval; where more were needed, as many exponential ones are taken."""
 
 
@@ -134,35 +134,42 @@ def _run(
 def _interval_moved(
     motor: Any, coefficients: dict[int, float], start: list[float], volt: float, length: float
 ) -> Linear:
-    """Move one interval on, in as many equal steps as its fastest rate asks for."""
+    """Move one interval on, again in shorter steps where a state has passed zero."""
 
     def rate_at(at: Any, speed_rad_s: Any) -> Linear:
         return rate(_FLOATS, motor, coefficients, at, volt, speed_rad_s)
 
     here = rate_at(start, 0.0)
-    stiffness = _fastest_over(rate_at, start, here, length) * length
-    wanted = math.ceil(stiffness / LARGEST_STEP) if math.isfinite(stiffness) else MOST_STEPS + 1
+    away = _fastest(here)
+    interval = Interval(volt, 0.0, 0.0, length)  # type: ignore[arg-type]
+    moved = _in_steps(rate_at, start, here, interval, away)
+    passes = [
+        abs(x) <= length * abs(slope) or x * end <= 0.0
+        for x, slope, end in zip(start, here.value, moved.value, strict=True)
+    ]
+    if not any(passes):
+        return moved
+    at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
+    steepest = _fastest(rate_at(at, 0.0))
+    return _in_steps(rate_at, start, here, interval, steepest) if steepest > away else moved
+
+
+def _in_steps(
+    rate_at: Any, start: list[float], here: Linear, interval: Interval, stiffness: float
+) -> Linear:
+    """Equal steps from a start, as many as a stiffness asks for; ``here`` is the rate there."""
+    length: Any = interval.length_s
+    share = stiffness * length / LARGEST_STEP
+    wanted = math.ceil(share) if math.isfinite(share) else MOST_STEPS + 1
     count = max(1, min(wanted, MOST_STEPS))
     step: Any = runge_kutta_step
     if wanted > MOST_STEPS:
         step = partial(_exponential_step, _FLOATS)
-    part = Interval(volt, 0.0, 0.0, length / count)  # type: ignore[arg-type]
+    part = Interval(interval.voltage_v, 0.0, 0.0, length / count)  # type: ignore[arg-type]
     whole = step(rate_at, start, here, part)
     for _ in range(count - 1):
         whole = joined(whole, step(rate_at, whole.value, rate_at(whole.value, 0.0), part))
     return whole  # type: ignore[no-any-return]
-
-
-def _fastest_over(rate_at: Any, start: list[float], here: Linear, length: float) -> float:
-    """Bound of the fastest rate over an interval in which a state may pass zero, where a softened
-    sign is steep.
-    """
-    near = [abs(x) <= length * abs(slope) for x, slope in zip(start, here.value, strict=True)]
-    fastest = _fastest(here)
-    if any(near):
-        at = [0.0 if passes else x for passes, x in zip(near, start, strict=True)]
-        fastest = max(fastest, _fastest(rate_at(at, 0.0)))
-    return fastest
 
 
 def _fastest(here: Linear) -> float:

@@ -2,7 +2,8 @@
 
 The first states of every signal history are free: they are eliminated, so that the equations that
 are left are those of the parameters. White noise on the current is what is assumed; outliers are
-left out. Damped after Levenberg (1944).
+left out, though only where the search has ended: until then the samples behind a step of the voltage
+look like outliers, and tell most. Damped after Levenberg (1944), robust after Huber (1964).
 """
 
 from __future__ import annotations
@@ -41,6 +42,12 @@ PROMISING = 3
 
 SHORT = 512
 """Samples of a first fit from a start that is not trusted."""
+
+RESOLVED = 2.0
+"""Sample intervals in L/R up to which the current's rise has several explanations."""
+
+OTHERS = (0.2, 0.45, 3.0)
+"""Times the inductance found from which it is searched again then."""
 
 RIVAL = 9.0
 """Difference of chi-square up to which another optimum is as likely as not."""
@@ -119,9 +126,29 @@ def fit_window(
     ended = [fit for fit in (_searched(search) for search in tried[:PROMISING]) if fit is not None]
     if not ended:
         return None
+    ended += _unresolved(white_box, window, prior, min(ended, key=_size))
     noise = min(fit.noise_a for fit in ended)
     ended.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
     return _with_rivals(ended, prior)
+
+
+def _unresolved(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: Fit
+) -> list[Fit]:
+    """Search again from other inductances where the current settles within a few samples."""
+    values = dict(zip(white_box.context_nodes, fit.theta.tolist(), strict=True))
+    interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
+    if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
+        return []
+    found = []
+    for factor in OTHERS:
+        moved = fit.logarithms.copy()
+        moved[white_box.context_nodes.index('inductance')] += np.log(factor)
+        search = _Search(white_box, window, prior, moved)
+        if search.is_valid:
+            search.run()
+            found.append(search.result())
+    return [other for other in found if other is not None]
 
 
 def _size(fit: Fit) -> float:
@@ -182,6 +209,7 @@ class _Search:
             LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
         )
         self.logarithms = np.clip(logarithms, self._lower, self._upper)
+        self._leaves_out = False
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
         self._start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
@@ -214,13 +242,19 @@ class _Search:
             self.starts, self._runs = starts, runs
 
     def _weights(self, scale: float) -> Array:
-        near: Array = (np.abs(self._runs.residual_a) < OUTLIER * scale).astype(float)
-        return near
+        limit, size = OUTLIER * scale, np.abs(self._runs.residual_a)
+        if self._leaves_out:
+            near: Array = (size < limit).astype(float)
+            return near
+        pulled: Array = limit / np.maximum(size, limit)
+        return pulled
 
     def _cost(self, residual: Array, scale: float) -> float:
-        """Sum of squares in which an outlier counts as one at the limit."""
-        limit = (OUTLIER * scale) ** 2
-        return float(np.minimum(residual**2, limit).sum()) / scale**2
+        """Sum of squares in which what lies beyond the limit counts less, or as one at the limit."""
+        limit, size = OUTLIER * scale, np.abs(residual)
+        within = np.minimum(size, limit)
+        beyond = 0.0 if self._leaves_out else 2.0 * limit * (size - within)
+        return float((within**2 + beyond).sum()) / scale**2
 
     def _total(self, residual: Array, scale: float, logarithms: Array, starts: Array) -> float:
         pull = float((((starts - self._start_mean(starts)) / self._start_std) ** 2).sum())
@@ -240,7 +274,11 @@ class _Search:
         )
 
     def run(self) -> None:
-        """Step until nothing moves."""
+        """Step until nothing moves, then leave out what does not fit and step again."""
+        for self._leaves_out in (False, True):
+            self._descend()
+
+    def _descend(self) -> None:
         damping = 1e-3
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._runs.residual_a)
