@@ -6,6 +6,7 @@ from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictR
 from gray_box_observer.context_nodes.gradient import GradientRules, GradientUpdate
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveUpdate
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
+from gray_box_observer.context_nodes.rotor.estimator import RotorUpdate
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     'GradientUpdate',
     'RecursiveRules',
     'RecursiveUpdate',
+    'RotorUpdate',
     'Verdict',
     'VerdictRules',
 ]

@@ -17,9 +17,10 @@ from gray_box_observer.context_nodes import (
     GradientUpdate,
     RecursiveRules,
     RecursiveUpdate,
+    RotorUpdate,
     VerdictRules,
 )
-from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.observer.motor_observer import MotorObserver
@@ -74,12 +75,13 @@ def motor_observer(
 
     def watch(motor: int) -> DelayWatch:
         initial, asked = np.array([motors[motor].initial()]), first.estimates_delay
-        return DelayWatch(
+        kind_of_watch = DeclaredDelay if boxes[motor].has_rotor else DelayWatch
+        return kind_of_watch(
             boxes[motor], initial, first.delay_s, asked=asked, gap_s=configuration['gap_s']
         )
 
     predictor = alarm = None
-    if training is not None:
+    if training is not None and not white_box.has_rotor:  # the network knows no hidden speed
         predictor = _predictor(configuration, motors, white_box, training)
         if configuration['variant'] == Variant.PHYSICS.value:
             alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
@@ -98,7 +100,8 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         configuration['context_update'] != 'recursive'
         or configuration['variant'] != Variant.PHYSICS.value
     )
-    if rules_alone or configuration['speed.topic'] or motor.estimates_delay:
+    alone = rules_alone or bool(configuration['speed.topic']) or motor.has_rotor
+    if alone or motor.estimates_delay:
         return None
     values = motor.values
     known = frozenset(
@@ -131,6 +134,8 @@ def context_nodes(
         RecursiveRules(**configuration.group('recursive')),
         torch_device(configuration['device']),
     )
+    if white_box.has_rotor:
+        return RotorUpdate(white_box, initial, rules, verdicts, known)
     return RecursiveUpdate(white_box, initial, seed, rules, verdicts, known, device)
 
 

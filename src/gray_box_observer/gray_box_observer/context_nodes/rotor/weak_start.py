@@ -137,4 +137,4 @@ def _nodes(white_box: MotorWhiteBox, found: Array) -> Array:
     }
     made = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
     lower, upper = bounds(white_box.parameters)
-    return np.clip(made, 1.01 * lower, 0.99 * upper)
+    return np.asarray(np.clip(made, 1.01 * lower, 0.99 * upper), dtype=float)

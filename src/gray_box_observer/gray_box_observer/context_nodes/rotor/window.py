@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class Window:
                 samples[VOLTAGE, begin + 1 : end],
                 samples[INTERVAL, begin + 1 : end],
             )
-            for begin, end in zip(edges[:-1], edges[1:], strict=True)
+            for begin, end in pairwise(edges.tolist())
             if end - begin >= FEWEST
         ]
         if len(made) > MOST_HISTORIES:

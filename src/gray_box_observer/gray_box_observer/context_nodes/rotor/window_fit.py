@@ -9,7 +9,7 @@ look like outliers, and tell most. Damped after Levenberg (1944), robust after H
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,7 +72,7 @@ class LogPrior:
         """Return what both together say."""
         precision = self.precision + other.precision
         right = self.precision @ self.mean + other.precision @ other.mean
-        return LogPrior(np.linalg.solve(precision, right), precision)
+        return LogPrior(np.asarray(np.linalg.solve(precision, right), dtype=float), precision)
 
     def chi_square(self, mean: Array) -> float:
         """How far a value is off."""
@@ -89,6 +89,7 @@ class Fit:
         information: shape (parameter, parameter): of the samples alone, without the prior.
         spread: shape (parameter, parameter): covariance that rival optima add.
         noise_a: standard deviation of the noise.
+        least_noise_a: smallest one that is believed.
         chi_square: of the samples and the prior together.
         starts: shape (history, state): first states.
         runs: the free runs there.
@@ -98,6 +99,7 @@ class Fit:
     information: Array
     spread: Array
     noise_a: float
+    least_noise_a: float
     chi_square: float
     starts: Array
     runs: FreeRuns
@@ -132,9 +134,7 @@ def fit_window(
     return _with_rivals(ended, prior)
 
 
-def _unresolved(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: Fit
-) -> list[Fit]:
+def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: Fit) -> list[Fit]:
     """Search again from other inductances where the current settles within a few samples."""
     values = dict(zip(white_box.context_nodes, fit.theta.tolist(), strict=True))
     interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
@@ -156,6 +156,21 @@ def _size(fit: Fit) -> float:
     return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
 
 
+def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> FreeRuns | None:
+    """Run freely at given values, the first states where they fit best; None where that cannot be
+    run.
+
+    Args:
+        white_box: of one motor with a rotor.
+        theta: shape (parameter,).
+        window: the samples.
+    """
+    logarithms = np.log(theta)
+    nothing = LogPrior(logarithms, np.zeros((theta.size, theta.size)))
+    search = _Search(white_box, window, nothing, logarithms)
+    return search.runs
+
+
 def _with_rivals(ended: Sequence[Fit], prior: LogPrior) -> Fit:
     """Widen the best end by other ends that are as likely."""
     best = ended[0]
@@ -168,10 +183,7 @@ def _with_rivals(ended: Sequence[Fit], prior: LogPrior) -> Fit:
         if worse < RIVAL and np.max(np.abs(apart) / std) > DISTINCT:
             share = 1.0 / (1.0 + float(np.exp(0.5 * max(worse, 0.0))))
             spread = spread + share * np.outer(apart, apart)
-    return Fit(
-        best.logarithms, best.information, spread, best.noise_a, best.chi_square, best.starts,
-        best.runs,
-    )  # fmt: skip
+    return replace(best, spread=spread)
 
 
 def _searched(search: _Search) -> Fit | None:
@@ -194,7 +206,6 @@ class _Search:
     Attributes:
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there.
-        is_valid: whether the motor can be run there.
     """
 
     def __init__(
@@ -214,13 +225,26 @@ class _Search:
         slowest = 1e-9 * (1.0 + fastest)
         self._start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
-        runs = self._run(self.logarithms, self.starts)
-        self.is_valid = runs is not None
+        self._runs = self._run(self.logarithms, self.starts)
         self.scale_a = np.inf
-        if runs is not None:
-            self._runs = runs
+        if self._runs is not None:
             self._settle_starts()
-            self.scale_a = self._scale(self._runs.residual_a)
+            self.scale_a = self._scale(self._at.residual_a)
+
+    @property
+    def runs(self) -> FreeRuns | None:
+        """The free runs where it stands; None where they cannot be run."""
+        return self._runs
+
+    @property
+    def is_valid(self) -> bool:
+        """Whether the motor can be run where the search stands."""
+        return self._runs is not None
+
+    @property
+    def _at(self) -> FreeRuns:
+        assert self._runs is not None
+        return self._runs
 
     def _run(self, logarithms: Array, starts: Array) -> FreeRuns | None:
         with np.errstate(all='ignore'):
@@ -233,7 +257,7 @@ class _Search:
     def _settle_starts(self) -> None:
         """Move the first states alone to where they fit best."""
         for _ in range(2):
-            scale = self._scale(self._runs.residual_a)
+            scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
             starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
             runs = self._run(self.logarithms, starts)
@@ -242,7 +266,7 @@ class _Search:
             self.starts, self._runs = starts, runs
 
     def _weights(self, scale: float) -> Array:
-        limit, size = OUTLIER * scale, np.abs(self._runs.residual_a)
+        limit, size = OUTLIER * scale, np.abs(self._at.residual_a)
         if self._leaves_out:
             near: Array = (size < limit).astype(float)
             return near
@@ -267,7 +291,7 @@ class _Search:
 
     def _equations(self, weights: Array, scale: float) -> _Equations:
         return _Equations.from_runs(
-            self._runs,
+            self._at,
             weights / scale**2,
             self._start_std,
             self._start_mean(self.starts) - self.starts,
@@ -281,11 +305,11 @@ class _Search:
     def _descend(self) -> None:
         damping = 1e-3
         for _ in range(MOST_STEPS):
-            self.scale_a = scale = self._scale(self._runs.residual_a)
+            self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
             precision = equations.information + self.prior.precision
             right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
-            before = self._total(self._runs.residual_a, scale, self.logarithms, self.starts)
+            before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
             moved, damping = self._stepped(equations, precision, right, (scale, before, damping))
             if moved is None:
                 return
@@ -306,7 +330,8 @@ class _Search:
         scale, before, damping = at
         size = np.maximum(np.diagonal(precision), 1e-12)
         for _ in range(12):
-            step = np.linalg.solve(precision + damping * np.diag(size), right)
+            step: Array = np.asarray(np.linalg.solve(precision + damping * np.diag(size), right))
+            step = step.astype(float)
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
@@ -322,7 +347,7 @@ class _Search:
 
     def result(self) -> Fit | None:
         """Return where the search has ended; None where nothing can be said of it."""
-        residual = self._runs.residual_a
+        residual = self._at.residual_a
         scale = self._scale(residual)
         weights = self._weights(scale)
         unknowns = self.logarithms.size + self.starts.size
@@ -336,7 +361,14 @@ class _Search:
         chi_square = self._total(residual, noise, self.logarithms, self.starts)
         nothing = np.zeros_like(information)
         return Fit(
-            self.logarithms, information, nothing, noise, chi_square, self.starts, self._runs
+            self.logarithms,
+            information,
+            nothing,
+            noise,
+            self._floor_a,
+            chi_square,
+            self.starts,
+            self._at,
         )
 
 
