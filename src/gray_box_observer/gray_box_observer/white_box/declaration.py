@@ -154,9 +154,9 @@ _DECLARED = (
             1e4,
             'Dry friction T_c, coefficient of sign(w).',
         ),
-        # sign(w) to 1 % beyond 1 rad/s and finite in slope, so that a rotor at rest creeps and
+        # sign(w) to 1 % beyond 0.3 rad/s and finite in slope, so that a rotor at rest creeps and
         # does not chatter
-        'speed * (0.1 + abs(speed)) / (0.01 + 0.1 * abs(speed) + speed * speed)',
+        'speed * (0.03 + abs(speed)) / (0.0009 + 0.03 * abs(speed) + speed * speed)',
         State.SPEED,
     ),
     Term(

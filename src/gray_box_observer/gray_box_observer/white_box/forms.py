@@ -14,7 +14,7 @@ from gray_box_observer.white_box.declaration import State
 FINGERPRINT = 801533506632292105
 """Of the compiled forms that were written with these."""
 
-WHOLE_MOTOR_FINGERPRINT = 77425771705629429
+WHOLE_MOTOR_FINGERPRINT = 281824072844258588
 """The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
@@ -49,10 +49,10 @@ EFFECTS: dict[str, Form] = {
         lambda current, speed, torque_constant: torque_constant,
     ),
     'coulomb_friction': Form(
-        lambda current, speed, torque_constant: speed*(0.1 + abs(speed))/(0.01 + 0.1*abs(speed) + speed**2),
+        lambda current, speed, torque_constant: speed*(0.03 + abs(speed))/(0.0009 + 0.03*abs(speed) + speed**2),
         (lambda current, speed, torque_constant: 0.0,
-         lambda current, speed, torque_constant: (0.01*0.1 + 2*0.01*abs(speed) - 0.1**2*speed*sign(speed) + 0.1**2*abs(speed) + 0.1*speed**2 - 0.1*speed*abs(speed)*sign(speed))/(0.01 + 0.1*abs(speed) + speed**2)**2),
-        lambda current, speed, torque_constant: torque_constant*(0.01*0.1 + 2*0.01*abs(speed) - 0.1**2*speed*sign(speed) + 0.1**2*abs(speed) + 0.1*speed**2 - 0.1*speed*abs(speed)*sign(speed))/(0.01 + 0.1*abs(speed) + speed**2)**2,
+         lambda current, speed, torque_constant: (0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2),
+        lambda current, speed, torque_constant: torque_constant*(0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2,
     ),
     'load_torque': Form(
         lambda current, speed, torque_constant: 1.0 + 0.0 * current,

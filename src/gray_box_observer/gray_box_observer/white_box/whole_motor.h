@@ -5,7 +5,7 @@
 
 #include "white_box/scalar.h"
 
-#define WHOLE_MOTOR_FINGERPRINT 77425771705629429
+#define WHOLE_MOTOR_FINGERPRINT 281824072844258588
 
 enum { CURRENT, SPEED, STATES };
 enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, INERTIA, VISCOUS_FRICTION,
@@ -39,15 +39,15 @@ INLINE Linear rate_of(
     linear.by_coordinate[CURRENT][7] = all(0.0);
     linear.by_coordinate[CURRENT][8] = all(0.0);
     const Real t4 = torque_constant * state[CURRENT];
-    const Real t5 = state[SPEED] * (0.1 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
-        0.1 * absolute(state[SPEED]) + 0.01);
+    const Real t5 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
+        0.03 * absolute(state[SPEED]) + 0.0009);
     linear.value[SPEED] = p[5] * t4 - p[6] * state[SPEED] - p[7] * t5 - p[8] * 1.0;
     linear.by_state[SPEED][CURRENT] = p[5] * torque_constant - p[6] * 0.0 - p[7] * 0.0 - p[8] * 0.0;
-    const Real t6 = state[SPEED] * state[SPEED] + 0.1 * absolute(state[SPEED]) + 0.01;
+    const Real t6 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
     linear.by_state[SPEED][SPEED] = p[5] * 0.0 - p[6] * 1.0 - p[7] * ((state[SPEED] * state[SPEED] *
-        0.1 - state[SPEED] * (0.1 * 0.1) * sign(state[SPEED]) - state[SPEED] * 0.1 *
-        absolute(state[SPEED]) * sign(state[SPEED]) + 0.1 * 0.1 * absolute(state[SPEED]) + 0.1 *
-        0.01 + 2.0 * 0.01 * absolute(state[SPEED])) / (t6 * t6)) - p[8] * 0.0;
+        0.03 - state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
+        absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6)) - p[8] * 0.0;
     linear.by_coordinate[SPEED][0] = all(0.0);
     linear.by_coordinate[SPEED][1] = all(0.0);
     linear.by_coordinate[SPEED][2] = all(0.0);

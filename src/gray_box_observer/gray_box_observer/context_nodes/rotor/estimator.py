@@ -22,6 +22,7 @@ from gray_box_observer.context_nodes.estimate import (
 )
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveRules
 from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
+from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
@@ -50,7 +51,7 @@ WINDOW = 2048
 AGAIN = 1024
 """Samples between two fits from then on."""
 
-LONGEST_WAIT = 8192
+LONGEST_WAIT = 4096
 """The same at last, of a motor that nothing fits."""
 
 VAGUE = 5.0
@@ -58,6 +59,9 @@ VAGUE = 5.0
 
 MEMORY = 0.98
 """Share of what is known that a full window leaves: a motor is never quite the same."""
+
+SHARP = 0.3
+"""Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
 
 SEARCHED = 1024
 """Newest samples that a start is looked for in."""
@@ -98,7 +102,8 @@ class RotorUpdate:
         self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float)[0], self._lower, self._upper)
         stated = np.zeros_like(theta) if initial_relative_std is None else initial_relative_std[0]
-        std = np.where(stated > 0.0, stated, VAGUE)
+        self._is_stated = stated > 0.0
+        std = np.where(self._is_stated, stated, VAGUE)
         self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
         self.replay = ReplayBuffer(
             1, max(self._rules.replay_capacity, WINDOW), speed_measured=False
@@ -187,8 +192,9 @@ class RotorUpdate:
         count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
         samples = self.replay.newest(count)[:, 0].copy()
         voltage = samples[VOLTAGE, 1:]
-        if self._is_settled and np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
-            self._mark, self._due = place - 1, place + AGAIN
+        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
+            self._mark = place - 1 if self._is_settled else max(self._mark, place - FIRST_FIT)
+            self._due = place + FIRST_FIT
             return False
         window = Window.from_samples(self._white_box, samples)
         fit = self._searched(window) if window.spread_a > 0.0 else None
@@ -197,19 +203,27 @@ class RotorUpdate:
             self._schedule(place, count)
             return False
         self._counts['fits'] += 1
-        prior = self._prior()
-        precision = fit.information + prior.precision
+        information = fit.information
+        if self._memory is not None:
+            information = information + self._memory.precision
+        shares = shares_of_scale(self._white_box, fit.theta, window)
+        vanishing = np.minimum(VAGUE**-2.0, shares**2)
         self._logarithms = fit.logarithms
-        self._covariance = np.linalg.pinv(precision, hermitian=True) + fit.spread
+        prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), vanishing)
+        self._covariance = _inverse(information + np.diag(prior)) + fit.spread
         self._noise_a = fit.noise_a
-        if self._is_settled and count >= min(WINDOW, self.replay.capacity):
-            kept = MEMORY * (
-                fit.information + (0.0 if self._memory is None else self._memory.precision)
-            )
-            self._memory = LogPrior(self._logarithms, 0.5 * (kept + kept.T))
+        if self._is_settled and count >= WINDOW:
+            self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
             self._mark = place
         self._schedule(place, count)
         return True
+
+    def _remember(self, covariance: Array) -> None:
+        """Keep what is known of those parameters that the samples have told of."""
+        sharp = np.flatnonzero(np.diagonal(covariance) < SHARP**2)
+        precision = np.zeros_like(covariance)
+        precision[np.ix_(sharp, sharp)] = MEMORY * _inverse(covariance[np.ix_(sharp, sharp)])
+        self._memory = LogPrior(self._logarithms, precision)
 
     def _schedule(self, place: int, count: int) -> None:
         """Settle when the next fit is due: with twice the samples, at last every so many; later
@@ -344,3 +358,11 @@ class RotorUpdate:
         whole(plain, 'begin', 0, gone + arrays['replay'].shape[2])
         for name in ('settled', 'resumes', 'remembers'):
             flag(plain, name)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix in its own units, symmetric again."""
+    unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scaled = matrix / unit[:, None] / unit
+    made = np.linalg.pinv(0.5 * (scaled + scaled.T), rcond=1e-13, hermitian=True)
+    return np.asarray(made / unit[:, None] / unit, dtype=float)

@@ -22,6 +22,10 @@ WIDTHS = (1, 2, 4, 8, 16, 25, 50)
 LEAST_SHARE = 1e-3
 """Share of R b + a, and of R + L b, that is left for each of their parts."""
 
+LEAST_FRICTION = 0.02
+"""Share of the largest torque, and of that over the largest speed, at which a friction that is not
+seen begins: from nothing no search would find its way."""
+
 SLOWEST = 0.02
 """Least b, as a share of a / R: friction that is not seen is taken for little."""
 
@@ -37,7 +41,7 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
         for width in WIDTHS:
             found = _solved(window, width)
             if found is not None and np.isfinite(found).all():
-                yield _nodes(white_box, found)
+                yield _nodes(white_box, found, window)
 
 
 def _solved(window: Window, width: int) -> Array | None:
@@ -121,19 +125,22 @@ def _positive(rows: Array) -> Array | None:
     return None
 
 
-def _nodes(white_box: MotorWhiteBox, found: Array) -> Array:
+def _nodes(white_box: MotorWhiteBox, found: Array, window: Window) -> Array:
     """Turn (L, R, a, b, c) into context nodes within their bounds; others have their initial
     values.
     """
     inductance, resistance, coupling, viscous, dry = found.tolist()
     back_emf = float(white_box.known['back_emf_constant'])
-    inertia = back_emf * float(white_box.torque_constant) / coupling
+    torque_constant = float(white_box.torque_constant)
+    inertia = back_emf * torque_constant / coupling
+    torque = torque_constant * float(np.quantile(np.abs(window.current_a), 0.99))
+    slowest = LEAST_FRICTION * torque * back_emf / (window.largest_voltage_v + 1e-12)
     values = {
         'inductance': inductance,
         'resistance': resistance,
         'inertia': inertia,
-        'viscous_friction': viscous * inertia,
-        'coulomb_friction': dry * inertia / back_emf,
+        'viscous_friction': max(viscous * inertia, slowest),
+        'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
     }
     made = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
     lower, upper = bounds(white_box.parameters)

@@ -27,6 +27,10 @@ REACH = (100.0, 10.0)
 up."""
 
 
+LEAST_REACH_V = 1.0
+"""Back-EMF that a rotor may have beside that, whatever the voltage: it may have turned before."""
+
+
 @dataclass(frozen=True, slots=True)
 class History:
     """Samples between two restarts.
@@ -111,7 +115,7 @@ class Window:
     def limits(self, back_emf_constant: float) -> Array:
         """Return the states at which a run is given up, shape (state,)."""
         largest = float(np.abs(self.current_a).max(initial=0.0)) + 1e-9
-        fastest = (self.largest_voltage_v + 1e-9) / back_emf_constant
+        fastest = (self.largest_voltage_v + LEAST_REACH_V) / back_emf_constant
         return np.array([REACH[0] * largest, REACH[1] * fastest])
 
 
