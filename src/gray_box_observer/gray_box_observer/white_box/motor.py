@@ -147,6 +147,13 @@ class MotorWhiteBox:
         """Whether the speed is a state of its own, which nobody measures."""
         return State.SPEED in self.states
 
+    @property
+    def speed_source(self) -> str:
+        """Where the speed comes from: ``rotor``, ``measured`` or ``torque_constant``."""
+        if self.has_rotor:
+            return 'rotor'
+        return 'measured' if self.speed_measured else 'torque_constant'
+
     @cached_property
     def _lined_up(self) -> dict[int, tuple[Balance, ...]]:
         return {}

@@ -112,6 +112,7 @@ class RotorUpdate:
         self._logarithms = np.log(theta)
         self._covariance = np.diag(std**2)
         self._noise_a = 0.0
+        self._place = 0  # of the newest sample
         self._mark = 0  # place before the first sample of the window
         self._due = FIRST_FIT
         self._wait = AGAIN
@@ -176,16 +177,11 @@ class RotorUpdate:
             return False
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
-        if self.replay.total < self._due:
-            return False
-        place = self._place()
-        if place < self._due:
+        self._place += 1
+        if self._place < self._due:
             return False
         with np.errstate(all='ignore'):  # absurd samples; results are checked
-            return self._fit(place)
-
-    def _place(self) -> int:
-        return int(self.replay.received[0])
+            return self._fit(self._place)
 
     def _fit(self, place: int) -> bool:
         """Fit what the window holds so far; tell whether that has changed the estimate."""
@@ -280,7 +276,7 @@ class RotorUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
-        received = self._place()
+        received = self._place
         content = self.replay.content()
         plain = {
             'parameters': [p.name for p in self._white_box.parameters],
@@ -319,7 +315,7 @@ class RotorUpdate:
             )
         self._check(plain, arrays)
         self.replay.refill(arrays['replay'], gone=plain['gone'], begin=plain['begin'])
-        received = self._place()
+        self._place = received = int(self.replay.received[0])
         self._mark = max(received + plain['mark'], 0)
         self._due = received + plain['due']
         self._wait = plain['wait']

@@ -184,6 +184,32 @@ def free_runs(
     )
 
 
+def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Array:
+    """Run freely from the first reading of every history, whose speed is guessed from its voltage.
+
+    Args:
+        white_box: of one motor with a rotor.
+        theta: shape (parameter,).
+        samples: shape (signal, n): interval in s, voltage in V and torque in N m.
+
+    Returns:
+        Shape (n,): current in A; NaN where the values cannot be run.
+    """
+    made = np.full(samples.shape[1], np.nan)
+    current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
+    begins = np.flatnonzero(samples[INTERVAL] <= 0.0).tolist()
+    for begin, end in pairwise(sorted({0, *begins, current.size})):
+        between = slice(begin + 1, end)
+        history = History(current[begin:end], samples[VOLTAGE, between], samples[INTERVAL, between])
+        window = Window((history,))
+        made[begin] = current[begin]
+        if end - begin > 1:
+            runs = free_runs(white_box, theta, window, guessed_starts(white_box, theta, window))
+            if runs.is_bounded:
+                made[begin:end] = history.current_a - runs.residual_a
+    return made
+
+
 def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Array:
     """First states where the back-EMF is what voltage and resistance leave, shape (history,
     state).

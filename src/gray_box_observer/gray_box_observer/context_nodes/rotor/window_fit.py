@@ -27,8 +27,18 @@ from gray_box_observer.white_box.motor import MotorWhiteBox
 MOST_STEPS = 30
 """Damped steps at most."""
 
+MOST_ATTEMPTS = 12
+"""Steps tried from one place, each shorter than the one before."""
+
+FREE_ATTEMPTS = 3
+"""Of these the first in which first states move, too: of a rotor that friction holds the first speed
+has no derivative and would leap."""
+
 TOLERANCE = 1e-3
 """A search ends when it would move by less than this share of a standard deviation."""
+
+IDLE, MOST_IDLE = 1e-3, 3
+"""Gain of chi-square that is none, and steps in a row without one that end a search."""
 
 LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
@@ -303,7 +313,7 @@ class _Search:
             self._descend()
 
     def _descend(self) -> None:
-        damping = 1e-3
+        damping, idle = 1e-3, 0
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
@@ -313,8 +323,10 @@ class _Search:
             moved, damping = self._stepped(equations, precision, right, (scale, before, damping))
             if moved is None:
                 return
-            decrement = float(moved @ precision @ moved)
-            if decrement < TOLERANCE**2 * moved.size:
+            left = float(right @ np.linalg.lstsq(precision, right, rcond=1e-12)[0])
+            after = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
+            idle = idle + 1 if before - after < IDLE else 0
+            if left < TOLERANCE**2 * moved.size or idle == MOST_IDLE:
                 return
 
     def _stepped(
@@ -329,13 +341,14 @@ class _Search:
         """
         scale, before, damping = at
         size = np.maximum(np.diagonal(precision), 1e-12)
-        for _ in range(12):
+        for attempt in range(MOST_ATTEMPTS):
+            own = 0.1**attempt if attempt < FREE_ATTEMPTS else 0.0
             step: Array = np.asarray(np.linalg.solve(precision + damping * np.diag(size), right))
             step = step.astype(float)
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
-            starts = self.starts + equations.start_steps(step)
+            starts = self.starts + equations.start_steps(step, own)
             runs = self._run(logarithms, starts)
             if runs is not None:
                 after = self._total(runs.residual_a, scale, logarithms, starts)
@@ -420,7 +433,12 @@ class _Equations:
             right = right - across.T @ level[row]
         return cls(information, right, gain, level)
 
-    def start_steps(self, step: Array) -> Array:
-        """Return how the first states move with a step of the parameters, shape (history, state)."""
-        made: Array = self.level - self.gain @ step
+    def start_steps(self, step: Array, own: float = 1.0) -> Array:
+        """Return how the first states move with a step of the parameters, shape (history, state).
+
+        Args:
+            step: shape (parameter,).
+            own: share of what they would move by.
+        """
+        made: Array = own * (self.level - self.gain @ step)
         return made
