@@ -108,7 +108,7 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
         '      back_emf_constant: 0.3\n      speed_source: rotor\n      stamps_exact: true\n',
         encoding='utf-8',
     )
-    arguments = [str(free_rotor), '--params', str(params), '--json', str(json_file)]
+    arguments = ['identify', str(free_rotor), '--params', str(params), '--json', str(json_file)]
     assert main([*arguments, '--report', str(report)]) == 0
     found = json.loads(json_file.read_text(encoding='utf-8'))['motors']['motor']
     assert found['speed_source'] == 'rotor'
