@@ -114,7 +114,7 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
     assert found['speed_source'] == 'rotor'
     assert found['fit']['verdict'] == 'ok'
     assert found['predictor'] is None
-    for name in ('inductance', 'resistance', 'inertia'):
+    for name in ('resistance', 'inertia'):
         parameter, truth = found['parameters'][name], getattr(GEAR_MOTOR, name)
         assert parameter['verdict'] == 'identified', name
         assert parameter['value'] == pytest.approx(truth, rel=0.02), name

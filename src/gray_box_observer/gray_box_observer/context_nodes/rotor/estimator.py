@@ -1,7 +1,7 @@
 """The rule for a motor with a rotor whose speed is a hidden state.
 
 The free run of the current is fitted to a window of samples as soon as there are a few, again
-whenever they have doubled, and from a full window on to one window after another. What a window has
+with half as many more each, and from a full window on to one window after another. What a window has
 told is kept as a Gaussian of the parameters' logarithms and joined with what the next one tells:
 windows share no sample, so that nothing is counted twice. Where a window contradicts what was
 known, the motor has changed, and what was known is forgotten (docs/METHOD.md, The whole motor).
@@ -43,7 +43,7 @@ from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 FIRST_FIT = 128
-"""Samples of the first fit; the next ones come with twice as many each."""
+"""Samples of the first fit; the next ones come with half as many more each."""
 
 WINDOW = 2048
 """Samples of a full window."""
@@ -222,12 +222,12 @@ class RotorUpdate:
         self._memory = LogPrior(self._logarithms, precision)
 
     def _schedule(self, place: int, count: int) -> None:
-        """Settle when the next fit is due: with twice the samples, at last every so many; later
+        """Settle when the next fit is due: with half as many more, at last every so many; later
         where nothing fits.
         """
         in_vain = not self._is_settled and count >= AGAIN
         self._wait = min(2 * self._wait, LONGEST_WAIT) if in_vain else AGAIN
-        self._due = place + (self._wait if in_vain else min(count, AGAIN))
+        self._due = place + (self._wait if in_vain else min(count // 2, AGAIN))
         if place - self._mark >= WINDOW:  # nothing fits: go on with newer samples
             self._mark = place - WINDOW // 2
 
