@@ -43,7 +43,13 @@ from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
 FIRST_FIT = 128
-"""Samples of the first fit; the next ones come with half as many more each."""
+"""Samples of the first fit; the next ones come with half as many more each, of few with a quarter."""
+
+FEW = 512
+"""Samples up to which a fit costs so little that it comes more often."""
+
+STILL = 32
+"""Samples after which a voltage that was held is looked at again."""
 
 WINDOW = 2048
 """Samples of a full window."""
@@ -190,7 +196,7 @@ class RotorUpdate:
         voltage = samples[VOLTAGE, 1:]
         if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
             self._mark = place - 1 if self._is_settled else max(self._mark, place - FIRST_FIT)
-            self._due = place + FIRST_FIT
+            self._due = place + STILL
             return False
         window = Window.from_samples(self._white_box, samples)
         fit = self._searched(window) if window.spread_a > 0.0 else None
@@ -227,7 +233,9 @@ class RotorUpdate:
         """
         in_vain = not self._is_settled and count >= AGAIN
         self._wait = min(2 * self._wait, LONGEST_WAIT) if in_vain else AGAIN
-        self._due = place + (self._wait if in_vain else min(count // 2, AGAIN))
+        self._due = place + (
+            self._wait if in_vain else min(count // (4 if count < FEW else 2), AGAIN)
+        )
         if place - self._mark >= WINDOW:  # nothing fits: go on with newer samples
             self._mark = place - WINDOW // 2
 
