@@ -1,10 +1,12 @@
 """Writes the declared motor as ``forms.py`` (numbers, arrays, tensors) and ``forms.h`` (C).
 
+``whole_motor.h`` is for compiled trajectories of motors with a rotor.
+
     make physics        # ros_ws/run.sh python ros_ws/make_forms.py [--check]
 
 sympy differentiates the formulas of ``white_box/declaration.py``. What is no formula but a function
 of ``white_box/flow.py``, such as the rate and a Runge-Kutta step, is run once with
-:class:`written_c.Written` in place of numbers, which writes down what it computes. Both files are
+:class:`written_c.Written` in place of numbers, which writes down what it computes. The files are
 committed, so that nothing but this needs sympy; a test fails until they are what this writes.
 """
 
@@ -19,7 +21,7 @@ from typing import Any
 
 import sympy
 from sympy.printing.pycode import PythonCodePrinter
-from written_c import Loop, Written, braces, plain, sign, statements
+from written_c import Loop, Written, braces, plain, sign, statements, wrapped, written
 
 from gray_box_observer.white_box import declaration, flow
 from gray_box_observer.white_box.balance import Balance, Form
@@ -110,7 +112,7 @@ def in_python(expression: Expression) -> str:
     return repr(float(expression)) if expression.is_number else str(_Printer().doprint(expression))
 
 
-def python_forms(fingerprint: int) -> str:
+def python_forms(fingerprint: int, whole_motor: int) -> str:
     """Return the text of ``forms.py``."""
     lines = [
         '"""Forms of the motor for numbers, arrays and tensors.',
@@ -126,6 +128,9 @@ def python_forms(fingerprint: int) -> str:
     lines += [
         f'FINGERPRINT = {fingerprint}',
         '"""Of the compiled forms that were written with these."""',
+        '',
+        f'WHOLE_MOTOR_FINGERPRINT = {whole_motor}',
+        '"""The same of a motor with a rotor."""',
         '',
     ]
     lines += ['EFFECTS: dict[str, Form] = {']
@@ -245,7 +250,7 @@ def c_forms() -> str:
     }
     effects = {name.upper(): parsed(term.formula) for name, term in compiled.items()}
     lines = [f'enum {{ {", ".join([*(state.name for state in COMPILED), "STATES"])} }};']
-    lines += [f'enum {{ {", ".join(name.upper() for name in TERMS)} }};', '']
+    lines += [*wrapped(f'enum {{ {", ".join(name.upper() for name in TERMS)} }};'), '']
     lines += ['#include "white_box/physics.h"', '', '/* Whether there is a term of this code. */']
     lines += ['static inline int term_known(int64_t code)']
     lines += [*braces([f'return {" || ".join(f"code == {effect}" for effect in effects)};']), '']
@@ -340,23 +345,25 @@ def _joined() -> list[str]:
     return _stored(flow.joined(_linear('first->'), _linear('then->')), ['j'])
 
 
-def _linear(name: str) -> flow.Linear:
+def _linear(
+    name: str, states: Sequence[State] = COMPILED, every: Loop = COORDINATES
+) -> flow.Linear:
     """A rate or a motion that stands in a variable."""
     return flow.Linear(
-        [Written(f'{name}value[{s.name}]') for s in COMPILED],
-        [[Written(f'{name}by_state[{s.name}][{r.name}]') for r in COMPILED] for s in COMPILED],
-        [Written(f'{name}by_coordinate[{s.name}][j]', every=COORDINATES) for s in COMPILED],
+        [Written(f'{name}value[{s.name}]') for s in states],
+        [[Written(f'{name}by_state[{s.name}][{r.name}]') for r in states] for s in states],
+        [Written(f'{name}by_coordinate[{s.name}][j]', every=every) for s in states],
     )
 
 
-def _stored(linear: flow.Linear, places: Sequence[int | str]) -> list[str]:
+def _stored(
+    linear: flow.Linear, places: Sequence[int | str], states: Sequence[State] = COMPILED
+) -> list[str]:
     """Statements that work out a rate or a motion."""
     results = []
-    for s in COMPILED:
+    for s in states:
         results += [(f'linear.value[{s.name}]', linear.value[s])]
-        results += [
-            (f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in COMPILED
-        ]
+        results += [(f'linear.by_state[{s.name}][{r.name}]', linear.by_state[s][r]) for r in states]
         forced = linear.by_coordinate[s]
         entries = forced if isinstance(forced, list) else [forced]
         results += [
@@ -366,17 +373,149 @@ def _stored(linear: flow.Linear, places: Sequence[int | str]) -> list[str]:
     return statements(results)
 
 
+# --- for compiled code, of a motor with a rotor
+
+EVERY_TERM = Loop('for (int j = 0; j < COORDINATES; j++)')
+"""Loop over the coordinates of a motor that has every term."""
+
+
+class _Functions:
+    """Of numpy's functions those that a rate and an exponential step need."""
+
+    stack = list
+
+    @staticmethod
+    def minimum(value: Written, other: float) -> Written:
+        """Return the smaller one."""
+        return Written('smaller({0}, {1})', (value, written(other)))
+
+    @staticmethod
+    def exp(value: Written) -> Written:
+        """Return the exponential."""
+        return Written('exp({0})', (value,))
+
+
+class _WholeMotor:
+    """A motor that has every term, each with a coordinate of its own."""
+
+    def balances(self, signal: Written) -> list[Balance]:
+        """Return the balance of every state."""
+        return [self._balance(state) for state in State]
+
+    @staticmethod
+    def _balance(state: State) -> Balance:
+        terms = [(place, term) for place, term in enumerate(TERMS.values()) if term.state is state]
+        effects = [(place, parsed(term.formula)) for place, term in terms if term.formula]
+        (storage,) = (place for place, term in terms if not term.formula)
+        return Balance(
+            storage=storage,
+            places=tuple(place for place, _ in effects),
+            unknown=tuple(_function(ARGUMENTS, effect) for _, effect in effects),
+            unknown_slopes=tuple(
+                tuple(
+                    _function(ARGUMENTS, derivative(effect, SIGNALS[by])) for _, effect in effects
+                )
+                for by in State
+            ),
+            known=(),
+            known_slopes=tuple(() for _ in State),
+            driven=_drive(DRIVES[state]),
+            torque_constant=Written('torque_constant'),
+            speed_measured=False,
+            following_speed=None,
+        )
+
+
+def whole_motor_form() -> str:
+    """Return the text of ``whole_motor.h`` but for its fingerprint."""
+    every = range(len(TERMS))
+    states = [Written(f'state[{state.name}]') for state in State]
+    box: Any = _WholeMotor()
+    coefficients: Any = {place: Written(f'p[{place}]') for place in every}
+    rate = flow.rate(_Functions, box, coefficients, states, Written('voltage'), None)
+    interval = flow.Interval(*(Written(name) for name in ('voltage', '0.0', '0.0', 'length')))  # type: ignore[arg-type]
+    number = iter(range(2, 5))
+
+    def rate_at(at: Sequence[Written], speed: Written) -> flow.Linear:
+        name, places = f'r{next(number)}', ', '.join(f'{{{state}}}' for state in State)
+        call = (
+            f'const Linear {name} = rate_of(p, torque_constant, (Real[]){{{{{places}}}}}, voltage);'
+        )
+        made = Written(name, tuple(at), declared=call)
+        return _linear('{0}.', tuple(State), EVERY_TERM).mapped(
+            lambda member: Written(member.text, (made,), every=member.every)
+        )
+
+    start = [Written(f'start[{state.name}]') for state in State]
+    here = _linear('here->', tuple(State), EVERY_TERM)
+    by_runge_kutta = flow.runge_kutta_step(rate_at, start, here, interval)
+    begin: Any = start
+    exponential = flow._exponential_step(_Functions, rate_at, begin, here, interval)
+    both = flow.joined(
+        *(_linear(f'{name}->', tuple(State), EVERY_TERM) for name in ('first', 'then'))
+    )
+    step = (
+        'const Real *p, Real torque_constant, const Real *start, const Linear *here, Real voltage, '
+        'Real length'
+    )
+    functions = {
+        'rate_of': ('const Real *p, Real torque_constant, const Real *state, Real voltage', rate),
+        'runge_kutta_step': (step, by_runge_kutta),
+        'exponential_step': (
+            'const Real *start, const Linear *here, Real length',
+            exponential,
+        ),
+        'joined': ('const Linear *first, const Linear *then', both),
+    }
+    lines = [f'enum {{ {", ".join([*(state.name for state in State), "STATES"])} }};']
+    lines += wrapped(f'enum {{ {", ".join([*(name.upper() for name in TERMS), "COORDINATES"])} }};')
+    lines += ['']
+    lines += ['typedef struct {']
+    lines += [
+        '    Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];'
+    ]
+    lines += ['} Linear;']
+    for name, (arguments, made) in functions.items():
+        places = list(coefficients) if name == 'rate_of' else ['j']
+        body = _stored(made, places, tuple(State))
+        lines += ['', f'/* flow.py, {FUNCTIONS[name]}. */', f'INLINE Linear {name}(']
+        lines += [f'    {arguments})']
+        lines += braces(['Linear linear;', *body, 'return linear;'])
+    return '\n'.join(lines)
+
+
+FUNCTIONS = {
+    'rate_of': 'rate',
+    'runge_kutta_step': 'runge_kutta_step',
+    'exponential_step': '_exponential_step',
+    'joined': 'joined',
+}
+"""Functions of ``flow.py`` by their names in compiled code."""
+
+
+def _header(name: str, what: str, numbers: str, fingerprint: int, body: str) -> str:
+    """Return the text of a header."""
+    guard = f'GRAY_BOX_OBSERVER_WHITE_BOX_{name}_H'
+    lines = [f'/* {what}.', f' * {HEAD} */', f'#ifndef {guard}', f'#define {guard}', '']
+    lines += [f'#include "white_box/{numbers}"', '']
+    lines += [f'#define {name}_FINGERPRINT {fingerprint}', '', body, '', '#endif', '']
+    return '\n'.join(lines)
+
+
+def _fingerprint(body: str) -> int:
+    return int(hashlib.sha256(body.encode()).hexdigest()[:15], 16)
+
+
 def forms() -> dict[Path, str]:
     """Return what the files should hold."""
-    body = c_forms()
-    fingerprint = int(hashlib.sha256(body.encode()).hexdigest()[:15], 16)
-    guard = 'GRAY_BOX_OBSERVER_WHITE_BOX_FORMS_H'
-    lines = ['/* Forms of the motor for compiled code, LANES motors at a time.', f' * {HEAD} */']
-    lines += [f'#ifndef {guard}', f'#define {guard}', '', '#include "white_box/lanes.h"', '']
-    lines += [f'#define FORMS_FINGERPRINT {fingerprint}', '', body, '', '#endif', '']
+    blocks, whole = c_forms(), whole_motor_form()
+    of_blocks, of_whole = _fingerprint(blocks), _fingerprint(whole)
+    what = 'Forms of the motor for compiled code, LANES motors at a time'
+    of_one = 'Forms of a motor with a rotor for compiled code, one motor at a time'
     return {
-        WHITE_BOX / 'forms.py': python_forms(fingerprint),
-        WHITE_BOX / 'forms.h': '\n'.join(lines),
+        WHITE_BOX / 'forms.py': python_forms(of_blocks, of_whole),
+        WHITE_BOX / 'forms.h': _header('FORMS', what, 'lanes.h', of_blocks, blocks),
+        WHITE_BOX / 'whole_motor.h': _header('WHOLE_MOTOR', of_one, 'scalar.h', of_whole, whole),
     }
 
 

@@ -112,10 +112,11 @@ def statements(results: Iterable[tuple[str, Any]]) -> list[str]:
 
 def braces(lines: list[str]) -> list[str]:
     """Return the lines as a block, those that are too long cut between words."""
-    return ['{', *(part for line in lines for part in _wrapped(f'    {line}')), '}']
+    return ['{', *(part for line in lines for part in wrapped(f'    {line}')), '}']
 
 
-def _wrapped(line: str) -> list[str]:
+def wrapped(line: str) -> list[str]:
+    """Return a line that is too long cut between words."""
     words = line.lstrip()
     indent = line[: len(line) - len(words)]
     form = TextWrapper(

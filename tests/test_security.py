@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from dc_motor_sim.ros import topics as simulated
 from gray_box_observer.ros import topics as observed
 from gray_box_observer.white_box import TERMS
+from gray_box_observer.white_box.declaration import State
 
 ROOT = Path(__file__).resolve().parent.parent
 POLICIES = sorted((ROOT / 'src').glob('*/security/*.policy.xml'))
@@ -144,11 +145,13 @@ def start_simulator(peer: Any, folder: Path) -> subprocess.Popen[str]:
 
 def start_observer(peer: Any, folder: Path) -> subprocess.Popen[str]:
     """The observer with all that takes a right: context nodes, horizon, simulated time."""
-    nodes = ', '.join(sorted(TERMS, key=lambda name: name != 'inductance'))
+    nodes = ', '.join(name for name, term in TERMS.items() if term.state is State.CURRENT)
+    without_speed = ', '.join(name for name, term in TERMS.items() if not term.needs_speed)
     (folder / 'all.yaml').write_text(
         '/**:\n  ros__parameters:\n    use_sim_time: true\n    horizon_s: 0.1\n'
         '    motors: [left, right]\n    left: '
-        f'{{speed_source: measured, context_nodes: [{nodes}]}}\n',
+        f'{{speed_source: measured, context_nodes: [{nodes}]}}\n'
+        f'    right: {{speed_source: rotor, context_nodes: [{without_speed}]}}\n',
         encoding='utf-8',
     )
     return peer.start(

@@ -111,7 +111,7 @@ def test_every_term_is_compiled_as_it_is_declared() -> None:
     assert library is not None
     values, constant = (ctypes.c_double * 2)(), 0.3
     for code, name in enumerate(TERMS):
-        form = EFFECTS.get(name)
+        form = EFFECTS.get(name) if TERMS[name].state is State.CURRENT else None
         assert bool(library.term_values(code, 0, 1.0, 1.0, constant, values)) == (
             form is not None
         ), name

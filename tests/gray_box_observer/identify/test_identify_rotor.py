@@ -95,3 +95,27 @@ def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
     assert motor['covariance'][0] == [None, None, None]
     assert main(['identify', str(free_rotor), '--skip-predictor']) == 0
     assert '+- not known H' in capsys.readouterr().out
+
+
+def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
+    free_rotor: Path, tmp_path: Path
+) -> None:
+    params, json_file, report = (tmp_path / name for name in ('p.yaml', 'r.json', 'r.html'))
+    params.write_text(
+        '/**:\n  ros__parameters:\n    motor:\n      torque_constant: 0.3\n'
+        '      back_emf_constant: 0.3\n      speed_source: rotor\n      stamps_exact: true\n',
+        encoding='utf-8',
+    )
+    arguments = ['identify', str(free_rotor), '--params', str(params), '--json', str(json_file)]
+    assert main([*arguments, '--report', str(report)]) == 0
+    found = json.loads(json_file.read_text(encoding='utf-8'))['motors']['motor']
+    assert found['speed_source'] == 'rotor'
+    assert found['fit']['verdict'] == 'ok'
+    assert found['predictor'] is None
+    for name in ('resistance', 'inertia'):
+        parameter, truth = found['parameters'][name], getattr(GEAR_MOTOR, name)
+        assert parameter['verdict'] == 'identified', name
+        assert parameter['value'] == pytest.approx(truth, rel=0.02), name
+    for name, parameter in found['parameters'].items():
+        assert abs(parameter['value'] - getattr(GEAR_MOTOR, name)) < 4.0 * parameter['std'], name
+    assert 'the speed a hidden state' in report.read_text(encoding='utf-8')

@@ -208,16 +208,48 @@ def test_what_cannot_be_used_is_refused_in_one_clear_line(
 
 
 def test_every_term_that_is_not_identified_can_be_known() -> None:
-    assert set(KNOWN_PARAMETERS) == set(TERMS) - {'inductance'}
+    assert set(KNOWN_PARAMETERS) == set(TERMS) - {'inductance', 'inertia'}
     given = {parameter: 0.5 + k for k, parameter in enumerate(KNOWN_PARAMETERS.values())}
     configuration = Configuration.from_flat(
         {
-            'motor.context_nodes': ['inductance'],
+            'motor.speed_source': 'rotor',
+            'motor.context_nodes': ['inductance', 'inertia'],
             **{f'motor.{name}': value for name, value in given.items()},
         }
     )
     known = configuration.motors['motor'].white_box(speed_measured=False).known
     assert known == {term: given[parameter] for term, parameter in KNOWN_PARAMETERS.items()}
+
+
+def test_a_rotor_has_context_nodes_of_its_own() -> None:
+    motor = Configuration.from_flat({'motor.speed_source': 'rotor'}).motors['motor']
+    nodes = ['inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction']
+    assert motor.values['context_nodes'] == nodes
+    assert motor.white_box(speed_measured=True).has_rotor
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        (
+            {'motor__context_nodes': ['inductance', 'resistance']},
+            'motor motor: speed_source is rotor, but inertia is not among context_nodes',
+        ),
+        ({'motor__delay': 'estimate'}, 'cannot be estimated; declare it with motor.delay'),
+        ({'motor__back_emf_constant': 0.0}, 'motor.back_emf_constant must be positive'),
+        ({'context_update': 'gradient'}, 'speed_source rotor needs context_update recursive'),
+        (
+            {'motor__speed_source': 'auto', 'motor__context_nodes': ['inductance', 'inertia']},
+            'inertia is among context_nodes; set motor.speed_source: rotor',
+        ),
+        (
+            {'motor__speed_source': 'auto', 'motor__known__load_torque': 0.1},
+            'load_torque belongs to the rotor',
+        ),
+    ],
+)
+def test_a_rotor_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+    refuse(message, **{'motor__speed_source': 'rotor'} | changes)
 
 
 def test_a_delay_is_a_number_or_the_word_estimate() -> None:

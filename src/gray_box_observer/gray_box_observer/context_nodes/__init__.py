@@ -1,9 +1,10 @@
-"""The unknown physical parameters (thesis: parameter context nodes). Read `update_rule.py` first."""
+"""The unknown physical parameters (thesis: parameter context nodes). Read `update_rule.py`."""
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictSettings
 from gray_box_observer.context_nodes.gradient import GradientSettings, GradientUpdate
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
+from gray_box_observer.context_nodes.rotor.estimator import RotorUpdate
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     'GradientUpdate',
     'RecursiveEstimator',
     'RecursiveSettings',
+    'RotorUpdate',
     'Verdict',
     'VerdictSettings',
 ]

@@ -21,7 +21,8 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
     """
     found = {}
     chosen = 'speed_source' in motor.stated and motor.values['speed_source'] == 'torque_constant'
-    if not white_box.speed_measured and not chosen and not _has_data_sheet(motor):
+    followed = not (white_box.speed_measured or white_box.has_rotor or chosen)
+    if followed and not _has_data_sheet(motor):
         found[UNSEEN_ROTOR] = (
             'neither speed nor a data sheet is given, so the speed is taken to be Kt i, as in the '
             'thesis: with a rotor '

@@ -47,12 +47,14 @@ class Scene:
         speed_rad_s: likewise; None where speed is not measured.
         fine: whether effects are told from each other, which takes more shapes than finding that
             there is one.
+        has_rotor: whether the speed is a state of the white box.
     """
 
     voltage_v: Array
     current_a: Array
     speed_rad_s: Array | None
     fine: bool = False
+    has_rotor: bool = False
 
     @property
     def progress(self) -> Array:
@@ -179,8 +181,8 @@ EFFECTS: dict[str, Effect] = {
         Effect(
             'rotor',
             _rotor,
-            "publish the speed in motor/torque's velocity: a rotor turns whose speed is not "
-            'measured',
+            "{motor}.speed_source: rotor, or publish the speed in motor/torque's velocity: a rotor "
+            'turns whose speed is not measured',
             without_speed=True,
             hides_resistance=True,
         ),
@@ -250,8 +252,9 @@ REMEDIES: dict[str, str] = {name: effect.remedy for name, effect in EFFECTS.item
 def possible_effects(scene: Scene) -> list[tuple[Effect, list[Shapes]]]:
     """Return every effect that this motor can have, with the shapes that it may take."""
     measured = scene.speed_rad_s is not None
+    turns = measured or scene.has_rotor
     return [
         (effect, list(effect.alternatives(scene)))
         for effect in EFFECTS.values()
-        if not (effect.needs_speed and not measured) and not (effect.without_speed and measured)
+        if not (effect.needs_speed and not measured) and not (effect.without_speed and turns)
     ]

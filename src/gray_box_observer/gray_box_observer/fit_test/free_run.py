@@ -55,6 +55,7 @@ class FreeRun:
         reach_s: shape (k,): time over which a voltage acts in every interval, its decay taken into
             account.
         weight: shape (k + 1,): what a sample counts; less than one after a restart.
+        further: shape (k + 1,) each: derivatives by whatever else is free.
     """
 
     stretch: SampleWindow
@@ -65,6 +66,7 @@ class FreeRun:
     decay: Array
     reach_s: Array
     weight: Array
+    further: tuple[Array, ...] = ()
 
     def response(self, voltages_v: Array) -> Array:
         """Return how the run answers small further voltages.

@@ -220,11 +220,10 @@ class FitMonitor:
         samples = replay.newest(count, one)
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
         white_box = self._white_boxes[motor]
+        knows_speed = white_box.speed_measured or white_box.has_rotor
         # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a
         # transient counts.
-        tells = (
-            before is None and hopeful and (white_box.speed_measured or _knows_inductance(estimate))
-        )
+        tells = before is None and hopeful and (knows_speed or _knows_inductance(estimate))
         if _is_held(samples[VOLTAGE, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
@@ -236,7 +235,7 @@ class FitMonitor:
             analysis,
             estimate.std[0] / theta[0],
             place - begin,
-            speed_measured=white_box.speed_measured,
+            speed_measured=knows_speed,
             stamps_exact=bool(self._motors[motor].values['stamps_exact']),
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
@@ -250,7 +249,11 @@ class FitMonitor:
         if named or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         if judgement.verdict is not FitVerdict.OK:
-            explained = explanations(white_box, SampleWindow.of_content(white_box, stored))
+            explained = (
+                {}  # its balance has a speed that nobody measures
+                if white_box.has_rotor
+                else explanations(white_box, SampleWindow.of_content(white_box, stored))
+            )
             if _clearest(explained) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
             named += self._suspects(analysis, explained, motor)

@@ -11,12 +11,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
+from gray_box_observer.context_nodes.recursive.normal_equations import (
+    MAD_TO_STD,
+    difference_noise,
+)
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.fit_test.effects import Effect, Scene, interval_means, possible_effects
 from gray_box_observer.fit_test.free_run import FreeRun, free_run
+from gray_box_observer.fit_test.rotor_free_run import rotor_free_run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
@@ -104,17 +107,6 @@ class ResidualAnalysis:
     moving_noise_a: float
 
 
-def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(None)) -> float:
-    """Standard deviation of white noise on a smooth signal, from second differences; robust.
-
-    Args:
-        signal: shape (n,).
-        smooth: shape (n - 2,): which second differences count.
-    """
-    second = (signal[2:] - 2.0 * signal[1:-1] + signal[:-2])[smooth]
-    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
-
-
 def _moving_noise(residual: Array, readings: Array) -> float:
     """Noise of the samples whose reading differs from both neighbours; 0 if too few."""
     changes = readings[1:] != readings[:-1]
@@ -147,14 +139,14 @@ def analyse(
         stretch: the newest samples, with a motor axis of one.
         drifting: whether what heats is known to drift, which is no misfit then.
     """
-    run = free_run(white_box, p, stretch)
+    run = (rotor_free_run if white_box.has_rotor else free_run)(white_box, p, stretch)
     step_a = float(quantisation_step(stretch.state)[0])
     least_a = max(INTEGRATION * float(np.std(stretch.state)), step_a * STEP_TO_STD, SMALLEST)
     floor_a = max(difference_noise(run.residual_a), least_a)
     limit_a = CREDIBLE * max(MAD_TO_STD * float(np.median(np.abs(run.residual_a))), floor_a)
     weight = np.sqrt(run.weight)
     residual = np.clip(run.residual_a, -limit_a, limit_a) * weight
-    base = run.jacobian
+    base = np.column_stack([run.jacobian, *run.further])
     if drifting:
         base = np.column_stack([base, *run.response(_ramps(white_box, run))])
     projection = _Projection(base * weight[:, None], residual, run.jacobian.shape[1])
@@ -184,6 +176,7 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
         run.stretch.voltage_v[0],
         interval_means(run.current_a),
         None if speed is None else interval_means(speed),
+        has_rotor=white_box.has_rotor,
     )
 
 

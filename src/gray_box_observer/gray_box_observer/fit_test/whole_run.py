@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow, follow, linearise
+from gray_box_observer.context_nodes.rotor.window import rotor_current
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -57,6 +58,9 @@ def white_box_torque(
     """
     if torque_nm.size < 2 or not np.isfinite(theta).all():
         return np.full(torque_nm.shape, math.nan)
+    if white_box.has_rotor:
+        samples = np.stack([interval_s, voltage_v, torque_nm])
+        return white_box.output(rotor_current(white_box, theta, samples))
     state = white_box.state(torque_nm)
     speed = speed_rad_s if white_box.speed_measured else np.zeros_like(torque_nm)
     coordinates = to_coordinates(theta[None])

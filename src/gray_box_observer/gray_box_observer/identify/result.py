@@ -127,6 +127,7 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
         'covariance': estimate.covariance[0].tolist(),
         'fit': motor.fit.to_dict(),
         'fit_percent': motor.fit_percent(),
+        'speed_source': motor.white_box.speed_source,
         'predictor': None if skill is None else skill.to_dict(),
         'alarms': None,
         'changes_s': [round(time_s, 6) for time_s in course.changes_s],

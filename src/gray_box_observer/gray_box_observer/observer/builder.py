@@ -15,9 +15,10 @@ from gray_box_observer.context_nodes import (
     GradientUpdate,
     RecursiveEstimator,
     RecursiveSettings,
+    RotorUpdate,
     VerdictSettings,
 )
-from gray_box_observer.delay import DelayRound, DelayWatch
+from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.observer.motor_observer import MotorObserver
@@ -72,7 +73,8 @@ def motor_observer(
 
     def watch(motor: int) -> DelayWatch:
         initial, estimates_delay = np.array([motors[motor].initial()]), first.estimates_delay
-        return DelayWatch(
+        kind_of_watch = DeclaredDelay if boxes[motor].has_rotor else DelayWatch
+        return kind_of_watch(
             boxes[motor],
             initial,
             first.delay_s,
@@ -81,7 +83,7 @@ def motor_observer(
         )
 
     predictor = alarm = None
-    if training is not None:
+    if training is not None and not white_box.has_rotor:  # the network knows no hidden speed
         predictor = _predictor(configuration, motors, white_box, training)
         if configuration['variant'] == Variant.PHYSICS.value:
             alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
@@ -99,7 +101,8 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         configuration['context_update'] != 'recursive'
         or configuration['variant'] != Variant.PHYSICS.value
     )
-    if rules_alone or configuration['speed.topic'] or motor.estimates_delay:
+    alone = rules_alone or bool(configuration['speed.topic']) or motor.has_rotor
+    if alone or motor.estimates_delay:
         return None
     values = motor.values
     constants = frozenset(
@@ -135,6 +138,8 @@ def context_nodes(
         )
     relative_std = np.array([motor.initial_relative_std() for motor in motors])
     rules = RecursiveSettings(**configuration.group('recursive'))
+    if white_box.has_rotor:
+        return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
 
 

@@ -195,7 +195,7 @@ class Grouping:
     def _new_pairing(self, names: Sequence[str]) -> Pairing:
         own_speed = bool(self._configuration['speed.topic'])
         first = self._configuration.motors[names[0]]
-        uses_speed = first.values['speed_source'] != 'torque_constant'
+        uses_speed = first.values['speed_source'] not in ('torque_constant', 'rotor')
         rules = pairing_rules(self._configuration)
         return Pairing(
             rules, len(names), own_speed=own_speed, uses_speed=uses_speed, delay_s=first.delay_s

@@ -17,6 +17,7 @@ from gray_box_observer.settings.parameters import (
     KNOWN_PARAMETERS,
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
+    ROTOR_NODES,
     SIGNALS,
     ParameterSpec,
 )
@@ -63,7 +64,13 @@ class MotorConfiguration:
             for name, parameter in KNOWN_PARAMETERS.items()
             if name not in nodes and self.values[parameter] > 0.0
         }
-        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, speed_measured)
+        measured = speed_measured and not self.has_rotor
+        return MotorWhiteBox(nodes, self.values['torque_constant'], constants, measured)
+
+    @property
+    def has_rotor(self) -> bool:
+        """Whether its speed is a hidden state."""
+        return bool(self.values['speed_source'] == 'rotor')
 
     def is_notable(self, spec: ParameterSpec) -> bool:
         """Tell whether a value must be known to repeat a run: constant, stated or no default."""
@@ -348,6 +355,12 @@ def _check_signal(name: str, values: Mapping[str, Any]) -> None:
 def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
     """Refuse to be told what the rule could not make use of."""
     informed_motors = [name for name, motor in motors.items() if any(motor.initial_relative_std())]
+    rotor_motors = [name for name, motor in motors.items() if motor.has_rotor]
+    if rule != 'recursive' and rotor_motors:
+        raise ConfigurationError(
+            f'motor {rotor_motors[0]}: speed_source rotor needs context_update recursive, '
+            f'got {rule}'
+        )
     if rule != 'recursive' and informed_motors:
         raise ConfigurationError(
             f'motor {informed_motors[0]}: initial_relative_std needs context_update recursive, got '
@@ -417,6 +430,9 @@ def _motor(
         for spec in MOTOR_PARAMETERS
     }
     motor = MotorConfiguration(name, values, stated_names)
+    if motor.has_rotor and 'context_nodes' not in stated_names:
+        values['context_nodes'] = list(ROTOR_NODES)
+    _check_rotor(motor)
     for node in values['context_nodes']:
         if values.get(f'known.{node}', 0.0) > 0.0:
             raise ConfigurationError(
@@ -440,6 +456,31 @@ def _motor(
     except ConfigurationError as error:
         raise ConfigurationError(f'motor {name}: {error}') from error
     return motor
+
+
+def _check_rotor(motor: MotorConfiguration) -> None:
+    """Refuse a rotor without what it needs, and what is of a rotor where there is none."""
+    name, values = motor.name, motor.values
+    has_inertia = 'inertia' in values['context_nodes']
+    if motor.has_rotor and not has_inertia:
+        raise ConfigurationError(
+            f'motor {name}: speed_source is rotor, but inertia is not among context_nodes'
+        )
+    if has_inertia and not motor.has_rotor:
+        raise ConfigurationError(
+            f'motor {name}: inertia is among context_nodes; set {name}.speed_source: rotor'
+        )
+    if not motor.has_rotor:
+        return
+    if motor.estimates_delay:
+        raise ConfigurationError(
+            f'motor {name}: the delay of a motor whose speed_source is rotor cannot be estimated; '
+            f'declare it with {name}.delay in s'
+        )
+    if not values['back_emf_constant'] > 0.0:
+        raise ConfigurationError(
+            f'motor {name}: speed_source is rotor, so {name}.back_emf_constant must be positive'
+        )
 
 
 def _own(value: Any) -> Any:

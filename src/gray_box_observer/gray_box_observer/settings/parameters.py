@@ -426,21 +426,31 @@ def _known_values(*, own: bool) -> Iterator[ParameterSpec]:
             yield ParameterSpec(name, term.known_value, description, 0.0, upper)
 
 
+ROTOR_NODES = (
+    'inductance',
+    'resistance',
+    'inertia',
+    'viscous_friction',
+    'coulomb_friction',
+)
+"""What is identified of a motor with a rotor unless context_nodes is stated."""
+
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
     *_known_values(own=True),
     ParameterSpec(
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
-        'Parameters to identify; inductance first.',
+        'Parameters to identify; inductance first. With speed_source rotor hysteresis gives way to '
+        'inertia, viscous_friction and coulomb_friction unless it is stated.',
     ),
     *_known_values(own=False),
     ParameterSpec(
         'speed_source',
         'auto',
-        'measured: speed is a signal; torque_constant: w = Kt i (thesis); auto: measured where '
-        'torque brings speed.',
-        choices=('auto', 'measured', 'torque_constant'),
+        'measured: speed is a signal; torque_constant: w = Kt i (thesis); rotor: a hidden state '
+        '(recursive rule, no predictor); auto: measured where torque brings speed.',
+        choices=('auto', 'measured', 'torque_constant', 'rotor'),
     ),
     ParameterSpec(
         'voltage_limits',

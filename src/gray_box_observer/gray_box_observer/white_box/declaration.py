@@ -2,7 +2,8 @@
 
 ``V = L di/dt + R i + K_HS |w| i + Kb w + V_b sign(i)``, thesis equations 4.1, 4.2 and 4.4 with
 ``|w| i`` instead of ``w i``, so that hysteresis takes energy in all four quadrants, and a brush
-drop beside them (docs/METHOD.md, The form).
+drop beside them (docs/METHOD.md, The form). A motor whose inertia is a context node has a second
+balance, ``Kt i = J dw/dt + B w + T_c sign(w) + T_load`` (docs/METHOD.md, The whole motor).
 
 A formula is text, in the names of :data:`SIGNALS` and :data:`CONSTANTS`; it may use operators,
 numbers, ``abs`` and ``sign``. ``make physics`` differentiates the formulas and writes the forms
@@ -21,10 +22,12 @@ class State(IntEnum):
     """What a motor remembers, by its number along every axis of states."""
 
     CURRENT = 0
+    SPEED = 1
 
 
 COMPILED = (State.CURRENT,)
-"""The states that compiled code moves; a motor with further ones is left to numpy."""
+"""The states that compiled blocks move; those of a motor with a rotor have compiled code of their
+own."""
 
 SIGNALS = ('current', 'speed')
 """What effects are functions of, in A and rad/s: states first, in the order of their numbers."""
@@ -38,8 +41,8 @@ FOLLOWING_SPEED = 'torque_constant * current'
 TORQUE = 'torque_constant * current'
 """The measured output, in N m (thesis 4.3)."""
 
-DRIVES = {State.CURRENT: 'voltage'}
-"""What drives every state: ``storage d state / dt = drive - sum of the effects``, in V."""
+DRIVES = {State.CURRENT: 'voltage', State.SPEED: 'torque_constant * current'}
+"""What drives every state: ``storage d state / dt = drive - sum of the effects``, in V and N m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,45 @@ _DECLARED = (
         'current / (abs(current) + 0.02)',  # half of it is there at 0.02 A
         known_as='brush_drop',
         known_upper=1e3,
+    ),
+    Term(
+        Parameter(
+            'inertia', 'kg m2', 1e-5, 1e-12, 1e4, 'Inertia J of the rotor, coefficient of dw/dt.'
+        ),
+        state=State.SPEED,
+    ),
+    Term(
+        Parameter(
+            'viscous_friction',
+            'N m s/rad',
+            1e-5,
+            1e-12,
+            1e4,
+            'Viscous friction B, coefficient of w.',
+        ),
+        'speed',
+        State.SPEED,
+    ),
+    Term(
+        Parameter(
+            'coulomb_friction',
+            'N m',
+            1e-3,
+            1e-10,
+            1e4,
+            'Dry friction T_c, coefficient of sign(w).',
+        ),
+        # sign(w) to 1 % beyond 0.3 rad/s and finite in slope, so that a rotor at rest creeps and
+        # does not chatter
+        'speed * (0.03 + abs(speed)) / (0.0009 + 0.03 * abs(speed) + speed * speed)',
+        State.SPEED,
+    ),
+    Term(
+        Parameter(
+            'load_torque', 'N m', 1e-3, 1e-10, 1e4, 'Load torque T_load, against positive speed.'
+        ),
+        '1',
+        State.SPEED,
     ),
 )
 

@@ -11,8 +11,11 @@ from typing import Any
 from gray_box_observer.white_box.balance import Form, sign
 from gray_box_observer.white_box.declaration import State
 
-FINGERPRINT = 403868967632922446
+FINGERPRINT = 1136474284811409204
 """Of the compiled forms that were written with these."""
+
+WHOLE_MOTOR_FINGERPRINT = 281824072844258588
+"""The same of a motor with a rotor."""
 
 EFFECTS: dict[str, Form] = {
     'resistance': Form(
@@ -39,11 +42,35 @@ EFFECTS: dict[str, Form] = {
          lambda current, speed, torque_constant: 0.0),
         lambda current, speed, torque_constant: 0.02/(0.02 + abs(current))**2,
     ),
+    'viscous_friction': Form(
+        lambda current, speed, torque_constant: speed,
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: 1.0),
+        lambda current, speed, torque_constant: torque_constant,
+    ),
+    'coulomb_friction': Form(
+        lambda current, speed, torque_constant: speed*(0.03 + abs(speed))/(0.0009 + 0.03*abs(speed) + speed**2),
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: (0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2),
+        lambda current, speed, torque_constant: torque_constant*(0.0009*0.03 + 2*0.0009*abs(speed) - 0.03**2*speed*sign(speed) + 0.03**2*abs(speed) + 0.03*speed**2 - 0.03*speed*abs(speed)*sign(speed))/(0.0009 + 0.03*abs(speed) + speed**2)**2,
+    ),
+    'load_torque': Form(
+        lambda current, speed, torque_constant: 1.0 + 0.0 * current,
+        (lambda current, speed, torque_constant: 0.0,
+         lambda current, speed, torque_constant: 0.0),
+        lambda current, speed, torque_constant: 0.0,
+    ),
 }
 """Effects by the names of their coefficients."""
 
 DRIVES: dict[State, Form | None] = {
     State.CURRENT: None,
+    State.SPEED: Form(
+        lambda voltage, current, speed, torque_constant: current*torque_constant,
+        (lambda voltage, current, speed, torque_constant: torque_constant,
+         lambda voltage, current, speed, torque_constant: 0.0),
+        lambda voltage, current, speed, torque_constant: torque_constant,
+    ),
 }
 """What drives every state; ``None``: the voltage itself."""
 

@@ -77,6 +77,10 @@ class WhiteBox(Protocol):
     def speed_measured(self) -> bool:
         """Whether the effects use a measured speed."""
 
+    @property
+    def has_rotor(self) -> bool:
+        """Whether the speed is a state of its own, which nobody measures."""
+
     def of_motors(self, index: Any) -> WhiteBox:
         """Return the white box of the chosen motors, in the order of ``index``."""
 

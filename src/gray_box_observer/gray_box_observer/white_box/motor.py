@@ -35,8 +35,8 @@ class MotorWhiteBox:
         speed_measured: true where speed is a signal; else ``w = Kt i`` (thesis, 4.1.1).
 
     Raises:
-        ConfigurationError: an unknown name, no inductance, or a term that only a measured speed
-            could tell apart.
+        ConfigurationError: an unknown name, no inductance, a term of the rotor without its inertia,
+            or a term that only a measured speed could tell apart.
     """
 
     context_nodes: tuple[str, ...]
@@ -58,6 +58,16 @@ class MotorWhiteBox:
         if len(set(self.context_nodes)) != len(self.context_nodes):
             raise ConfigurationError(
                 f'context_nodes names a parameter twice: {list(self.context_nodes)}'
+            )
+        still = [
+            name
+            for name in (*self.context_nodes, *self.known)
+            if TERMS[name].state not in self.states
+        ]
+        if still:
+            raise ConfigurationError(
+                f'{still[0]} belongs to the rotor, which is a state only with its inertia among '
+                'context_nodes'
             )
         blind = [n for n in self.context_nodes if TERMS[n].needs_speed and not self.speed_measured]
         if blind:
@@ -134,6 +144,18 @@ class MotorWhiteBox:
         return tuple(
             state for state, name in sorted(STORAGES.items()) if name in self.context_nodes
         )
+
+    @cached_property
+    def has_rotor(self) -> bool:
+        """Whether the speed is a state of its own, which nobody measures."""
+        return State.SPEED in self.states
+
+    @property
+    def speed_source(self) -> str:
+        """Where the speed comes from: ``rotor``, ``measured`` or ``torque_constant``."""
+        if self.has_rotor:
+            return 'rotor'
+        return 'measured' if self.speed_measured else 'torque_constant'
 
     @cached_property
     def _lined_up(self) -> dict[int, tuple[Balance, ...]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,17 @@ def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:
     median = sizes[np.arange(sizes.shape[0]), middle]
     std: Array = MAD_TO_STD * np.where(np.isfinite(median), median, 0.0)
     return std
+
+
+def difference_noise(signal: Array, smooth: NDArray[np.bool_] | slice = slice(None)) -> float:
+    """Standard deviation of white noise on a smooth signal, from second differences; robust.
+
+    Args:
+        signal: shape (n,).
+        smooth: shape (n - 2,): which second differences count.
+    """
+    second = (signal[2:] - 2.0 * signal[1:-1] + signal[:-2])[smooth]
+    return MAD_TO_STD / math.sqrt(6.0) * float(np.median(np.abs(second)))
 
 
 def weighted(jacobian: Array, weights: Array, residual: Array) -> tuple[Array, Array]:

@@ -32,9 +32,10 @@ def sensitivity(
         theta: shape (motor, parameter): where the fits start.
 
     Returns:
-        By constant and parameter, of the first motor; None where too little is remembered to tell.
+        By constant and parameter, of the first motor; None where too little is remembered to tell,
+        and for a motor with a rotor.
     """
-    if len(replay) < FEWEST:
+    if len(replay) < FEWEST or white_box.has_rotor:
         return None
     changed = {
         'torque_constant': replace(

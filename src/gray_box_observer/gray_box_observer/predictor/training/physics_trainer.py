@@ -59,7 +59,7 @@ class PhysicsTrainer:
     """Holds the network that runs, the one under training, and what both are judged by.
 
     Args:
-        configuration: see :func:`~gray_box_observer.predictor.training.trainer_choice.make_trainer`.
+        configuration: that of :func:`~.trainer_choice.make_trainer`.
     """
 
     def __init__(self, configuration: Mapping[str, Any]) -> None:

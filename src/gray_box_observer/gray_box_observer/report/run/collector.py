@@ -224,6 +224,8 @@ def notes(name: str, observer: Observer) -> list[str]:
     if 'back_emf_constant' not in values['context_nodes']:
         kind = 'measured speed' if motor.white_box.speed_measured else 'w = Kt i'
         where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
+        if motor.white_box.has_rotor:
+            kind, where = 'the speed a hidden state', 'inertia and frictions'
         sentences.append(
             f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its '
             f'error goes into {where}.'

@@ -1,0 +1,1 @@
+"""Records of hidden rotors, their Cramer-Rao bound, and the runs over them."""

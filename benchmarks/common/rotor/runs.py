@@ -1,0 +1,99 @@
+"""The observer over one record, and what it has claimed on the way."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from common.motion import FloatArray
+from common.rotor.records import NODES, Record
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
+
+MOTOR = 'motor'
+FALSE_STDS, FALSE_SHARE = 3.0, 0.02
+"""An estimate is false that is called identified and off by more than both of these."""
+
+NEAR = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What became of one record.
+
+    Attributes:
+        error: shape (parameter,): relative error at the end.
+        z: shape (parameter,): error in standard deviations at the end.
+        nees: squared error in the covariance at the end, over the number of parameters.
+        bound: shape (parameter,): relative.
+        identified: shape (parameter,): verdicts at the end.
+        claims, false: identified parameters over all estimates, and those of them that were false.
+        near_s: seconds from which R stayed within NEAR; infinite where it never did.
+        sample_us: processor time a sample.
+    """
+
+    error: FloatArray
+    z: FloatArray
+    nees: float
+    bound: FloatArray
+    identified: FloatArray
+    claims: int
+    false: int
+    near_s: float
+    sample_us: float
+
+
+def run_trial(record: Record) -> Trial:
+    """Run the observer without predictor over a record."""
+    motor = record.motor
+    parameters = {
+        f'{MOTOR}.torque_constant': motor.torque_constant,
+        f'{MOTOR}.back_emf_constant': motor.back_emf_constant,
+        f'{MOTOR}.speed_source': 'rotor',
+        f'{MOTOR}.stamps_exact': True,
+    }
+    observer = Observer(Configuration.from_flat(parameters), None)
+    stamps = np.round(np.arange(record.measured_a.size) * record.interval_s * 1e9).astype(int)
+    torque = record.measured_a * motor.torque_constant
+    estimates: list[tuple[float, Estimate]] = []
+    begun = time.process_time()
+    for stamp, volt, reading in zip(
+        stamps.tolist(), [*record.voltage_v.tolist(), 0.0], torque.tolist(), strict=True
+    ):
+        observer.voltage(MOTOR, stamp, volt)
+        results = observer.torque(MOTOR, stamp, reading)
+        estimates += [(stamp * 1e-9, one.estimate) for one in results if one.estimate is not None]
+    cpu_s = time.process_time() - begun
+    last = observer.estimates()[MOTOR]
+    off = last.value[0] - record.truth
+    resistances = [estimate.value[0, NODES.index('resistance')] for _, estimate in estimates]
+    near = np.abs(np.array(resistances) / motor.resistance - 1.0) <= NEAR
+    away = np.flatnonzero(~near)
+    first = 0 if away.size == 0 else int(away[-1]) + 1
+    near_s = estimates[first][0] if first < len(estimates) else np.inf
+    counts = np.array([_claims(estimate, record.truth) for _, estimate in estimates])
+    claims, false = counts.reshape(-1, 2).sum(axis=0).tolist()
+    with np.errstate(divide='ignore', invalid='ignore'):
+        error = off / record.truth
+    return Trial(
+        error,
+        off / last.std[0],
+        float(off @ np.linalg.solve(last.covariance[0], off)) / off.size,
+        record.bound(),
+        np.array([verdict is Verdict.IDENTIFIED for verdict in last.verdicts[0]], dtype=float),
+        claims,
+        false,
+        near_s,
+        1e6 * cpu_s / stamps.size,
+    )
+
+
+def _claims(estimate: Estimate, truth: FloatArray) -> tuple[int, int]:
+    """Count what an estimate calls identified, and what of that is false."""
+    identified = np.array([v is Verdict.IDENTIFIED for v in estimate.verdicts[0]])
+    off = np.abs(estimate.value[0] - truth)
+    wrong = (off > FALSE_STDS * estimate.std[0]) & (off > FALSE_SHARE * truth)
+    return int(identified.sum()), int((identified & wrong).sum())

@@ -1,0 +1,206 @@
+"""A rotor whose speed nobody measures: what the observer finds, against the Cramer-Rao bound.
+
+It has voltage and torque alone. The bound is that of the whole motor.
+
+Gear motors are drawn at random and simulated by a plant of the benchmarks' own, with dry friction
+that holds. Robots' motors come last, where their logs are (``../shared/data`` beside the
+repository, or ``--data FOLDER``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from common.figures import Figure, figure_table, last_line, number, table
+from common.rotor.records import NODES, draw
+from common.rotor.runs import Trial, run_trial
+from common.trust.motors import gear_motor, sticky_motor
+from real_motors import DEAD_CURRENT_SENSOR, DEFAULT_DATA, Case, cases, identify
+from scipy.stats import chi2
+
+from gray_box_observer.context_nodes import Verdict
+from gray_box_observer.errors import GrayBoxError
+
+SEEDS, QUICK_SEEDS = 20, 3
+LONG_S, QUICK_S = 20.0, 4.0
+ROBOT_OHM, ROBOT_REACH_OHM = 4.25, 0.3
+CONFIDENCE = 0.95
+WITHIN_STDS = 3.0
+ELECTRICAL = slice(0, 2)
+
+
+def main() -> int:
+    """Print tables and one line of JSON."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('--quick', action='store_true', help='fewer and shorter records')
+    parser.add_argument('--seeds', type=int, help='motors drawn, 20 unless quick')
+    parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
+    options = parser.parse_args()
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    length_s = QUICK_S if options.quick else LONG_S
+    counts = not options.quick
+    figures = [
+        *fast_figures(seeds, length_s, counts=counts),
+        *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
+        *slow_figures(seeds, 100.0, 2.0 * length_s, 5e-3, counts=counts),
+        *sticky_figures(seeds, length_s, counts=counts),
+    ]
+    try:
+        figures += robot_figures(options.data or DEFAULT_DATA)
+    except GrayBoxError as error:
+        print(f'rotor: error: {" ".join(str(error).split())}', file=sys.stderr)
+        return 2
+    print(f'\n{figure_table(figures)}')
+    print(last_line('rotor', seeds, figures))
+    return 0
+
+
+def fast_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Run drawn gear motors at 1 kHz."""
+    trials = [run_trial(draw(gear_motor, seed, 1000.0, length_s)) for seed in range(seeds)]
+    show('gear motors, 1 kHz', trials)
+    over = over_bound(trials)
+    right = [
+        bool(
+            trial.identified[ELECTRICAL].all()
+            and (np.abs(trial.z[ELECTRICAL]) <= WITHIN_STDS).all()
+        )
+        for trial in trials
+    ]
+    freedom = seeds * len(NODES)
+    band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+    return [
+        *(
+            Figure(f'1 kHz: RMSE of {name} over the bound', float(value), 1.3, counts)
+            for name, value in zip(NODES, over, strict=True)
+        ),
+        Figure('1 kHz: NEES', float(np.mean([t.nees for t in trials])), (band[0], band[1]), counts),
+        Figure('1 kHz: false of all that was called identified', share_false(trials), 0.0, counts),
+        Figure(
+            '1 kHz: L and R not identified and right, share',
+            1.0 - float(np.mean(right)),
+            0.05,
+            counts,
+        ),
+        Figure(
+            '1 kHz: seconds to R within 2 %, median',
+            float(np.median([trial.near_s for trial in trials])),
+            5.0,
+            counts,
+        ),
+        Figure(
+            '1 kHz: processor time a sample, us',
+            float(np.mean([trial.sample_us for trial in trials])),
+            None,
+        ),
+    ]
+
+
+def slow_figures(
+    seeds: int, rate_hz: float, length_s: float, nearest: float, *, counts: bool
+) -> list[Figure]:
+    """Run drawn gear motors at a rate at which L/R is shorter than a few samples."""
+    trials = [run_trial(draw(gear_motor, seed, rate_hz, length_s)) for seed in range(seeds)]
+    name = f'{rate_hz:g} Hz'
+    show(f'gear motors, {name}', trials)
+    over = over_bound(trials)
+    worst = max(abs(float(trial.error[NODES.index('resistance')])) for trial in trials)
+    return [
+        Figure(f'{name}: RMSE of inductance over the bound', float(over[0]), 1.3, counts),
+        Figure(f'{name}: RMSE of resistance over the bound', float(over[1]), 1.3, counts),
+        Figure(f'{name}: R of the worst motor, %', 100.0 * worst, 100.0 * nearest, counts),
+        Figure(
+            f'{name}: false of all that was called identified', share_false(trials), 0.0, counts
+        ),
+    ]
+
+
+def sticky_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Run motors whose friction takes many times what the rotor does."""
+    trials = [run_trial(draw(sticky_motor, seed, 1000.0, length_s)) for seed in range(seeds)]
+    show('viscous friction 3 to 10 times Kt Kb / R, 5 to 20 ms', trials)
+    known = [name != 'coulomb_friction' for name in NODES]  # there is none
+    within = np.mean([np.abs(trial.z[known]) <= WITHIN_STDS for trial in trials])
+    return [
+        Figure('strong friction: share beyond 3 std', 1.0 - float(within), 0.03, counts),
+        Figure('strong friction: false of all identified', share_false(trials), 0.0, counts),
+    ]
+
+
+def robot_figures(data: Path) -> list[Figure]:
+    """Identify the robots' motors from voltage and current alone."""
+    present = [
+        case for case in cases(data) if case.name.startswith('robot') and case.path.is_file()
+    ]
+    rows, healthy, false = [], [], 0
+    for case in present:
+        for motor, estimate in identify(without_speed(case)).estimates().items():
+            resistance, std = float(estimate.value[0, 1]), float(estimate.std[0, 1])
+            verdict = estimate.verdicts[0][1]
+            rows.append([f'{case.name} {motor}', number(resistance), number(std), verdict.value])
+            if (case.name.split()[1], motor) == DEAD_CURRENT_SENSOR:
+                continue
+            healthy.append(resistance)
+            wrong = abs(resistance - ROBOT_OHM) > max(WITHIN_STDS * std, ROBOT_REACH_OHM)
+            false += verdict is Verdict.IDENTIFIED and wrong
+    if rows:
+        print(f'\n{table(["voltage and current only", "R, ohm", "std", "verdict"], rows)}')
+    band = (ROBOT_OHM - ROBOT_REACH_OHM, ROBOT_OHM + ROBOT_REACH_OHM)
+    return [
+        Figure('robots: lowest R, ohm', min(healthy, default=None), band),
+        Figure('robots: highest R, ohm', max(healthy, default=None), band),
+        Figure('robots: identified and wrong', float(false) if healthy else None, 0.0),
+    ]
+
+
+def without_speed(case: Case) -> Case:
+    """Return a robot's log without its speed, its motors with a rotor."""
+    parameters: dict[str, object] = {'motors': ['left', 'right']}
+    for side in ('left', 'right'):
+        constant = case.parameters[f'{side}.torque_constant']
+        parameters |= {
+            f'{side}.torque_constant': constant,
+            f'{side}.back_emf_constant': constant,
+            f'{side}.speed_source': 'rotor',
+        }
+    columns = tuple(column for column in case.columns if '.speed=' not in column)
+    return replace(case, columns=columns, parameters=parameters)
+
+
+def over_bound(trials: Sequence[Trial]) -> np.ndarray:
+    """Return the root mean square of the errors over their bounds, shape (parameter,)."""
+    over = np.array([trial.error / trial.bound for trial in trials])
+    made: np.ndarray = np.sqrt(np.mean(over**2, axis=0))
+    return made
+
+
+def share_false(trials: Sequence[Trial]) -> float:
+    """Return how much of what was ever called identified was false."""
+    return sum(trial.false for trial in trials) / max(1, sum(trial.claims for trial in trials))
+
+
+def show(title: str, trials: Sequence[Trial]) -> None:
+    """Print every motor's errors in per cent and in standard deviations."""
+    rows = [
+        [
+            str(seed),
+            *(number(100.0 * error) for error in trial.error),
+            *(f'{z:.1f}' for z in trial.z),
+            f'{trial.near_s:.2f}',
+            f'{trial.false}/{trial.claims}',
+        ]
+        for seed, trial in enumerate(trials)
+    ]
+    header = [title, *(f'{name[:9]} %' for name in NODES), *('z' for _ in NODES), 's to R', 'false']
+    print(f'\n{table(header, rows)}')
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())

@@ -1,0 +1,39 @@
+"""Loads the compiled trajectory of a motor with a rotor, `whole_motor.c`."""
+
+from __future__ import annotations
+
+import ctypes
+import sysconfig
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.white_box import forms
+
+_COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """Load the compiled code; None where there is none, or where it is of another motor."""
+    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
+    try:
+        loaded = ctypes.CDLL(str(path))
+        fingerprint, run = loaded.whole_motor_fingerprint, loaded.whole_motor_run
+    except (OSError, AttributeError):
+        return None
+    fingerprint.restype = run.restype = _COUNT
+    run.argtypes = (
+        *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _NUMBER, _COUNT),
+        *(_POINTER, _POINTER, _POINTER),
+    )
+    return loaded if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
+
+
+def pointer(array: NDArray[Any]) -> int:
+    """Return the address of an array of doubles without gaps."""
+    assert array.flags.c_contiguous and array.dtype == np.float64
+    return array.ctypes.data

@@ -1,0 +1,368 @@
+"""The rule for a motor with a rotor whose speed is a hidden state.
+
+The free run of the current is fitted to a window of samples as soon as there are a few, again
+with half as many more each, and from a full window on to one window after another. What a window
+has told is kept as a Gaussian of the parameters' logarithms and joined with what the next one tells:
+windows share no sample, so that nothing is counted twice. Where a window contradicts what was
+known, the motor has changed, and what was known is forgotten (docs/METHOD.md, The whole motor).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import (
+    Estimate,
+    VerdictSettings,
+    bounded,
+    spread_of_values,
+)
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
+from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
+from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
+from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.saved_state import (
+    LATEST_NS,
+    MOST,
+    ArrayRule,
+    check_arrays,
+    check_covariance,
+    flag,
+    whole,
+)
+from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.interface import Array, bounds
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+FIRST_FIT = 128
+"""Samples of the first fit; the next ones come with half as many more each, first a quarter."""
+
+FEW = 512
+"""Samples up to which a fit costs so little that it comes more often."""
+
+STILL = 32
+"""Samples after which a voltage that was held is looked at again."""
+
+WINDOW = 2048
+"""Samples of a full window."""
+
+AGAIN = 1024
+"""Samples between two fits from then on."""
+
+LONGEST_WAIT = 4096
+"""The same at last, of a motor that nothing fits."""
+
+VAGUE = 5.0
+"""Standard deviation of the logarithm of a parameter of which nothing is stated."""
+
+MEMORY = 0.98
+"""Share of what is known that a full window leaves: a motor is never quite the same."""
+
+SHARP = 0.3
+"""Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
+
+SEARCHED = 1024
+"""Newest samples that a start is looked for in."""
+
+POOR = 1.5
+"""Noise of a fit, over that of second differences, from which another start is looked for."""
+
+HELD = 0.01
+"""Range of the voltage, as a share of its largest value, in which it is held: a rotor that has
+settled tells its level alone, which says nothing of any parameter."""
+
+
+class RotorUpdate:
+    """Context nodes of one motor with a rotor, learnt window by window.
+
+    Args:
+        white_box: the physics, with the inertia among its context nodes.
+        initial: shape (1, parameter): where to start, SI units.
+        rules: settings; of them the capacity of the memory and the threshold of the change test.
+        verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
+            nothing is stated. None: of none of them.
+    """
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        rules: RecursiveSettings | None = None,
+        verdict_rules: VerdictSettings | None = None,
+        initial_relative_std: Array | None = None,
+    ) -> None:
+        if not white_box.has_rotor or initial.shape[0] != 1:
+            raise ConfigurationError('the rotor rule is for one motor whose inertia is unknown')
+        self._white_box = white_box
+        self._rules = rules or RecursiveSettings()
+        self.verdict_rules = verdict_rules or VerdictSettings()
+        self._lower, self._upper = bounds(white_box.parameters)
+        theta = np.clip(np.asarray(initial, dtype=float)[0], self._lower, self._upper)
+        stated = np.zeros_like(theta) if initial_relative_std is None else initial_relative_std[0]
+        self._is_stated = stated > 0.0
+        std = np.where(self._is_stated, stated, VAGUE)
+        self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
+        self.replay = ReplayBuffer(
+            1, max(self._rules.replay_capacity, WINDOW), speed_measured=False
+        )
+        self._memory: LogPrior | None = None
+        self._logarithms = np.log(theta)
+        self._covariance = np.diag(std**2)
+        self._noise_a = 0.0
+        self._place = 0  # of the newest sample
+        self._mark = 0  # place before the first sample of the window
+        self._due = FIRST_FIT
+        self._wait = AGAIN
+        self._is_settled = False
+        self._counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
+        self._stamp_ns = 0
+        self._frozen = False
+        self._resumes = False
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (1, parameter)."""
+        made: Array = np.exp(self._logarithms)[None].clip(self._lower, self._upper)
+        return made
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whose estimate the last sample has changed: that of the one motor there is."""
+        return np.ones(1, dtype=bool)
+
+    @property
+    def noise_std_nm(self) -> Array:
+        """Standard deviation of the torque noise in N m, shape (1,); 0 before the first fit."""
+        return self._white_box.output(np.array([self._noise_a]))
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """Fits, windows that no fit was found for, and changes of the motor."""
+        return dict(self._counts)
+
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether the motor is known to drift: this rule never asks."""
+        return False
+
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return that no share of the voltage is known: the rule calls nothing negligible."""
+        nothing = np.zeros(len(self._white_box.parameters))
+        return nothing, nothing
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning; a new signal history follows what comes while frozen."""
+        if frozen == self._frozen:
+            return
+        self._frozen, self._resumes = frozen, not frozen
+
+    def estimate(self, which: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts."""
+        theta = self.theta
+        covariance = self._covariance[None] * theta[:, :, None] * theta[:, None, :]
+        covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
+        covariance = definite(bounded(theta, covariance), theta)
+        std = np.sqrt(covariance.diagonal(0, 1, 2))
+        parameters = self._white_box.parameters
+        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen)
+        return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
+
+    def learn(self, sample: Sample) -> bool:
+        """Take one sample and fit where a fit is due. Tell whether the estimate has changed."""
+        self._stamp_ns = sample.stamp_ns
+        if self._frozen:
+            return False
+        self.replay.append(sample.beginning() if self._resumes else sample)
+        self._resumes = False
+        self._place += 1
+        if self._place < self._due:
+            return False
+        with np.errstate(all='ignore'):  # absurd samples; results are checked
+            return self._fit(self._place)
+
+    def _fit(self, place: int) -> bool:
+        """Fit what the window holds so far; tell whether that has changed the estimate."""
+        count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
+        samples = self.replay.newest(count)[:, 0].copy()
+        voltage = samples[VOLTAGE, 1:]
+        if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
+            self._mark = place - 1 if self._is_settled else max(self._mark, place - FIRST_FIT)
+            self._due = place + STILL
+            return False
+        window = Window.from_samples(self._white_box, samples)
+        fit = self._searched(window) if window.spread_a > 0.0 else None
+        if fit is None:
+            self._counts['windows without fit'] += 1
+            self._schedule(place, count)
+            return False
+        self._counts['fits'] += 1
+        information = fit.information
+        if self._memory is not None:
+            information = information + self._memory.precision
+        shares = shares_of_scale(self._white_box, fit.theta, window)
+        vanishing = np.minimum(VAGUE**-2.0, shares**2)
+        self._logarithms = fit.logarithms
+        prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), vanishing)
+        self._covariance = _inverse(information + np.diag(prior)) + fit.spread
+        self._noise_a = fit.noise_a
+        if self._is_settled and count >= WINDOW:
+            self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
+            self._mark = place
+        self._schedule(place, count)
+        return True
+
+    def _remember(self, covariance: Array) -> None:
+        """Keep what is known of those parameters that the samples have told of."""
+        sharp = np.flatnonzero(np.diagonal(covariance) < SHARP**2)
+        precision = np.zeros_like(covariance)
+        precision[np.ix_(sharp, sharp)] = MEMORY * _inverse(covariance[np.ix_(sharp, sharp)])
+        self._memory = LogPrior(self._logarithms, precision)
+
+    def _schedule(self, place: int, count: int) -> None:
+        """Settle when the next fit is due: with half as many more, later where nothing fits."""
+        in_vain = not self._is_settled and count >= AGAIN
+        self._wait = min(2 * self._wait, LONGEST_WAIT) if in_vain else AGAIN
+        self._due = place + (
+            self._wait if in_vain else min(count // (4 if count < FEW else 2), AGAIN)
+        )
+        if place - self._mark >= WINDOW:  # nothing fits: go on with newer samples
+            self._mark = place - WINDOW // 2
+
+    def _prior(self) -> LogPrior:
+        return self._data_sheet if self._memory is None else self._data_sheet.joined(self._memory)
+
+    def _searched(self, window: Window) -> Fit | None:
+        """Fit a window from where the motor stands, or from anywhere where that does not fit."""
+        fit = None
+        if self._is_settled:
+            fit = fit_window(self._white_box, window, self._prior(), [self.theta[0]])
+            if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
+                return fit
+        other = self._searched_anywhere(window)
+        if self._is_settled and self._memory is not None and other is not None:
+            self._counts['motor changes'] += 1
+            self._memory = None
+            self.replay.forget(window.current_a.size)
+        self._is_settled = other is not None and not self._is_poor(other)
+        return other
+
+    def _searched_anywhere(self, window: Window) -> Fit | None:
+        """Fit without regard to what was known, from every start there is."""
+        newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
+        starts = [self.theta[0], *weak_starts(self._white_box, newest)]
+        found = fit_window(self._white_box, newest, self._data_sheet, starts)
+        if found is None or newest is window:
+            return found
+        return fit_window(self._white_box, window, self._data_sheet, [found.theta])
+
+    @staticmethod
+    def _is_poor(fit: Fit) -> bool:
+        """Tell whether the residual is larger than the noise."""
+        return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
+
+    def _contradicts(self, fit: Fit) -> bool:
+        """Tell whether a window says other than what was known before it."""
+        if self._memory is None:
+            return False
+        apart = fit.logarithms - self._memory.mean
+        pulled = self._memory.precision @ apart
+        chi_square = float(
+            apart @ pulled + pulled @ np.linalg.lstsq(fit.information, pulled, rcond=1e-12)[0]
+        )
+        return not chi_square < self._rules.drift_threshold
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        received = self._place
+        content = self.replay.content()
+        plain = {
+            'parameters': [p.name for p in self._white_box.parameters],
+            'stamp_ns': self._stamp_ns,
+            'mark': self._mark - received,
+            'due': self._due - received,
+            'wait': self._wait,
+            'gone': received - content.shape[2],
+            'begin': int(self.replay.begin()[0]),
+            'settled': self._is_settled,
+            'resumes': self._resumes,
+            'remembers': self._memory is not None,
+        }
+        memory = self._memory or self._data_sheet
+        arrays = {
+            'logarithms': self._logarithms.copy(),
+            'covariance': self._covariance.copy(),
+            'noise': np.array([self._noise_a]),
+            'memory_mean': memory.mean.copy(),
+            'memory_precision': memory.precision.copy(),
+            'replay': content,
+        }
+        return plain, arrays
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters.
+            CheckpointError: it is no state that could have been learnt.
+        """
+        names = [p.name for p in self._white_box.parameters]
+        if plain['parameters'] != names:
+            raise ConfigurationError(
+                f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
+            )
+        self._check(plain, arrays)
+        self.replay.refill(arrays['replay'], dropped_count=plain['gone'], begin=plain['begin'])
+        self._place = received = int(self.replay.received[0])
+        self._mark = max(received + plain['mark'], 0)
+        self._due = received + plain['due']
+        self._wait = plain['wait']
+        self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
+        self._is_settled = plain['settled']
+        self._resumes = plain['resumes']
+        self._logarithms, self._covariance = arrays['logarithms'], arrays['covariance']
+        self._noise_a = float(arrays['noise'][0])
+        self._memory = None
+        if plain['remembers']:
+            self._memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
+
+    def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
+        """Refuse a saved state that could not have been learnt.
+
+        Raises:
+            CheckpointError: something is missing, or no state of this rule.
+        """
+        n = self._logarithms.size
+        rules = {
+            'logarithms': ArrayRule((n,), -100.0, 100.0),
+            'covariance': ArrayRule((n, n)),
+            'noise': ArrayRule((1,), 0.0),
+            'memory_mean': ArrayRule((n,), -100.0, 100.0),
+            'memory_precision': ArrayRule((n, n)),
+        }
+        check_arrays(arrays, rules)
+        check_covariance('covariance', arrays['covariance'])
+        check_covariance('memory_precision', arrays['memory_precision'])
+        check_signals('replay', arrays.get('replay'))
+        whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
+        gone = whole(plain, 'gone')
+        whole(plain, 'mark', -gone - arrays['replay'].shape[2], 0)
+        whole(plain, 'due', -MOST, LONGEST_WAIT)
+        whole(plain, 'wait', AGAIN, LONGEST_WAIT)
+        whole(plain, 'begin', 0, gone + arrays['replay'].shape[2])
+        for name in ('settled', 'resumes', 'remembers'):
+            flag(plain, name)
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric matrix in its own units, symmetric again."""
+    unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    scaled = matrix / unit[:, None] / unit
+    made = np.linalg.pinv(0.5 * (scaled + scaled.T), rcond=1e-13, hermitian=True)
+    return np.asarray(made / unit[:, None] / unit, dtype=float)

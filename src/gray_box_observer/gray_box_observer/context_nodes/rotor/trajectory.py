@@ -1,0 +1,189 @@
+"""The free run of one motor with a rotor, sample after sample, with its derivatives.
+
+Compiled code (`native/whole_motor.c`) and Python give the same to rounding; both are made of
+:mod:`gray_box_observer.white_box.flow`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes.native import whole_motor as native
+from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import (
+    Interval,
+    Linear,
+    _exponential_step,
+    joined,
+    rate,
+    runge_kutta_step,
+)
+from gray_box_observer.white_box.interface import Array
+
+STATES = len(State)
+
+LARGEST_STEP = 0.5
+"""Largest product of step and fastest rate: a Runge-Kutta step is then right to 3e-4 of a decay."""
+
+MOST_STEPS = 256
+"""Steps in an interval; where more were needed, as many exponential ones are taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Where k intervals lead.
+
+    Attributes:
+        states: shape (k + 1, state): current in A and speed in rad/s.
+        slopes: shape (k + 1, state, state + coordinate): derivatives by the first states and by the
+            coordinates of :mod:`~gray_box_observer.context_nodes.rotor.coordinates`.
+        transitions: shape (k, state, state): derivatives of every interval's end by its start.
+        is_bounded: whether it stayed within its limits to the end; nothing of it is valid else.
+    """
+
+    states: Array
+    slopes: Array
+    transitions: Array
+    is_bounded: bool
+
+
+def run(
+    torque_constant: float,
+    p: Array,
+    start: Array,
+    voltage_v: Array,
+    interval_s: Array,
+    limits: Array,
+    *,
+    compiled: bool = True,
+) -> Run:
+    """Follow a motor from given states.
+
+    Args:
+        torque_constant: Kt in N m/A.
+        p: shape (coordinate,).
+        start: shape (state,): first current in A and speed in rad/s.
+        voltage_v: shape (k,): voltage held over every interval.
+        interval_s: shape (k,): how long each lasts.
+        limits: shape (state,): absolute values at which the run is given up.
+        compiled: whether compiled code is used where there is any.
+    """
+    count = voltage_v.size
+    states = np.empty((count + 1, STATES))
+    derivatives = np.empty((count + 1, STATES, STATES + COORDINATES))
+    transitions = np.empty((count, STATES, STATES))
+    library = native.library() if compiled else None
+    if library is None:
+        followed = _run(
+            torque_constant, p, start, (voltage_v, interval_s), limits,
+            (states, derivatives, transitions),
+        )  # fmt: skip
+        return Run(states, derivatives, transitions, followed == count)
+    given = [
+        np.ascontiguousarray(array, dtype=float)
+        for array in (p, start, voltage_v, interval_s, limits)
+    ]
+    to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, given)
+    followed = library.whole_motor_run(
+        to_p,
+        torque_constant,
+        to_start,
+        count,
+        to_voltage,
+        to_interval,
+        to_limits,
+        LARGEST_STEP,
+        MOST_STEPS,
+        *map(native.pointer, (states, derivatives, transitions)),
+    )
+    return Run(states, derivatives, transitions, followed == count)
+
+
+def _run(
+    torque_constant: float,
+    p: Array,
+    start: Array,
+    signals: tuple[Array, Array],
+    limits: Array,
+    room: tuple[Array, Array, Array],
+) -> int:
+    """Do in Python what compiled code does; return how many intervals were followed."""
+    states, derivatives, transitions = room
+    states[0] = start
+    derivatives[0] = np.eye(STATES, STATES + COORDINATES)
+    motor: Any = WholeMotor(torque_constant)
+    coefficients = dict(enumerate(p.tolist()))
+    with np.errstate(all='ignore'):
+        for k, (volt, length) in enumerate(zip(*(s.tolist() for s in signals), strict=True)):
+            moved = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
+            if not all(abs(x) <= most for x, most in zip(moved.value, limits, strict=True)):
+                return k
+            states[k + 1] = moved.value
+            transitions[k] = moved.by_state
+            derivatives[k + 1] = transitions[k] @ derivatives[k]
+            derivatives[k + 1, :, STATES:] += np.array(moved.by_coordinate)
+    return int(states.shape[0]) - 1
+
+
+def _interval_moved(
+    motor: Any, coefficients: dict[int, float], start: list[float], volt: float, length: float
+) -> Linear:
+    """Move one interval on, again in shorter steps where a state has passed zero."""
+
+    def rate_at(at: Any, speed_rad_s: Any) -> Linear:
+        return rate(_FLOATS, motor, coefficients, at, volt, speed_rad_s)
+
+    here = rate_at(start, 0.0)
+    away = _fastest(here)
+    interval = Interval(volt, 0.0, 0.0, length)  # type: ignore[arg-type]
+    moved = _in_steps(rate_at, start, here, interval, away)
+    passes = [
+        abs(x) <= length * abs(slope) or x * end <= 0.0
+        for x, slope, end in zip(start, here.value, moved.value, strict=True)
+    ]
+    if not any(passes):
+        return moved
+    at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
+    steepest = _fastest(rate_at(at, 0.0))
+    return _in_steps(rate_at, start, here, interval, steepest) if steepest > away else moved
+
+
+def _in_steps(
+    rate_at: Any, start: list[float], here: Linear, interval: Interval, stiffness: float
+) -> Linear:
+    """Equal steps from a start, as many as a stiffness asks for; ``here`` is the rate there."""
+    length: Any = interval.length_s
+    share = stiffness * length / LARGEST_STEP
+    wanted = math.ceil(share) if math.isfinite(share) else MOST_STEPS + 1
+    count = max(1, min(wanted, MOST_STEPS))
+    step: Any = runge_kutta_step
+    if wanted > MOST_STEPS:
+        step = partial(_exponential_step, _FLOATS)
+    part = Interval(interval.voltage_v, 0.0, 0.0, length / count)  # type: ignore[arg-type]
+    whole = step(rate_at, start, here, part)
+    for _ in range(count - 1):
+        whole = joined(whole, step(rate_at, whole.value, rate_at(whole.value, 0.0), part))
+    return whole  # type: ignore[no-any-return]
+
+
+def _fastest(here: Linear) -> float:
+    (own, other), (back, last) = here.by_state
+    coupled = math.sqrt(abs(other * back))
+    return float(max(abs(own) + coupled, abs(last) + coupled))
+
+
+class _Floats:
+    """Of numpy's functions those that a rate and an exponential step need, for plain numbers."""
+
+    stack = staticmethod(np.array)
+    minimum = staticmethod(min)
+    exp = staticmethod(math.exp)
+
+
+_FLOATS = _Floats()

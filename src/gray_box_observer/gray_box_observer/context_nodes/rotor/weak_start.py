@@ -1,0 +1,145 @@
+"""Where a fit of the whole motor begins without any guess: weak-form linear least squares.
+
+With the back-EMF eliminated the motor is ``L i'' + (R + L b) i' + (R b + a) i = V' + b V + c
+sign(e)``, ``a = Kb Kt / J``, ``b = B / J``, ``c = Kb T_c / J`` (docs/METHOD.md, The whole motor).
+Multiplied by a triangle and integrated by parts, no noisy signal is differentiated: left are
+second differences of a signal's integrals at the triangle's corners.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gray_box_observer.context_nodes.rotor.window import History, Window
+from gray_box_observer.white_box.interface import Array, bounds
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+WIDTHS = (1, 2, 4, 8, 16, 25, 50)
+"""Half widths of the triangle, in samples."""
+
+LEAST_SHARE = 1e-3
+"""Share of R b + a, and of R + L b, that is left for each of their parts."""
+
+LEAST_FRICTION = 0.02
+"""Share of the largest torque, and of that over the largest speed, at which a friction that is not
+seen begins: from nothing no search would find its way."""
+
+SLOWEST = 0.02
+"""Least b, as a share of a / R: friction that is not seen is taken for little."""
+
+
+def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
+    """Yield starts of the context nodes, shape (parameter,) each, one a width that tells anything.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: the samples.
+    """
+    with np.errstate(all='ignore'):
+        for width in WIDTHS:
+            found = _solved(window, width)
+            if found is not None and np.isfinite(found).all():
+                yield _nodes(white_box, found, window)
+
+
+def _solved(window: Window, width: int) -> Array | None:
+    """Return (L, R, a, b, c); None where the samples are too few or tell nothing."""
+    resistance = None
+    found = None
+    for _ in range(2):  # the sign of the back-EMF needs a resistance
+        rows = [
+            _rows(history, width, resistance)
+            for history in window.histories
+            if history.current_a.size > 2 * width + 1
+        ]
+        if not rows or sum(row.shape[0] for row in rows) < 16:
+            return None
+        found = _positive(np.concatenate(rows))
+        if found is None:
+            return None
+        resistance = float(found[1])
+    return found
+
+
+def _rows(history: History, width: int, resistance: float | None) -> Array:
+    """One row a triangle: what multiplies L, R + L b, R b + a, -b and -c, and the right side."""
+    time_s = np.concatenate([[0.0], np.cumsum(history.interval_s)])
+    current, volt = history.current_a, history.voltage_v
+    once = _integral(0.5 * (current[1:] + current[:-1]), history)
+    twice = _twice(current, once, history)
+    volt_once = _integral(volt, history)
+    volt_twice = _integral(volt_once[:-1] + 0.5 * volt * history.interval_s, history)
+    sign = np.zeros_like(volt)
+    if resistance is not None:
+        sign = np.sign(volt - resistance * 0.5 * (current[1:] + current[:-1]))
+    sign_once = _integral(sign, history)
+    sign_twice = _integral(sign_once[:-1] + 0.5 * sign * history.interval_s, history)
+    left = time_s[width:-width] - time_s[: -2 * width]
+    right = time_s[2 * width :] - time_s[width:-width]
+
+    def corners(signal: Array) -> Array:
+        """Second difference over the corners of every triangle."""
+        before, middle, after = signal[: -2 * width], signal[width:-width], signal[2 * width :]
+        made: Array = (before - middle) / left + (after - middle) / right
+        return made
+
+    signals = (current, once, twice, -volt_twice, -sign_twice, volt_once)
+    return np.stack([corners(signal) for signal in signals], axis=1)
+
+
+def _integral(over_interval: Array, history: History) -> Array:
+    """Integral up to every sample, of a signal's means over the intervals."""
+    return np.concatenate([[0.0], np.cumsum(over_interval * history.interval_s)])
+
+
+def _twice(current: Array, once: Array, history: History) -> Array:
+    """Second integral of a signal that runs linearly between samples."""
+    step = history.interval_s
+    inside = once[:-1] + step * (current[:-1] / 3.0 + current[1:] / 6.0)
+    return _integral(inside, history)
+
+
+def _positive(rows: Array) -> Array | None:
+    """Solve for (L, R, a, b, c), without friction where it comes out negative."""
+    *_, right = rows.T
+    for columns in ((0, 1, 2, 3, 4), (0, 1, 2, 4), (0, 1, 2, 3), (0, 1, 2)):
+        chosen = rows[:, columns]
+        size = np.linalg.norm(chosen, axis=0)
+        kept = size > 0.0
+        answer = np.zeros(5)
+        solved = np.linalg.lstsq(chosen[:, kept] / size[kept], right, rcond=1e-9)[0]
+        answer[np.array(columns)[kept]] = solved / size[kept]
+        inductance, slope, level, viscous, dry = answer
+        if level <= 0.0 or slope <= 0.0:
+            continue
+        if viscous < 0.0 or dry < 0.0:
+            continue
+        inductance = max(inductance, LEAST_SHARE * slope * 1e-3)
+        resistance = slope - inductance * viscous
+        resistance = max(resistance, LEAST_SHARE * slope)
+        coupling = max(level - resistance * viscous, LEAST_SHARE * level)
+        viscous = max(viscous, SLOWEST * coupling / resistance)
+        return np.array([inductance, resistance, coupling, viscous, dry])
+    return None
+
+
+def _nodes(white_box: MotorWhiteBox, found: Array, window: Window) -> Array:
+    """Turn (L, R, a, b, c) into context nodes within bounds; others keep initial values."""
+    inductance, resistance, coupling, viscous, dry = found.tolist()
+    back_emf = float(white_box.known['back_emf_constant'])
+    torque_constant = float(white_box.torque_constant)
+    inertia = back_emf * torque_constant / coupling
+    torque = torque_constant * float(np.quantile(np.abs(window.current_a), 0.99))
+    slowest = LEAST_FRICTION * torque * back_emf / (window.largest_voltage_v + 1e-12)
+    values = {
+        'inductance': inductance,
+        'resistance': resistance,
+        'inertia': inertia,
+        'viscous_friction': max(viscous * inertia, slowest),
+        'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
+    }
+    made = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
+    lower, upper = bounds(white_box.parameters)
+    return np.asarray(np.clip(made, 1.01 * lower, 0.99 * upper), dtype=float)

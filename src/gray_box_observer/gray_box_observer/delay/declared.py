@@ -1,0 +1,16 @@
+"""A delay that is not searched: that of a motor with a rotor, whose voltage leads its current."""
+
+from __future__ import annotations
+
+from gray_box_observer.delay.watch import DelayWatch
+from gray_box_observer.samples.raw_history import RawHistory
+
+
+class DeclaredDelay(DelayWatch):
+    """Keeps the delay that was declared; the fit test asks whether it holds."""
+
+    def take(
+        self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
+    ) -> float | None:  # fmt: skip
+        """Do nothing, and leave the delay as it is."""
+        return None

@@ -1,0 +1,150 @@
+"""The free run of a motor with a rotor, in the form in which residuals are analysed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.context_nodes.rotor.window import FreeRuns, Window
+from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
+from gray_box_observer.fit_test.free_run import FreeRun
+from gray_box_observer.samples.replay_buffer import SPEED
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.flow import to_parameters
+from gray_box_observer.white_box.interface import Array, WhiteBox
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+
+@dataclass(frozen=True, slots=True)
+class RotorFreeRun(FreeRun):
+    """Free run of a motor with a rotor over k + 1 samples.
+
+    Attributes:
+        transitions: shape (k, state, state): derivatives of every interval's end by its start; zero
+            at a restart.
+    """
+
+    transitions: Array = field(default_factory=lambda: np.empty(0))
+
+    def response(self, voltages_v: Array) -> Array:
+        """Return how the current answers small further voltages, the rotor with it.
+
+        Args:
+            voltages_v: shape (voltage, k): mean over every interval.
+
+        Returns:
+            Shape (voltage, k + 1), in A.
+        """
+        inverse = 1.0 / self.inductance_h
+        by_voltage = np.stack(
+            [
+                self.reach_s * inverse,
+                0.5 * inverse * self.stretch.interval_s[0] * self.transitions[:, 1, 0],
+            ],
+            axis=1,
+        )
+        inputs = np.where(self.stretch.restart[0], 0.0, voltages_v).T
+        rows = np.zeros((inputs.shape[0] + 1, inputs.shape[1]))
+        state = np.zeros((len(State), inputs.shape[1]))
+        for k, (transition, gain, volts) in enumerate(
+            zip(self.transitions, by_voltage, inputs, strict=True)
+        ):
+            state = transition @ state + gain[:, None] * volts
+            rows[k + 1] = state[State.CURRENT]
+        return rows.T
+
+
+def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
+    """Run a motor with a rotor freely through a stretch, its first states where they fit best.
+
+    Args:
+        white_box: of one motor with a rotor.
+        p: shape (1, coordinate): its parameters, as :func:`~.white_box.flow.to_coordinates` has
+            them.
+        stretch: the samples, with a motor axis of one.
+    """
+    assert isinstance(white_box, MotorWhiteBox)
+    theta = to_parameters(p)[0]
+    window = Window.from_samples(white_box, _samples(white_box, stretch))
+    with np.errstate(all='ignore'):
+        runs = settled_runs(white_box, theta, window) if window.histories else None
+    joined = _joined(window) if window.histories else stretch
+    if runs is None:
+        return _nothing(p, joined)
+    transitions = _transitions(runs)
+    decay = np.clip(transitions[:, 0, 0], 0.0, 1.0)
+    rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
+    by_start = _by_start(runs)
+    return RotorFreeRun(
+        joined,
+        float(theta[0]),
+        joined.state[0] - runs.residual_a,
+        runs.residual_a,
+        np.column_stack([by_start[0], -runs.by_parameter.sum(axis=1), runs.by_parameter[:, 1:]]),
+        decay,
+        joined.interval_s[0] * (1.0 - decay) / rate,
+        np.ones_like(runs.residual_a),
+        tuple(by_start[1:]),
+        transitions,
+    )
+
+
+def _samples(white_box: MotorWhiteBox, stretch: SampleWindow) -> Array:
+    """Samples as a replay buffer has them, shape (signal, k + 1)."""
+    interval = np.concatenate([[0.0], np.where(stretch.restart[0], 0.0, stretch.interval_s[0])])
+    voltage = np.concatenate([[0.0], stretch.voltage_v[0]])
+    torque = np.asarray(white_box.output(stretch.state[0]))
+    made = np.zeros((SPEED + 1, torque.size))
+    made[:SPEED] = interval, voltage, torque
+    return made
+
+
+def _joined(window: Window) -> SampleWindow:
+    """Return the histories of a window, one behind the other."""
+    nothing = np.zeros(1)
+    voltage = [np.concatenate([nothing, history.voltage_v]) for history in window.histories]
+    interval = [np.concatenate([nothing, history.interval_s]) for history in window.histories]
+    intervals = np.concatenate(interval)[1:]
+    current = window.current_a
+    return SampleWindow(
+        current[None],
+        np.concatenate(voltage)[None, 1:],
+        intervals[None],
+        np.zeros_like(current)[None],
+        (intervals <= 0.0)[None],
+    )
+
+
+def _transitions(runs: FreeRuns) -> Array:
+    nothing = np.zeros((1, len(State), len(State)))
+    parts = [np.concatenate([nothing, run.transitions]) for run in runs.runs]
+    return np.concatenate(parts)[1:]
+
+
+def _by_start(runs: FreeRuns) -> list[Array]:
+    """Derivatives of the current by every first state, shape (sample,) each."""
+    total, begin, columns = runs.residual_a.size, 0, []
+    for by_start in runs.by_start:
+        for state in range(len(State)):
+            column = np.zeros(total)
+            column[begin : begin + by_start.shape[0]] = by_start[:, state]
+            columns.append(column)
+        begin += by_start.shape[0]
+    return columns
+
+
+def _nothing(p: Array, stretch: SampleWindow) -> FreeRun:
+    """Return a run that explains nothing, where the values cannot be run."""
+    current = stretch.state[0]
+    return FreeRun(
+        stretch,
+        1.0 / float(p[0, 0]),
+        np.zeros_like(current),
+        current,
+        np.zeros((current.size, 1 + p.shape[1])),
+        np.zeros(current.size - 1),
+        np.zeros(current.size - 1),
+        np.ones_like(current),
+    )

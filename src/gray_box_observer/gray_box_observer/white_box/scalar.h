@@ -1,0 +1,19 @@
+/* Numbers of one motor, under the names that lanes.h gives those of many. */
+#ifndef GRAY_BOX_OBSERVER_WHITE_BOX_SCALAR_H
+#define GRAY_BOX_OBSERVER_WHITE_BOX_SCALAR_H
+
+#include <math.h>
+#include <stdint.h>
+
+typedef double Real;
+
+#define INLINE static inline __attribute__((always_inline))
+#define UNROLL
+
+INLINE Real all(double x) { return x; }
+INLINE Real absolute(Real x) { return fabs(x); }
+INLINE Real sign(Real x) { return (double)((x > 0.0) - (x < 0.0)); }
+INLINE Real smaller(Real a, Real b) { return b < a ? b : a; }
+INLINE Real larger(Real a, Real b) { return b > a ? b : a; }
+
+#endif

@@ -1,0 +1,189 @@
+/* Forms of a motor with a rotor for compiled code, one motor at a time.
+ * Written by `make physics` from declaration.py: change that, not this. */
+#ifndef GRAY_BOX_OBSERVER_WHITE_BOX_WHOLE_MOTOR_H
+#define GRAY_BOX_OBSERVER_WHITE_BOX_WHOLE_MOTOR_H
+
+#include "white_box/scalar.h"
+
+#define WHOLE_MOTOR_FINGERPRINT 281824072844258588
+
+enum { CURRENT, SPEED, STATES };
+enum { INDUCTANCE, RESISTANCE, HYSTERESIS, BACK_EMF_CONSTANT, BRUSH_DROP, INERTIA, VISCOUS_FRICTION,
+    COULOMB_FRICTION, LOAD_TORQUE, COORDINATES };
+
+typedef struct {
+    Real value[STATES], by_state[STATES][STATES], by_coordinate[STATES][COORDINATES];
+} Linear;
+
+/* flow.py, rate. */
+INLINE Linear rate_of(
+    const Real *p, Real torque_constant, const Real *state, Real voltage)
+{
+    Linear linear;
+    const Real t1 = state[CURRENT] * absolute(state[SPEED]);
+    const Real t2 = state[CURRENT] / (0.02 + absolute(state[CURRENT]));
+    linear.value[CURRENT] = p[0] * voltage - p[1] * state[CURRENT] - p[2] * t1 - p[3] * state[SPEED]
+        - p[4] * t2;
+    const Real t3 = 0.02 + absolute(state[CURRENT]);
+    linear.by_state[CURRENT][CURRENT] = p[0] * all(0.0) - p[1] * 1.0 - p[2] * absolute(state[SPEED])
+        - p[3] * 0.0 - p[4] * (0.02 / (t3 * t3));
+    linear.by_state[CURRENT][SPEED] = p[0] * all(0.0) - p[1] * 0.0 - p[2] * (state[CURRENT] *
+        sign(state[SPEED])) - p[3] * 1.0 - p[4] * 0.0;
+    linear.by_coordinate[CURRENT][0] = voltage;
+    linear.by_coordinate[CURRENT][1] = -(state[CURRENT]);
+    linear.by_coordinate[CURRENT][2] = -(t1);
+    linear.by_coordinate[CURRENT][3] = -(state[SPEED]);
+    linear.by_coordinate[CURRENT][4] = -(t2);
+    linear.by_coordinate[CURRENT][5] = all(0.0);
+    linear.by_coordinate[CURRENT][6] = all(0.0);
+    linear.by_coordinate[CURRENT][7] = all(0.0);
+    linear.by_coordinate[CURRENT][8] = all(0.0);
+    const Real t4 = torque_constant * state[CURRENT];
+    const Real t5 = state[SPEED] * (0.03 + absolute(state[SPEED])) / (state[SPEED] * state[SPEED] +
+        0.03 * absolute(state[SPEED]) + 0.0009);
+    linear.value[SPEED] = p[5] * t4 - p[6] * state[SPEED] - p[7] * t5 - p[8] * 1.0;
+    linear.by_state[SPEED][CURRENT] = p[5] * torque_constant - p[6] * 0.0 - p[7] * 0.0 - p[8] * 0.0;
+    const Real t6 = state[SPEED] * state[SPEED] + 0.03 * absolute(state[SPEED]) + 0.0009;
+    linear.by_state[SPEED][SPEED] = p[5] * 0.0 - p[6] * 1.0 - p[7] * ((state[SPEED] * state[SPEED] *
+        0.03 - state[SPEED] * (0.03 * 0.03) * sign(state[SPEED]) - state[SPEED] * 0.03 *
+        absolute(state[SPEED]) * sign(state[SPEED]) + 0.03 * 0.03 * absolute(state[SPEED]) + 0.03 *
+        0.0009 + 2.0 * 0.0009 * absolute(state[SPEED])) / (t6 * t6)) - p[8] * 0.0;
+    linear.by_coordinate[SPEED][0] = all(0.0);
+    linear.by_coordinate[SPEED][1] = all(0.0);
+    linear.by_coordinate[SPEED][2] = all(0.0);
+    linear.by_coordinate[SPEED][3] = all(0.0);
+    linear.by_coordinate[SPEED][4] = all(0.0);
+    linear.by_coordinate[SPEED][5] = t4;
+    linear.by_coordinate[SPEED][6] = -(state[SPEED]);
+    linear.by_coordinate[SPEED][7] = -(t5);
+    linear.by_coordinate[SPEED][8] = -1.0;
+    return linear;
+}
+
+/* flow.py, runge_kutta_step. */
+INLINE Linear runge_kutta_step(
+    const Real *p, Real torque_constant, const Real *start, const Linear *here, Real voltage, Real length)
+{
+    Linear linear;
+    const Real t1 = length * (1.0 / 6.0);
+    const Real t2 = 0.5 * length;
+    const Linear r2 = rate_of(p, torque_constant, (Real[]){start[CURRENT] + t2 *
+        here->value[CURRENT], start[SPEED] + t2 * here->value[SPEED]}, voltage);
+    const Linear r3 = rate_of(p, torque_constant, (Real[]){start[CURRENT] + t2 * r2.value[CURRENT],
+        start[SPEED] + t2 * r2.value[SPEED]}, voltage);
+    const Linear r4 = rate_of(p, torque_constant, (Real[]){start[CURRENT] + length *
+        r3.value[CURRENT], start[SPEED] + length * r3.value[SPEED]}, voltage);
+    linear.value[CURRENT] = start[CURRENT] + t1 * (here->value[CURRENT] + 2.0 * (r2.value[CURRENT] +
+        r3.value[CURRENT]) + r4.value[CURRENT]);
+    const Real t3 = 1.0 + t2 * here->by_state[CURRENT][CURRENT];
+    const Real t4 = t2 * here->by_state[SPEED][CURRENT];
+    const Real t5 = r2.by_state[CURRENT][CURRENT] * t3 + r2.by_state[CURRENT][SPEED] * t4;
+    const Real t6 = 1.0 + t2 * t5;
+    const Real t7 = r2.by_state[SPEED][CURRENT] * t3 + r2.by_state[SPEED][SPEED] * t4;
+    const Real t8 = t2 * t7;
+    const Real t9 = r3.by_state[CURRENT][CURRENT] * t6 + r3.by_state[CURRENT][SPEED] * t8;
+    const Real t10 = 1.0 + length * t9;
+    const Real t11 = r3.by_state[SPEED][CURRENT] * t6 + r3.by_state[SPEED][SPEED] * t8;
+    const Real t12 = length * t11;
+    linear.by_state[CURRENT][CURRENT] = 1.0 + t1 * (here->by_state[CURRENT][CURRENT] + 2.0 * (t5 +
+        t9) + (r4.by_state[CURRENT][CURRENT] * t10 + r4.by_state[CURRENT][SPEED] * t12));
+    const Real t13 = t2 * here->by_state[CURRENT][SPEED];
+    const Real t14 = 1.0 + t2 * here->by_state[SPEED][SPEED];
+    const Real t15 = r2.by_state[CURRENT][CURRENT] * t13 + r2.by_state[CURRENT][SPEED] * t14;
+    const Real t16 = t2 * t15;
+    const Real t17 = r2.by_state[SPEED][CURRENT] * t13 + r2.by_state[SPEED][SPEED] * t14;
+    const Real t18 = 1.0 + t2 * t17;
+    const Real t19 = r3.by_state[CURRENT][CURRENT] * t16 + r3.by_state[CURRENT][SPEED] * t18;
+    const Real t20 = length * t19;
+    const Real t21 = r3.by_state[SPEED][CURRENT] * t16 + r3.by_state[SPEED][SPEED] * t18;
+    const Real t22 = 1.0 + length * t21;
+    linear.by_state[CURRENT][SPEED] = t1 * (here->by_state[CURRENT][SPEED] + 2.0 * (t15 + t19) +
+        (r4.by_state[CURRENT][CURRENT] * t20 + r4.by_state[CURRENT][SPEED] * t22));
+    linear.value[SPEED] = start[SPEED] + t1 * (here->value[SPEED] + 2.0 * (r2.value[SPEED] +
+        r3.value[SPEED]) + r4.value[SPEED]);
+    linear.by_state[SPEED][CURRENT] = t1 * (here->by_state[SPEED][CURRENT] + 2.0 * (t7 + t11) +
+        (r4.by_state[SPEED][CURRENT] * t10 + r4.by_state[SPEED][SPEED] * t12));
+    linear.by_state[SPEED][SPEED] = 1.0 + t1 * (here->by_state[SPEED][SPEED] + 2.0 * (t17 + t21) +
+        (r4.by_state[SPEED][CURRENT] * t20 + r4.by_state[SPEED][SPEED] * t22));
+    UNROLL for (int j = 0; j < COORDINATES; j++)
+    {
+        const Real t23 = t2 * here->by_coordinate[CURRENT][j];
+        const Real t24 = t2 * here->by_coordinate[SPEED][j];
+        const Real t25 = r2.by_state[CURRENT][CURRENT] * t23 + r2.by_state[CURRENT][SPEED] * t24 +
+            r2.by_coordinate[CURRENT][j];
+        const Real t26 = t2 * t25;
+        const Real t27 = r2.by_state[SPEED][CURRENT] * t23 + r2.by_state[SPEED][SPEED] * t24 +
+            r2.by_coordinate[SPEED][j];
+        const Real t28 = t2 * t27;
+        const Real t29 = r3.by_state[CURRENT][CURRENT] * t26 + r3.by_state[CURRENT][SPEED] * t28 +
+            r3.by_coordinate[CURRENT][j];
+        const Real t30 = length * t29;
+        const Real t31 = r3.by_state[SPEED][CURRENT] * t26 + r3.by_state[SPEED][SPEED] * t28 +
+            r3.by_coordinate[SPEED][j];
+        const Real t32 = length * t31;
+        linear.by_coordinate[CURRENT][j] = t1 * (here->by_coordinate[CURRENT][j] + 2.0 * (t25 + t29)
+            +
+            (r4.by_state[CURRENT][CURRENT] * t30 + r4.by_state[CURRENT][SPEED] * t32 +
+            r4.by_coordinate[CURRENT][j]));
+        linear.by_coordinate[SPEED][j] = t1 * (here->by_coordinate[SPEED][j] + 2.0 * (t27 + t31) +
+            (r4.by_state[SPEED][CURRENT] * t30 + r4.by_state[SPEED][SPEED] * t32 +
+            r4.by_coordinate[SPEED][j]));
+    }
+    return linear;
+}
+
+/* flow.py, _exponential_step. */
+INLINE Linear exponential_step(
+    const Real *start, const Linear *here, Real length)
+{
+    Linear linear;
+    const Real t1 = (exp(smaller(here->by_state[CURRENT][CURRENT], -1e-12) * length) - 1.0) /
+        smaller(here->by_state[CURRENT][CURRENT], -1e-12);
+    linear.value[CURRENT] = start[CURRENT] + t1 * here->value[CURRENT];
+    linear.by_state[CURRENT][CURRENT] = exp(smaller(here->by_state[CURRENT][CURRENT], -1e-12) *
+        length);
+    linear.by_state[CURRENT][SPEED] = t1 * here->by_state[CURRENT][SPEED];
+    const Real t2 = (exp(smaller(here->by_state[SPEED][SPEED], -1e-12) * length) - 1.0) /
+        smaller(here->by_state[SPEED][SPEED], -1e-12);
+    linear.value[SPEED] = start[SPEED] + t2 * here->value[SPEED];
+    linear.by_state[SPEED][CURRENT] = t2 * here->by_state[SPEED][CURRENT];
+    linear.by_state[SPEED][SPEED] = exp(smaller(here->by_state[SPEED][SPEED], -1e-12) * length);
+    UNROLL for (int j = 0; j < COORDINATES; j++)
+    {
+        linear.by_coordinate[CURRENT][j] = t1 * here->by_coordinate[CURRENT][j];
+        linear.by_coordinate[SPEED][j] = t2 * here->by_coordinate[SPEED][j];
+    }
+    return linear;
+}
+
+/* flow.py, joined. */
+INLINE Linear joined(
+    const Linear *first, const Linear *then)
+{
+    Linear linear;
+    linear.value[CURRENT] = then->value[CURRENT];
+    linear.by_state[CURRENT][CURRENT] = then->by_state[CURRENT][CURRENT] *
+        first->by_state[CURRENT][CURRENT] + then->by_state[CURRENT][SPEED] *
+        first->by_state[SPEED][CURRENT];
+    linear.by_state[CURRENT][SPEED] = then->by_state[CURRENT][CURRENT] *
+        first->by_state[CURRENT][SPEED] + then->by_state[CURRENT][SPEED] *
+        first->by_state[SPEED][SPEED];
+    linear.value[SPEED] = then->value[SPEED];
+    linear.by_state[SPEED][CURRENT] = then->by_state[SPEED][CURRENT] *
+        first->by_state[CURRENT][CURRENT] + then->by_state[SPEED][SPEED] *
+        first->by_state[SPEED][CURRENT];
+    linear.by_state[SPEED][SPEED] = then->by_state[SPEED][CURRENT] * first->by_state[CURRENT][SPEED]
+        + then->by_state[SPEED][SPEED] * first->by_state[SPEED][SPEED];
+    UNROLL for (int j = 0; j < COORDINATES; j++)
+    {
+        linear.by_coordinate[CURRENT][j] = then->by_state[CURRENT][CURRENT] *
+            first->by_coordinate[CURRENT][j] + then->by_state[CURRENT][SPEED] *
+            first->by_coordinate[SPEED][j] + then->by_coordinate[CURRENT][j];
+        linear.by_coordinate[SPEED][j] = then->by_state[SPEED][CURRENT] *
+            first->by_coordinate[CURRENT][j] + then->by_state[SPEED][SPEED] *
+            first->by_coordinate[SPEED][j] + then->by_coordinate[SPEED][j];
+    }
+    return linear;
+}
+
+#endif

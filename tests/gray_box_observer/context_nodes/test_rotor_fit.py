@@ -1,0 +1,90 @@
+"""The fit of the whole motor: where it starts, where it ends, and what it claims to know."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from rotor_motors import BOX, INITIAL, THETA, content_of, recorded
+
+from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
+from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
+
+VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(THETA.size) / 25.0)
+
+
+def fitted(samples: np.ndarray, start: np.ndarray | None = None) -> tuple[Fit, Window]:
+    window = Window.from_samples(BOX, samples)
+    starts = [*weak_starts(BOX, window)] if start is None else [start]
+    fit = fit_window(BOX, window, VAGUE, starts)
+    assert fit is not None
+    return fit, window
+
+
+def off(fit: Fit) -> np.ndarray:
+    """How far the fit is off, in standard deviations."""
+    covariance = np.linalg.inv(fit.information + VAGUE.precision)
+    return (fit.logarithms - np.log(THETA)) / np.sqrt(np.diag(covariance))
+
+
+def test_the_weak_form_is_a_start_without_any_guess() -> None:
+    window = Window.from_samples(BOX, content_of(recorded()))
+    starts = np.array([*weak_starts(BOX, window)])
+    assert np.min(np.abs(starts[:, 1] / THETA[1] - 1.0)) < 0.05
+    assert np.min(np.abs(starts[:, 2] / THETA[2] - 1.0)) < 0.1
+
+
+def test_a_window_gives_every_parameter_within_its_deviation() -> None:
+    fit, window = fitted(content_of(recorded()))
+    z = off(fit)
+    assert np.abs(z).max() < 4.0
+    assert np.sqrt(np.mean(z**2)) < 2.0
+    np.testing.assert_allclose(fit.theta[:3], THETA[:3], rtol=0.02)
+    assert fit.noise_a / window.spread_a == pytest.approx(0.01, rel=0.5)
+
+
+def test_outliers_and_restarts_do_not_bend_the_fit() -> None:
+    samples = content_of(recorded()).copy()
+    rng = np.random.default_rng(3)
+    samples[2, rng.choice(samples.shape[1], 20, replace=False)] *= -30.0
+    samples[0, [700, 1500, 1504]] = 0.0
+    fit, window = fitted(samples)
+    assert len(window.histories) == 3
+    assert np.abs(off(fit)).max() < 4.5
+    np.testing.assert_allclose(fit.theta[:3], THETA[:3], rtol=0.02)
+
+
+@pytest.mark.parametrize('factor', [0.2, 5.0])
+def test_a_start_that_is_far_off_ends_at_the_same_place(factor: float) -> None:
+    samples = content_of(recorded())
+    near, _ = fitted(samples, THETA)
+    far, _ = fitted(samples, THETA * np.array([1.0, factor, 1.0, 1.0, 1.0]))
+    assert np.abs(near.logarithms - far.logarithms).max() < 0.02
+
+
+def test_a_data_sheet_decides_what_samples_leave_open() -> None:
+    short = content_of(recorded())[:, :60]
+    window = Window.from_samples(BOX, short)
+    mean, precision = np.log(1.2 * THETA), np.diag([25.0, 1e8, 25.0, 25.0, 25.0])
+    fit = fit_window(BOX, window, LogPrior(mean, precision), [THETA])
+    assert fit is not None
+    assert fit.theta[1] == pytest.approx(1.2 * THETA[1], rel=1e-3)
+
+
+def test_a_vanishing_effect_is_a_small_share_of_its_scale() -> None:
+    window = Window.from_samples(BOX, content_of(recorded()))
+    there = shares_of_scale(BOX, THETA, window)
+    gone = shares_of_scale(BOX, THETA * np.array([1.0, 1.0, 1e6, 1e-6, 1e-6]), window)
+    assert (there < 2.0).all()
+    assert (gone[2:] < 1e-5).all()
+
+
+def test_motors_that_hardly_move_are_fitted_without_overflow() -> None:
+    samples = content_of(recorded()).copy()
+    samples[1] = 0.0
+    samples[2] = np.random.default_rng(0).normal(0.0, 1e-4, samples.shape[1])
+    window = Window.from_samples(BOX, samples)
+    with np.errstate(all='ignore'):
+        fit = fit_window(BOX, window, VAGUE, [INITIAL[0], *weak_starts(BOX, window)])
+    assert fit is None or np.isfinite(fit.logarithms).all()

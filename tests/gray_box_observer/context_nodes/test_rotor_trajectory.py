@@ -1,0 +1,135 @@
+"""The free run of a motor with a rotor: its derivatives, its two implementations, and the plant."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+from gray_box_observer.context_nodes.native import whole_motor
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
+from gray_box_observer.context_nodes.rotor.trajectory import Run, run
+from gray_box_observer.white_box import MotorWhiteBox, forms
+
+NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+KT = KB = 0.02
+THETA = np.array([4e-3, 2.0, 1e-5, 1e-5, 8.4e-3])
+LIMITS = np.array([1e3, 1e6])
+BOX = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
+
+
+def steps(count: int, seed: int = 0, hold: int = 80) -> np.ndarray:
+    """Voltages that are held for a while each."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(-12.0, 12.0, count // hold + 1), hold)[:count]
+
+
+def free_run(
+    theta: np.ndarray, volts: np.ndarray, interval_s: float = 1e-3, **options: bool
+) -> Run:
+    p = coordinates(BOX, theta)
+    start = np.array([0.1, 3.0])
+    return run(KT, p, start, volts, np.full(volts.size, interval_s), LIMITS, **options)
+
+
+def test_where_there_is_a_compiler_there_is_a_compiled_trajectory() -> None:
+    if shutil.which('cc') is None and shutil.which('gcc') is None:
+        pytest.skip('no C compiler')
+    assert whole_motor.library() is not None, 'ros_ws/setup.sh builds it'
+
+
+def test_what_was_compiled_of_another_motor_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, 'WHOLE_MOTOR_FINGERPRINT', 1)
+    whole_motor.library.cache_clear()
+    assert whole_motor.library() is None
+    whole_motor.library.cache_clear()
+
+
+@pytest.mark.parametrize('interval_s', [1e-3, 1e-2, 0.3])
+def test_compiled_code_and_python_give_the_same(interval_s: float) -> None:
+    if whole_motor.library() is None:
+        pytest.skip('no compiled code')
+    volts = steps(160, hold=20)
+    fast = free_run(THETA, volts, interval_s)
+    slow = free_run(THETA, volts, interval_s, compiled=False)
+    assert fast.is_bounded
+    assert slow.is_bounded
+    np.testing.assert_allclose(fast.states, slow.states, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(fast.transitions, slow.transitions, rtol=1e-11, atol=1e-12)
+    scale = np.abs(slow.slopes).max(axis=0)
+    assert (np.abs(fast.slopes - slow.slopes).max(axis=0) <= 1e-11 * scale).all()
+
+
+@pytest.mark.parametrize('node', range(len(NODES)))
+def test_derivatives_by_the_logarithms_are_finite_differences(node: int) -> None:
+    volts, step = steps(1500), 1e-6
+    followed = free_run(THETA, volts)
+    slope = followed.slopes[:, 0, 2:] @ slopes(BOX, coordinates(BOX, THETA))[:, node]
+    ends = []
+    for sign in (1.0, -1.0):
+        moved = THETA.copy()
+        moved[node] *= np.exp(sign * step)
+        ends.append(free_run(moved, volts).states[:, 0])
+    by_difference = (ends[0] - ends[1]) / (2.0 * step)
+    assert np.std(slope - by_difference) < 1e-4 * np.std(by_difference)
+
+
+def test_derivatives_by_the_first_states_are_finite_differences() -> None:
+    volts = steps(400)
+    p, interval = coordinates(BOX, THETA), np.full(400, 1e-3)
+    middle = run(KT, p, np.array([0.5, 40.0]), volts, interval, LIMITS)
+    for state, bump in enumerate((1e-5, 1e-3)):
+        up, down = (
+            run(KT, p, np.array([0.5, 40.0]) + d * np.eye(2)[state], volts, interval, LIMITS)
+            for d in (bump, -bump)
+        )
+        by_difference = (up.states - down.states) / (2.0 * bump)
+        np.testing.assert_allclose(
+            middle.slopes[:, :, state], by_difference, atol=1e-4 * np.abs(by_difference).max()
+        )
+
+
+@pytest.mark.parametrize('rate_hz', [1000.0, 250.0])
+def test_the_trajectory_is_that_of_the_simulated_plant(rate_hz: float) -> None:
+    inductance, resistance, inertia, viscous, coulomb = THETA.tolist()
+    plant = PlantParameters(
+        inductance=inductance, resistance=resistance, hysteresis=0.0, torque_constant=KT,
+        back_emf_constant=KB, inertia=inertia, viscous_friction=viscous, coulomb_friction=coulomb,
+    )  # fmt: skip
+    recording = Simulation(
+        {'m': plant}, 'R[-12,12]D[0.05,0.5]', seed=4, speed_mode='rotor', sample_rate_hz=rate_hz
+    ).record(2.0)
+    interval = np.diff(recording.stamp_ns) / 1e9
+    current = recording.torque_nm[0] / KT
+    start = np.array([current[0], recording.speed_rad_s[0, 0]])
+    followed = run(
+        KT, coordinates(BOX, THETA), start, recording.voltage_v[0, :-1], interval, LIMITS
+    )
+    assert followed.is_bounded
+    assert np.std(followed.states[:, 0] - current) < 1e-3 * np.std(current)
+    error = followed.states[:, 1] - recording.speed_rad_s[0]
+    assert np.std(error) < 1e-3 * np.std(recording.speed_rad_s[0])
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_whatever_the_parameters_nothing_overflows(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    theta = np.array(
+        [10.0 ** rng.uniform(np.log10(p.lower), np.log10(p.upper)) for p in BOX.parameters]
+    )
+    with np.errstate(all='raise'):
+        followed = free_run(theta, steps(500))
+    if followed.is_bounded:
+        assert np.isfinite(followed.states).all()
+
+
+def test_a_rotor_at_rest_under_dry_friction_does_not_chatter() -> None:
+    volts = np.full(400, 0.3)  # a current whose torque is below the friction
+    p = coordinates(BOX, THETA)
+    followed = run(KT, p, np.zeros(2), volts, np.full(400, 1e-3), LIMITS)
+    speed = followed.states[100:, 1]
+    assert np.ptp(speed) < 1e-3
+    assert abs(speed).max() < 0.2

@@ -1,0 +1,148 @@
+"""The rule for a motor with a rotor: what it learns, keeps, forgets and does not claim."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, samples_of
+
+from gray_box_observer.context_nodes import RotorUpdate, Verdict
+from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.white_box import MotorWhiteBox
+
+
+def learn(update: RotorUpdate, samples: list[Any]) -> RotorUpdate:
+    for sample in samples:
+        update.learn(sample)
+    return update
+
+
+def test_everything_is_identified_and_right() -> None:
+    update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded()))
+    estimate = update.estimate()
+    assert estimate.verdicts[0][:3] == (Verdict.IDENTIFIED,) * 3
+    z = (estimate.value[0] - THETA) / estimate.std[0]
+    assert np.abs(z).max() < 4.0
+    np.testing.assert_allclose(estimate.value[0, :3], THETA[:3], rtol=0.02)
+    assert update.counters()['motor changes'] == 0
+
+
+def test_deviations_shrink_with_the_windows() -> None:
+    samples = samples_of(recorded(duration_s=6.0))
+    update, stds = RotorUpdate(BOX, INITIAL), {}
+    for k, sample in enumerate(samples, start=1):
+        if update.learn(sample):
+            stds[k] = update.estimate().std[0] / THETA
+    first, last = stds[min(k for k in stds if k > 1000)], stds[max(stds)]
+    assert (last < 0.85 * first).all()
+
+
+def test_a_motor_that_changes_is_followed() -> None:
+    before = samples_of(recorded(duration_s=6.0))
+    other = samples_of(recorded(duration_s=6.0, seed=2))
+    louder = [s._replace(torque_nm=0.5 * s.torque_nm) for s in other]  # L, R doubled
+    louder[0] = louder[0].beginning()
+    update = learn(RotorUpdate(BOX, INITIAL), [*before, *louder])
+    assert update.counters()['motor changes'] >= 1
+    assert update.theta[0, 1] == pytest.approx(2.0 * THETA[1], rel=0.02)
+
+
+@pytest.mark.parametrize('excitation', ['C[0]', 'C[6]'])
+def test_of_a_constant_voltage_nothing_is_claimed(excitation: str) -> None:
+    update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded(excitation, 3.0)))
+    assert set(update.estimate().verdicts[0]) == {Verdict.UNEXCITED}
+
+
+def test_an_hour_of_constant_voltage_moves_nothing() -> None:
+    moving, held = samples_of(recorded()), samples_of(recorded('C[6]', 3.0))
+    update = learn(RotorUpdate(BOX, INITIAL), moving)
+    before = update.estimate()
+    learn(update, [sample.beginning() if k == 0 else sample for k, sample in enumerate(held[500:])])
+    learn(update, held[500:])
+    assert np.abs(update.theta[0] / before.value[0] - 1.0).max() < 0.02
+    assert (update.estimate().std >= 0.5 * before.std).all()
+
+
+def test_what_comes_while_frozen_is_not_learnt() -> None:
+    samples = samples_of(recorded())
+    update = learn(RotorUpdate(BOX, INITIAL), samples[:1500])
+    before = update.theta.tobytes()
+    update.freeze(True)
+    learn(update, samples[1500:])
+    assert update.theta.tobytes() == before
+    assert set(update.estimate().verdicts[0]) == {Verdict.FROZEN}
+    update.freeze(False)
+    learn(update, samples[1500:])
+    assert update.theta.tobytes() != before
+
+
+@pytest.mark.parametrize('cut', [100, 900, 2300, 2999])
+def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
+    samples = samples_of(recorded(duration_s=4.5))
+    one = learn(RotorUpdate(BOX, INITIAL), samples[:cut])
+    plain, arrays = one.state()
+    other = RotorUpdate(BOX, INITIAL)
+    other.restore(plain, {name: array.copy() for name, array in arrays.items()})
+    learn(one, samples[cut:])
+    learn(other, samples[cut:])
+    assert one.theta.tobytes() == other.theta.tobytes()
+    assert one.estimate().covariance.tobytes() == other.estimate().covariance.tobytes()
+
+
+def test_a_state_that_nobody_learnt_is_refused() -> None:
+    plain, arrays = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded())[:600]).state()
+    with pytest.raises(CheckpointError, match='covariance'):
+        RotorUpdate(BOX, INITIAL).restore(plain, arrays | {'covariance': -arrays['covariance']})
+    with pytest.raises(CheckpointError, match='due'):
+        RotorUpdate(BOX, INITIAL).restore(plain | {'due': 10**9}, arrays)
+    with pytest.raises(ConfigurationError, match='the checkpoint holds'):
+        RotorUpdate(BOX, INITIAL).restore(plain | {'parameters': ['inductance']}, arrays)
+
+
+def test_the_rule_is_for_one_motor_with_a_rotor() -> None:
+    box = MotorWhiteBox(NODES[:2], 0.02, {'back_emf_constant': 0.02})
+    with pytest.raises(ConfigurationError, match='whose inertia is unknown'):
+        RotorUpdate(box, INITIAL[:, :2])
+
+
+def observed(**more: Any) -> Observer:
+    """The whole observer over a record."""
+    observer = Observer(Configuration.from_flat(PARAMETERS | more), None)
+    recording = recorded()
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(recording.voltage_v[0, k]))
+        observer.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    return observer
+
+
+def test_the_observer_tests_the_fit_of_a_rotor() -> None:
+    observer = observed()
+    estimate, fit = observer.estimates()['motor'], observer.fit('motor')
+    assert estimate.verdicts[0][:3] == (Verdict.IDENTIFIED,) * 3
+    assert fit.verdict.value == 'ok'
+    assert fit.ratio == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_thesis_form_names_the_rotor_as_the_remedy() -> None:
+    observer = observed(**{'motor.speed_source': 'torque_constant'})
+    fit = observer.fit('motor')
+    assert fit.verdict.value == 'misfit'
+    assert 'motor.speed_source: rotor' in fit.suspects[0].remedy
+
+
+def test_a_fit_that_leaves_much_is_a_misfit() -> None:
+    observer = Observer(Configuration.from_flat(PARAMETERS), None)
+    recording = recorded()
+    rng = np.random.default_rng(5)
+    volts = (
+        recording.voltage_v[0]
+        + np.repeat(rng.uniform(-4.0, 4.0, 300), 10)[: recording.voltage_v.shape[1]]
+    )
+    for k, stamp in enumerate(recording.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(volts[k]))
+        observer.torque('motor', stamp, float(recording.torque_nm[0, k]))
+    assert Verdict.IDENTIFIED not in observer.estimates()['motor'].verdicts[0]

@@ -1,0 +1,56 @@
+"""A rotor without speed, live: its context nodes are published and survive a restart."""
+
+from __future__ import annotations
+
+import pytest
+from std_msgs.msg import Bool, Float64
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Simulation
+
+pytestmark = pytest.mark.system
+
+PLANT = PlantParameters(
+    inductance=4e-3,
+    resistance=2.0,
+    hysteresis=0.0,
+    torque_constant=0.02,
+    back_emf_constant=0.02,
+    inertia=1e-5,
+    viscous_friction=1e-5,
+    coulomb_friction=8.4e-3,
+)
+ROTOR = {
+    'motor__speed_source': 'rotor',
+    'motor__torque_constant': 0.02,
+    'motor__back_emf_constant': 0.02,
+    'motor__stamps_exact': 'true',
+}
+NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+
+
+def test_the_nodes_of_a_rotor_are_published_and_survive_a_restart(rig, tmp_path):
+    path = tmp_path / 'c.safetensors'
+    simulation = Simulation(
+        {'motor': PLANT}, 'R[-12,12]D[0.05,0.5]', seed=1, speed_mode='rotor',
+        sample_rate_hz=1000.0, torque_noise_std=2e-4,
+    )  # fmt: skip
+    recording = simulation.record(2.3)
+    resume = {'checkpoint__path': path, 'checkpoint__resume': 'true'}
+    rig.start(**ROTOR, **resume)
+    rig.send(recording, range(2000))
+    rig.wait_for(samples_used=2000)
+    learnt = {name: rig.latched(Float64, f'motor/{name}').data for name in NODES}
+    for name in ('inductance', 'resistance', 'inertia'):
+        assert learnt[name] == pytest.approx(getattr(PLANT, name), rel=0.02), name
+    rig.wait_for(inertia_verdict='identified')
+    assert rig.latched(Bool, 'motor/resistance/identified').data is True
+    assert rig.peer.end(rig.process)[0] == 0
+
+    rig.start(**ROTOR, **resume)
+    rig.signals()
+    again = {name: rig.latched(Float64, f'motor/{name}').data for name in NODES}
+    assert again == learnt, 'told before any sample has come'
+    rig.send(recording, range(2000, 2300))
+    rig.wait_for(samples_used=300)
+    assert rig.values()['resistance verdict'] == 'identified'
