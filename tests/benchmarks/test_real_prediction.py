@@ -91,7 +91,7 @@ def test_a_plain_lstm_learns_no_fewer_numbers_than_what_it_is_compared_with(inpu
     network, linear = Weights.initial(INPUTS, HIDDEN, 0), LinearPart.silent()
     residual = ResidualModel(
         network, linear, np.ones(3), 1.0, 1.0, np.zeros((BINS, BINS)), 0.01
-    ).learnt
+    ).weight_count
     physics = sum(array.size for array in first_network(TrainingSettings(), 0).arrays().values())
     assert residual == 4 * HIDDEN * (INPUTS + HIDDEN + 1) + HIDDEN + 1 + FEATURES + BENDS.size
     assert counts == [4 * hidden * (inputs + hidden + 1) + hidden + 1 for hidden in SIZES]

@@ -18,24 +18,24 @@ def schedule(*texts):
 
 def test_a_step_happens_once_at_its_time():
     steps = schedule('motor.resistance=1.3@60')
-    assert steps.due(60 * SECOND_NS - 1) == []
-    assert steps.due(60 * SECOND_NS) == [('motor', 'resistance', 1.3)]
-    assert steps.due(61 * SECOND_NS) == []
+    assert steps.due_changes(60 * SECOND_NS - 1) == []
+    assert steps.due_changes(60 * SECOND_NS) == [('motor', 'resistance', 1.3)]
+    assert steps.due_changes(61 * SECOND_NS) == []
 
 
 def test_a_ramp_runs_linearly_and_ends_on_its_last_value():
     ramp = schedule(' left . inductance = 0.5 .. 0.4 @ 10 .. 20 ')
-    assert ramp.due(9 * SECOND_NS) == []
-    assert ramp.due(10 * SECOND_NS) == [('left', 'inductance', 0.5)]
-    assert ramp.due(15 * SECOND_NS) == [('left', 'inductance', pytest.approx(0.45))]
-    assert ramp.due(27 * SECOND_NS) == [('left', 'inductance', 0.4)]
-    assert ramp.due(28 * SECOND_NS) == []
+    assert ramp.due_changes(9 * SECOND_NS) == []
+    assert ramp.due_changes(10 * SECOND_NS) == [('left', 'inductance', 0.5)]
+    assert ramp.due_changes(15 * SECOND_NS) == [('left', 'inductance', pytest.approx(0.45))]
+    assert ramp.due_changes(27 * SECOND_NS) == [('left', 'inductance', 0.4)]
+    assert ramp.due_changes(28 * SECOND_NS) == []
 
 
 def test_of_two_at_once_the_one_that_began_later_comes_last():
     both = schedule('motor.resistance=5@3', 'motor.resistance=1..2@0..10')
-    both.due(0)
-    assert [value for *_, value in both.due(5 * SECOND_NS)] == [1.5, 5.0]
+    both.due_changes(0)
+    assert [value for *_, value in both.due_changes(5 * SECOND_NS)] == [1.5, 5.0]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import yaml
 import dc_motor_sim
 from dc_motor_sim.errors import ConfigurationError, PlantError
 from dc_motor_sim.plant import PlantParameters
-from dc_motor_sim.ros.parameters import NodeParameters, replaced, usage_text
+from dc_motor_sim.ros.parameters import NodeParameters, replace_parameters, usage_text
 from dc_motor_sim.sensors import SensorParameters
 
 
@@ -62,4 +62,4 @@ def test_a_speed_up_needs_the_clock_to_be_published():
 
 def test_a_refused_parameter_is_named_with_its_motor():
     with pytest.raises(PlantError, match=r'^left\.resistance must be'):
-        replaced('left', PlantParameters(), {'resistance': -1.0})
+        replace_parameters('left', PlantParameters(), {'resistance': -1.0})

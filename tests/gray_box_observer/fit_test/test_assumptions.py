@@ -51,7 +51,7 @@ def test_what_is_stated_for_all_motors_counts_for_each_and_outlasts_a_change() -
         'defaults.back_emf_constant': 0.01,
         'b.speed_source': 'torque_constant',
     }
-    configuration = Configuration.from_flat(given).changed({'gap_s': 0.7})
+    configuration = Configuration.from_flat(given).with_values({'gap_s': 0.7})
     assert configuration.motors['a'].stated == {'back_emf_constant'}
     assert configuration.motors['b'].stated == {'back_emf_constant', 'speed_source'}
 

@@ -143,7 +143,7 @@ def test_it_is_contained_wherever_it_escapes(fault, method):
 def test_an_estimate_that_is_not_finite_is_not_given_out(monkeypatch, part):
     observer = observer_of(('motor',))
     feed(observer, ('motor',), range(FAILS_AT))
-    real = MotorObserver.repeat
+    real = MotorObserver.update_parameters
 
     def poisoned(self, sample):
         estimate = real(self, sample)

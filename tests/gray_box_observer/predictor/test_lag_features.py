@@ -9,11 +9,11 @@ from gray_box_observer.predictor.lag_features import (
     LADDER,
     LONGEST,
     SIGNALS,
+    advance,
     along,
     blank,
     cleared,
     ending,
-    followed,
     presumed,
 )
 
@@ -29,7 +29,7 @@ def signals(count: int = 300) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_a_held_signal_is_approached_as_by_a_first_order_lag() -> None:
-    after = followed(blank(1), np.array([3.0]), np.array([-7.0]), np.array([40.0]))
+    after = advance(blank(1), np.array([3.0]), np.array([-7.0]), np.array([40.0]))
     np.testing.assert_allclose(after[0], np.outer([3.0, -7.0], 1.0 - np.exp(-40.0 / LADDER)))
 
 
@@ -37,15 +37,15 @@ def test_how_an_interval_is_cut_makes_no_difference() -> None:
     held, start = (np.array([3.0]), np.array([-7.0])), np.full((1, SIGNALS, LADDER.size), 1.5)
     cut = start
     for part in (0.25, 3.0, 11.0):
-        cut = followed(cut, *held, np.array([part]))
-    np.testing.assert_allclose(cut, followed(start, *held, np.array([14.25])), rtol=1e-12)
+        cut = advance(cut, *held, np.array([part]))
+    np.testing.assert_allclose(cut, advance(start, *held, np.array([14.25])), rtol=1e-12)
 
 
 def test_streaming_and_a_whole_history_and_its_end_at_once_agree() -> None:
     voltage, speed, intervals = signals()
     streamed, whole = blank(2), along(voltage, speed, intervals, blank(2))
     for k in range(voltage.shape[1]):
-        streamed = followed(streamed, voltage[:, k], speed[:, k], intervals[:, k])
+        streamed = advance(streamed, voltage[:, k], speed[:, k], intervals[:, k])
         np.testing.assert_allclose(whole[:, k], streamed, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(ending(voltage, speed, intervals), streamed, rtol=1e-9, atol=1e-9)
 

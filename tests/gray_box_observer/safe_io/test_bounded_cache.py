@@ -70,7 +70,7 @@ def test_ever_other_motors_of_many_fill_no_memory():
         for missing in range(60):
             torque_nm[:] = 1.0
             torque_nm[missing] = np.nan
-            assert messages.told(names, 0, torque_nm)
+            assert messages.render(names, 0, torque_nm)
         assert tracemalloc.get_traced_memory()[0] < LARGEST_BYTES
     finally:
         tracemalloc.stop()

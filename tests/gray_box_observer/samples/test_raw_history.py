@@ -130,7 +130,7 @@ def test_a_group_tells_the_signals_of_each_motor_and_none_of_its_own() -> None:
     assert signals is not None
     assert signals.torque_nm.tolist() == [0.2] * 4
     assert signals.voltage_v.tolist() == [2.0] * 5
-    with pytest.raises(GrayBoxError, match=r'of\(motor\)'):
+    with pytest.raises(GrayBoxError, match=r'select_motor\(motor\)'):
         group.signals(4 * MS, 0)
 
 

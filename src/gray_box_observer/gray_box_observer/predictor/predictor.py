@@ -113,7 +113,14 @@ class Predictor:
         if (
             device is not None
         ):  # here, not where they are defined: one motor by numpy must not pay for it
-            for name in ('predict', '_rollout', 'forecast', 'follow', 'study', 'restore'):
+            for name in (
+                'predict',
+                '_rollout',
+                'forecast',
+                'advance',
+                'score_and_train',
+                'restore',
+            ):
                 setattr(self, name, watched(device)(getattr(self, name)))
         self.residual = ResidualForecaster(white_box, motors)
         blank = np.full(motors, np.nan)

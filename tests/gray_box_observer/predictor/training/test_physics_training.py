@@ -98,7 +98,9 @@ def test_the_teacher_is_the_white_box_along_the_networks_own_prediction() -> Non
 
 def test_the_loss_is_zero_where_the_network_says_what_the_physics_does() -> None:
     taught = training_batch(fresh(4, 0), drawn())
-    exact = replace(taught, moved=taught.intervals.distance * np.expm1(-taught.intervals.duration))
+    exact = replace(
+        taught, targets=taught.intervals.distance * np.expm1(-taught.intervals.duration)
+    )
     linear = replace(exact.intervals, settling=0.0 * taught.targets, halfway=0.0 * taught.targets)
     readout = torch.zeros(taught.targets.shape)
     assert float(defect_loss(replace(exact, intervals=linear), readout)) < 1e-5

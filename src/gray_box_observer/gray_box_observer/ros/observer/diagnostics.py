@@ -184,7 +184,9 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
     topics = ' and '.join(now.message_input.signals[n].topic for n in silent)
-    strangers = sorted({name for n in silent for name in now.message_input.signals[n].unknown})
+    strangers = sorted(
+        {name for n in silent for name in now.message_input.signals[n].unknown_names}
+    )
     remedy = (
         f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors'
         if strangers
