@@ -11,7 +11,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
-from gray_box_observer.context_nodes.rotor.trajectory import Run, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, run
 from gray_box_observer.white_box import MotorWhiteBox, forms
 
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')

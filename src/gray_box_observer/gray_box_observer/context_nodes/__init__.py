@@ -4,7 +4,7 @@ from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictS
 from gray_box_observer.context_nodes.gradient import GradientSettings, GradientUpdate
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
-from gray_box_observer.context_nodes.rotor.estimator import RotorUpdate
+from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 
 __all__ = [

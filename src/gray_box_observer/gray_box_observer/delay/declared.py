@@ -9,7 +9,7 @@ from gray_box_observer.samples.raw_history import RawHistory
 class DeclaredDelay(DelayWatch):
     """Keeps the delay that was declared; the fit test asks whether it holds."""
 
-    def take(
+    def update(
         self, history: RawHistory, stamp_ns: int, samples: int = 1, *, awaited: bool = False
     ) -> float | None:  # fmt: skip
         """Do nothing, and leave the delay as it is."""

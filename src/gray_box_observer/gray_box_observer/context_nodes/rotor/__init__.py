@@ -1,4 +1,1 @@
-"""Learns a motor whose rotor turns while nobody measures its speed: the speed is a hidden state.
-
-Read ``estimator.py`` first, then ``window_fit.py``.
-"""
+"""Learns a motor whose speed is a hidden state. Read `rotor_estimator.py`, then `window_fit.py`."""

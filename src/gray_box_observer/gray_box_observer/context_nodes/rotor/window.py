@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
-from gray_box_observer.context_nodes.rotor.trajectory import STATES, Run, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box.declaration import State

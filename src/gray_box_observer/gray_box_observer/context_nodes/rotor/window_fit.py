@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
-from gray_box_observer.context_nodes.rotor.trajectory import STATES
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import (
     FreeRuns,
     Window,
