@@ -3,8 +3,8 @@
 The free run of the current is fitted to a window of samples as soon as there are a few, again
 with half as many more each, and from a full window on to one window after another. What a window
 has told is kept as a Gaussian of the parameters' logarithms and joined with what the next one
-tells: windows share no sample, so that nothing is counted twice. Where a window contradicts what was
-known, the motor has changed, and what was known is forgotten (docs/METHOD.md, The whole motor).
+tells: windows share no sample, so that nothing is counted twice. Where a window contradicts what
+was known, the motor has changed, and that is forgotten (docs/METHOD.md, The whole motor).
 """
 
 from __future__ import annotations
