@@ -11,6 +11,7 @@ from rotor_motors import BOX, INITIAL, NODES, PARAMETERS, THETA, recorded, sampl
 from gray_box_observer.context_nodes import RotorUpdate, Verdict
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -55,6 +56,18 @@ def test_a_motor_that_changes_is_followed() -> None:
 def test_of_a_constant_voltage_nothing_is_claimed(excitation: str) -> None:
     update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded(excitation, 3.0)))
     assert set(update.estimate().verdicts[0]) == {Verdict.UNEXCITED}
+
+
+def test_of_one_step_nothing_is_identified() -> None:
+    recording = recorded('C[6]', 3.0)
+    rest = [
+        Sample.of_one_motor(k * 1_000_000 - 10**9, 0.0 if k == 0 else 1e-3, 0.0, 0.0)
+        for k in range(1000)
+    ]
+    step = samples_of(recording)[1:]
+    update = learn(RotorUpdate(BOX, INITIAL), [*rest, *step])
+    assert update.counters()['fits'] > 0
+    assert Verdict.IDENTIFIED not in update.estimate().verdicts[0]
 
 
 def test_an_hour_of_constant_voltage_moves_nothing() -> None:

@@ -69,6 +69,10 @@ MEMORY = 0.98
 SHARP = 0.3
 """Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
 
+FEWEST_MOVES = 3
+"""Moves of the voltage from which a motor is told: of a step or two a search may end at another
+motor that fits as well."""
+
 SEARCHED = 1024
 """Newest samples that a start is looked for in."""
 
@@ -211,12 +215,25 @@ class RotorUpdate:
         self._logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), vanishing)
         self._covariance = _inverse(information + np.diag(prior)) + fit.spread
+        if self._is_ambiguous(window):
+            self._covariance += SHARP**2 * np.eye(prior.size)
         self._noise_a = fit.noise_a
         if self._is_settled and count >= WINDOW:
             self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
             self._mark = place
         self._schedule(place, count)
         return True
+
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether other motors than the one found might explain the samples.
+
+        The voltage has hardly moved, or no rotor shows, so that its back-EMF may hide in any
+        resistance.
+        """
+        if self._memory is None and window.moves < FEWEST_MOVES:
+            return True
+        place = self._white_box.context_nodes.index('inertia')
+        return bool(self._covariance[place, place] > SHARP**2)
 
     def _remember(self, covariance: Array) -> None:
         """Keep what is known of those parameters that the samples have told of."""

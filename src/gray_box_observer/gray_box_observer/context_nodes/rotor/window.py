@@ -31,6 +31,10 @@ LEAST_REACH_V = 1.0
 """Back-EMF that a rotor may have beside that, whatever the voltage: it may have turned before."""
 
 
+MOVE = 0.1
+"""Share of its range by which a voltage has moved."""
+
+
 @dataclass(frozen=True, slots=True)
 class History:
     """Samples between two restarts.
@@ -102,6 +106,19 @@ class Window:
     def quantisation_std_a(self) -> float:
         """Standard deviation that the step of the readings leaves; 0 where there is none."""
         return float(quantisation_step(self.current_a[None])[0]) * STEP_TO_STD
+
+    @cached_property
+    def moves(self) -> int:
+        """How often the voltage has moved by a part of its range, without a pause."""
+        level = np.concatenate([h.voltage_v for h in self.histories] or [np.zeros(1)])
+        least = MOVE * float(np.ptp(level))
+        count, moved_at, reference = 0, -1, float(level[0])
+        for k in (np.flatnonzero(np.diff(level)) + 1).tolist():
+            volt = float(level[k])
+            if abs(volt - reference) > least:
+                count += k > moved_at + 1
+                moved_at, reference = k, volt
+        return count
 
     def tail(self, samples: int) -> Window:
         """Return the newest samples of the newest history."""

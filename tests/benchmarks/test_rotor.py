@@ -1,0 +1,49 @@
+"""The benchmark of hidden rotors: its records, their bound, and how a trial is counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rotor
+from common.rotor.records import NODES, draw
+from common.rotor.runs import run_trial
+from common.trust.motors import gear_motor
+
+
+def test_a_record_is_drawn_alike_from_the_same_seed() -> None:
+    one, other = (draw(gear_motor, 3, 500.0, 1.0) for _ in range(2))
+    assert one.motor == other.motor
+    assert np.array_equal(one.measured_a, other.measured_a)
+    assert np.std(one.measured_a - one.current_a) == pytest.approx(one.noise_a, rel=0.1)
+
+
+def test_the_bound_is_proportional_to_the_noise_and_falls_with_the_length() -> None:
+    short, long = (draw(gear_motor, 3, 500.0, length_s) for length_s in (2.0, 6.0))
+    louder = replace(short, noise_a=2.0 * short.noise_a)
+    np.testing.assert_allclose(louder.bound(), 2.0 * short.bound(), rtol=1e-6)
+    assert (long.bound() < short.bound()).all()
+
+
+def test_a_trial_ends_near_the_truth_and_claims_nothing_false() -> None:
+    trial = run_trial(draw(gear_motor, 3, 500.0, 4.0))
+    assert np.abs(trial.z).max() < 4.5
+    assert trial.identified[: len(NODES) - 2].all()
+    assert trial.claims > 0
+    assert trial.false == 0
+    assert trial.near_s < 4.0
+    assert rotor.share_false([trial]) == 0.0
+    assert rotor.over_bound([trial]).shape == (len(NODES),)
+
+
+def test_a_robot_without_speed_has_a_rotor() -> None:
+    case = rotor.Case(
+        'robot 1',
+        rotor.DEFAULT_DATA / 'none.txt',
+        ('time=$1', 'left.voltage=$5', 'left.speed=$9'),
+        {'left.torque_constant': 0.007, 'right.torque_constant': 0.007},
+    )
+    made = rotor.without_speed(case)
+    assert made.columns == ('time=$1', 'left.voltage=$5')
+    assert made.parameters['right.speed_source'] == 'rotor'
