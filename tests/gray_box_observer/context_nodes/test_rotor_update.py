@@ -159,3 +159,14 @@ def test_a_fit_that_leaves_much_is_a_misfit() -> None:
         observer.voltage('motor', stamp, float(volts[k]))
         observer.torque('motor', stamp, float(recording.torque_nm[0, k]))
     assert Verdict.IDENTIFIED not in observer.estimates()['motor'].verdicts[0]
+
+
+def test_histories_too_short_to_tell_are_left_out_of_the_fit_and_of_its_test() -> None:
+    observer = Observer(Configuration.from_flat(PARAMETERS), None)
+    recording, gap_ns = recorded(), 0
+    for k, stamp in enumerate(recording.stamp_ns[:1200].tolist()):
+        gap_ns += 2_000_000_000 if k in (500, 503, 900) else 0
+        observer.voltage('motor', stamp + gap_ns, float(recording.voltage_v[0, k]))
+        observer.torque('motor', stamp + gap_ns, float(recording.torque_nm[0, k]))
+    assert not observer.incidents
+    assert observer.estimates()['motor'].value[0, 1] == pytest.approx(THETA[1], rel=0.02)

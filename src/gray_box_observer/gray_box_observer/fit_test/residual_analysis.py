@@ -165,7 +165,7 @@ def analyse(
         delay_shift=_delay_shift(run, projection, weight),
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
-        moving_noise_a=_moving_noise(run.residual_a, stretch.state[0]),
+        moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
     )
 
 

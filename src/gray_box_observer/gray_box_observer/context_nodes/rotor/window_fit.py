@@ -24,10 +24,10 @@ from gray_box_observer.context_nodes.rotor.window import (
 from gray_box_observer.white_box.interface import Array, bounds
 from gray_box_observer.white_box.motor import MotorWhiteBox
 
-MOST_STEPS = 30
+MOST_STEPS = 20
 """Damped steps at most."""
 
-MOST_ATTEMPTS = 12
+MOST_ATTEMPTS = 8
 """Steps tried from one place, each shorter than the one before."""
 
 FREE_ATTEMPTS = 3
