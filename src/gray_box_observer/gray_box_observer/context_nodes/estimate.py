@@ -176,8 +176,8 @@ class VerdictSettings:
         at_bound = (value <= lower * (1.0 + self.bound_tolerance)) | (
             value >= upper * (1.0 - self.bound_tolerance)
         )
-        known = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
-        code = np.where(std <= self.excited_relative_std * value, known, _UNEXCITED)
+        label = np.where(std <= self.identified_relative_std * value, _IDENTIFIED, _CONVERGING)
+        code = np.where(std <= self.excited_relative_std * value, label, _UNEXCITED)
         code = np.where(at_bound, _IMPLAUSIBLE, code)
         if most is not None:
             code = np.where(

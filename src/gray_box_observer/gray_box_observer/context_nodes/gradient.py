@@ -146,9 +146,9 @@ class GradientUpdate:
             return
         self._frozen, self._resumes = frozen, not frozen
 
-    def estimate(self, which: Any = slice(None)) -> Estimate:
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
-        theta, covariance = self.theta[which], self._covariance[which]
+        theta, covariance = self.theta[selection], self._covariance[selection]
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         verdicts = self.verdict_rules.judge(
             self._white_box.parameters, theta, std, frozen=self._frozen

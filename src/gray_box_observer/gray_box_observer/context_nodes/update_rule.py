@@ -33,7 +33,7 @@ class ContextUpdate(Protocol):
     def theta(self) -> Array:
         """Present values, shape (motor, parameter); positive and inside their bounds."""
 
-    def estimate(self, which: Any = slice(None)) -> Estimate:
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:

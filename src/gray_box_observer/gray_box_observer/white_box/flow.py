@@ -183,16 +183,16 @@ def flow(
         return _in_steps(ops, rate_at, start, here, interval, int(counts.pop()))
     whole = here.mapped(ops.empty_like)
     for count in counts:  # no motor moves otherwise than it would alone
-        which = ops.flatnonzero(steps == count)
-        own = interval.select(which)
-        rate_of = _rate_at(ops, white_box.of_motors(which), p[which], own.voltage_v)
+        selection = ops.flatnonzero(steps == count)
+        own = interval.select(selection)
+        rate_of = _rate_at(ops, white_box.of_motors(selection), p[selection], own.voltage_v)
         begin, rate = (
-            [state[which] for state in start],
-            here.mapped(lambda entry, which=which: entry[..., which, :]),
+            [state[selection] for state in start],
+            here.mapped(lambda entry, selection=selection: entry[..., selection, :]),
         )
         moved = _in_steps(ops, rate_of, begin, rate, own, int(count))
         for entry, part in zip(whole.entries, moved.entries, strict=True):
-            entry[..., which, :] = part
+            entry[..., selection, :] = part
     return whole
 
 

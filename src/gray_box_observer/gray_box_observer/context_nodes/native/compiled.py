@@ -27,9 +27,9 @@ def library(
         return None
     path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
     try:
-        loaded = kind(str(path))
-        told = getattr(loaded, size)
+        handle = kind(str(path))
+        size_of = getattr(handle, size)
     except (OSError, AttributeError):
         return None
-    told.restype = ctypes.c_int64
-    return loaded if told() == ctypes.sizeof(structure) else None
+    size_of.restype = ctypes.c_int64
+    return handle if size_of() == ctypes.sizeof(structure) else None

@@ -46,20 +46,20 @@ class _Motions(ctypes.Structure):
 @cache
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None without it, or where it was built of other forms."""
-    loaded = compiled.library('motions_size', _Motions)
-    if loaded is None:
+    handle = compiled.library('motions_size', _Motions)
+    if handle is None:
         return None
-    loaded.move_intervals.argtypes = (ctypes.POINTER(_Motions),)
-    loaded.move_intervals.restype = None
-    loaded.recurrences.argtypes = (*3 * (_COUNT,), *4 * (_POINTER,))
-    loaded.recurrences.restype = None
+    handle.move_intervals.argtypes = (ctypes.POINTER(_Motions),)
+    handle.move_intervals.restype = None
+    handle.recurrences.argtypes = (*3 * (_COUNT,), *4 * (_POINTER,))
+    handle.recurrences.restype = None
     variance_types = (_COUNT, _COUNT, _POINTER, _POINTER, _NUMBER, _NUMBER, _COUNT, _POINTER)
-    loaded.restart_variances.argtypes = variance_types
-    loaded.restart_variances.restype = None
-    loaded.forms_fingerprint.restype = _COUNT
-    loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
-    loaded.term_values.restype = _COUNT
-    return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
+    handle.restart_variances.argtypes = variance_types
+    handle.restart_variances.restype = None
+    handle.forms_fingerprint.restype = _COUNT
+    handle.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    handle.term_values.restype = _COUNT
+    return handle if handle.forms_fingerprint() == forms.FINGERPRINT else None
 
 
 def move(
@@ -82,8 +82,8 @@ def move(
         end_speed: shape (motor, k): measured speed at its end, in rad/s.
         interval_s: shape (motor, k).
     """
-    loaded = library()
-    if loaded is None or not isinstance(white_box, MotorWhiteBox) or not _has_room(white_box):
+    handle = library()
+    if handle is None or not isinstance(white_box, MotorWhiteBox) or not _has_room(white_box):
         return flow(white_box, p, [start], voltage_v, speed_rad_s, end_speed, interval_s)
     motors, intervals = start.shape
     constants = [np.broadcast_to(white_box.known[name], motors) for name in white_box.given]
@@ -113,18 +113,18 @@ def move(
         MAX_STEPS,
         *places,
     )
-    loaded.move_intervals(motions)
+    handle.move_intervals(motions)
     if stiff.any():
         index = np.flatnonzero(stiff)
-        moved = flow(
+        motion = flow(
             white_box.of_motors(index),
             p[index],
             [start[index]],
             *(array[index] for array in (voltage_v, speed_rad_s, end_speed, interval_s)),
         )
-        value[index] = moved.value[0]
-        by_state[index] = moved.by_state[0][0]
-        by_coordinate[:, index] = moved.by_coordinate[0]
+        value[index] = motion.value[0]
+        by_state[index] = motion.by_state[0][0]
+        by_coordinate[:, index] = motion.by_coordinate[0]
     return Linear([value], [[by_state]], [by_coordinate])
 
 
@@ -139,14 +139,14 @@ def recurrence(factor: Array, inputs: Array, start: Array) -> Array | None:
     Returns:
         Shape (row, motor, k + 1), beginning with the start.
     """
-    loaded = library()
-    if loaded is None:
+    handle = library()
+    if handle is None:
         return None
     rows, motors, k = inputs.shape
     result = np.empty((rows, motors, k + 1))
     arrays = [np.ascontiguousarray(array, dtype=float) for array in (factor, inputs, start)]
     places = [array.ctypes.data for array in (*arrays, result)]
-    loaded.recurrences(rows, motors, k, *places)
+    handle.recurrences(rows, motors, k, *places)
     return result
 
 
@@ -165,14 +165,14 @@ def restart_variance(
     Returns:
         Shape (motor, k + 1).
     """
-    loaded = library()
-    if loaded is None:
+    handle = library()
+    if handle is None:
         return None
     motors, k = restart.shape
     variance = np.empty((motors, k + 1))
     decays = np.ascontiguousarray(decay, dtype=float)
     restarts = np.ascontiguousarray(restart, dtype=np.uint8)
-    loaded.restart_variances(
+    handle.restart_variances(
         *(motors, k, decays.ctypes.data, restarts.ctypes.data),
         *(unknown, negligible, settling, variance.ctypes.data),
     )
@@ -181,9 +181,9 @@ def restart_variance(
 
 @cache
 def _known_code(code: int) -> bool:
-    loaded = library()
+    handle = library()
     values = (_NUMBER * 2)()
-    return loaded is not None and bool(loaded.term_values(code, 0, 0.0, 0.0, 0.0, values))
+    return handle is not None and bool(handle.term_values(code, 0, 0.0, 0.0, 0.0, values))
 
 
 def _has_room(white_box: MotorWhiteBox) -> bool:

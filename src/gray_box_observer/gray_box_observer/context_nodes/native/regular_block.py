@@ -117,17 +117,17 @@ class _Update(ctypes.Structure):
 
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None if absent, or of another ``Update`` or motor."""
-    loaded = compiled.library('update_size', _Update)
-    if loaded is None:
+    handle = compiled.library('update_size', _Update)
+    if handle is None:
         return None
-    loaded.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
-    loaded.learn_blocks.restype = None
-    loaded.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
-    loaded.learn_due.restype = _COUNT
-    loaded.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
-    loaded.term_values.restype = _COUNT
-    loaded.forms_fingerprint.restype = _COUNT
-    return loaded if loaded.forms_fingerprint() == forms.FINGERPRINT else None
+    handle.learn_blocks.argtypes = (ctypes.POINTER(_Update), _POINTER, _COUNT, _POINTER)
+    handle.learn_blocks.restype = None
+    handle.learn_due.argtypes = (ctypes.POINTER(_Update), _COUNT, *4 * (_POINTER,))
+    handle.learn_due.restype = _COUNT
+    handle.term_values.argtypes = (_COUNT, _COUNT, *3 * (_NUMBER,), ctypes.POINTER(_NUMBER))
+    handle.term_values.restype = _COUNT
+    handle.forms_fingerprint.restype = _COUNT
+    return handle if handle.forms_fingerprint() == forms.FINGERPRINT else None
 
 
 class BatchResult(NamedTuple):
@@ -164,13 +164,13 @@ class RegularBlocks:
     def __init__(self, white_box: WhiteBox, rules: RecursiveSettings, replay: ReplayBuffer) -> None:
         self._library: ctypes.CDLL | None = None
         self._pointed: tuple[Any, ...] = ()
-        loaded = library()
+        handle = library()
         if (
-            loaded is not None
+            handle is not None
             and isinstance(white_box, MotorWhiteBox)
-            and _fits(loaded, white_box, rules)
+            and _fits(handle, white_box, rules)
         ):
-            self._library = loaded
+            self._library = handle
             self._describe(white_box, rules, replay)
 
     @property
@@ -302,8 +302,10 @@ class RegularBlocks:
         state = self._point(state, next_update_at, is_block_update)
         count = self._library.learn_due(self._update, most, *self._batch_places)
         motors, status, changed = self._batch
-        done = None if count > most else motors[:count].copy()
-        return state, BatchResult(done, status[:count].copy(), changed.copy(), self._wait.value)
+        block_motors = None if count > most else motors[:count].copy()
+        return state, BatchResult(
+            block_motors, status[:count].copy(), changed.copy(), self._wait.value
+        )
 
     def _point(
         self,
@@ -325,7 +327,7 @@ class RegularBlocks:
         return state
 
 
-def _fits(loaded: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSettings) -> bool:
+def _fits(handle: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSettings) -> bool:
     """Whether `regular_block.c` has room for it and knows its terms."""
     values = (_NUMBER * 2)()
     return (
@@ -334,5 +336,5 @@ def _fits(loaded: ctypes.CDLL, white_box: MotorWhiteBox, rules: RecursiveSetting
         and len(white_box.given) <= MOST_KNOWN
         and rules.block <= MOST_SAMPLES
         and rules.block < rules.replay_capacity
-        and all(loaded.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
+        and all(handle.term_values(code, 0, 0.0, 0.0, 0.0, values) for code in white_box.codes)
     )

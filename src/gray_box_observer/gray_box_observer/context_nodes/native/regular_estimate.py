@@ -65,12 +65,12 @@ class RegularEstimates:
         )
         self._about = ctypes.byref(self._believed)
         self._places = np.empty(motors, dtype=np.int64)
-        self._told = (
+        self._results = (
             np.empty((motors, n)),
             np.empty((motors, n, n)),
             np.empty((motors, n), dtype=np.uint8),
         )
-        self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._told)
+        self._at = self._places.ctypes.data, tuple(array.ctypes.data for array in self._results)
         self._belief: Belief | None = None
         self._rules: VerdictSettings | None = None
         self._shares: tuple[Array | None, Array | None] = (None, None)
@@ -101,15 +101,15 @@ class RegularEstimates:
             or not self._point_shares(share, reach)
         ):
             return None
-        places, told = self._at
+        places, results = self._at
         if motors is None:
             count, where = self._places.size, None
         else:
             count, where = motors.size, places
             self._places[:count] = motors
-        if not self._library.tell_estimates(self._about, where, count, *told):
+        if not self._library.tell_estimates(self._about, where, count, *results):
             return None
-        value, covariance, codes = self._told
+        value, covariance, codes = self._results
         return value[:count].copy(), covariance[:count].copy(), verdicts_of(codes[:count])
 
     def _point_shares(self, share: Array | None, reach: Array | None) -> bool:

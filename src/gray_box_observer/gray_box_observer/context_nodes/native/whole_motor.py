@@ -21,8 +21,8 @@ def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
     path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
     try:
-        loaded = ctypes.CDLL(str(path))
-        fingerprint, run = loaded.whole_motor_fingerprint, loaded.whole_motor_run
+        handle = ctypes.CDLL(str(path))
+        fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_run
     except (OSError, AttributeError):
         return None
     fingerprint.restype = run.restype = _COUNT
@@ -30,7 +30,7 @@ def library() -> ctypes.CDLL | None:
         *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _NUMBER, _COUNT),
         *(_POINTER, _POINTER, _POINTER),
     )
-    return loaded if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
+    return handle if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
 
 
 def pointer(array: NDArray[Any]) -> int:

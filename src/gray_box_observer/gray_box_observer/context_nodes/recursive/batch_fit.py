@@ -107,17 +107,17 @@ def batch_fit(
     for search in _Search(white_box, stretch, start, prior, noise_floor, least_noise).run(trusting):
         for part, disturbed in search.split(search.choose_gain()):
             arrived += part.run(trusting) if disturbed else [part]
-    found = [search.result() for search in arrived]
-    if len(found) == 1:
-        return found[0]
+    fits = [search.result() for search in arrived]
+    if len(fits) == 1:
+        return fits[0]
     order = np.argsort(np.concatenate([search.motors for search in arrived]))
-    beliefs = [fit.belief.arrays() for fit in found]
+    beliefs = [fit.belief.arrays() for fit in fits]
     belief = Belief(
         **{name: np.concatenate([arrays[name] for arrays in beliefs])[order] for name in beliefs[0]}
     )
     names = ('ramp', 'left_out', 'linear_std')
     return Fit(
-        belief, *(np.concatenate([getattr(fit, name) for fit in found])[order] for name in names)
+        belief, *(np.concatenate([getattr(fit, name) for fit in fits])[order] for name in names)
     )
 
 
@@ -170,11 +170,11 @@ class _Search:
         self._best_scale, self._best_p = np.full_like(self._scale, np.inf), self._p
         self._damping = np.ones_like(self._scale)
 
-    def select(self, which: NDArray[np.bool_]) -> _Search:
+    def select(self, selection: NDArray[np.bool_]) -> _Search:
         """Return the search of some of the motors."""
-        if np.all(which):
+        if np.all(selection):
             return self
-        index = np.flatnonzero(which)
+        index = np.flatnonzero(selection)
         part = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
@@ -187,11 +187,11 @@ class _Search:
                 )
         return part
 
-    def split(self, which: NDArray[np.bool_]) -> list[tuple[_Search, bool]]:
+    def split(self, selection: NDArray[np.bool_]) -> list[tuple[_Search, bool]]:
         """Return the searches of the motors in a mask and of the others, where there are any."""
         return [
-            (self.select(mask), marked)
-            for mask, marked in ((which, True), (~which, False))
+            (self.select(mask), is_marked)
+            for mask, is_marked in ((selection, True), (~selection, False))
             if np.any(mask)
         ]
 
@@ -272,7 +272,7 @@ class _Search:
         first = np.ones((self._stretch.state.shape[0], 1), dtype=bool)
         return np.concatenate([first, ~self._stretch.restart], axis=1)
 
-    def _step(self, which: NDArray[np.bool_]) -> Array:
+    def _step(self, selection: NDArray[np.bool_]) -> Array:
         """One Gauss-Newton step of some of the motors; return the largest relative move of each."""
         n, p, prior = self._p.shape[1], self._p, self._prior
         frame = Scaling(self._size, p)
@@ -288,8 +288,8 @@ class _Search:
         noise = np.maximum(np.minimum(spread, 2.0 * self._scale), self._floor)
         pull = np.zeros_like(information)
         pull[:, COORDINATES, COORDINATES] = self._precision * noise[:, None, None] ** 2
-        known = np.maximum(information[:, CURRENT, CURRENT], self._size**2)
-        pull[:, CURRENT, CURRENT] = 1e-12 * known + 1e-300
+        state_information = np.maximum(information[:, CURRENT, CURRENT], self._size**2)
+        pull[:, CURRENT, CURRENT] = 1e-12 * state_information + 1e-300
         towards = np.concatenate([np.zeros((p.shape[0], 1)), np.log(prior.p / p)], axis=1)
         covariance = inverted(information + pull)
         step = (
@@ -299,28 +299,30 @@ class _Search:
         step = np.nan_to_num(step, nan=0.0, posinf=0.0, neginf=0.0)
         step[:, COORDINATES] = np.clip(step[:, COORDINATES], -0.5, 1.0)
         about = self._path.state + (jacobian @ step[..., None])[..., 0]
-        moved = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
-        if not np.all(which):
-            one, two = which[:, None], which[:, None, None]
+        next_p = within_bounds(self._white_box, p * (1.0 + step[:, COORDINATES]))
+        if not np.all(selection):
+            one, two = selection[:, None], selection[:, None, None]
             frame = Scaling(self._size, np.where(one, p, self._frame.p))
-            noise = np.where(which, noise, self._noise)
+            noise = np.where(selection, noise, self._noise)
             covariance = np.where(two, covariance, self._covariance)
             information = np.where(two, information, self._information)
-            about, moved = np.where(one, about, self._about), np.where(one, moved, p)
+            about, next_p = np.where(one, about, self._about), np.where(one, next_p, p)
         self._frame, self._noise, self._covariance = frame, noise, covariance
         self._information = information
-        self._about, self._first, self._p = about, about[:, 0], moved
+        self._about, self._first, self._p = about, about[:, 0], next_p
         furthest: Array = np.max(np.abs(step), axis=1)
         return furthest
 
     def choose_gain(self) -> NDArray[np.bool_]:
         """Adopt the gain that explains the window best, on clear evidence; tell where not 0."""
         count = np.sum(self._weights, axis=1)
-        trust, taken = self._weights > 0.0, taken_over(self._loose)
+        trust, restart_gain = self._weights > 0.0, taken_over(self._loose)
         best, least = np.zeros_like(self._gain), self._spread(self._residual, trust)
         least = least * np.exp(-GAIN_EVIDENCE / np.maximum(count, 1.0))
         for gain in GAINS:
-            path = follow(self._maps, self._stretch, self._first, np.maximum(gain, taken) * trust)
+            path = follow(
+                self._maps, self._stretch, self._first, np.maximum(gain, restart_gain) * trust
+            )
             spread = self._spread(self._stretch.state - path.state, trust)
             best, least = np.where(spread < least, gain, best), np.minimum(spread, least)
         self._gain = best
@@ -340,7 +342,7 @@ class _Search:
         covariance = transfer @ self._covariance @ np.swapaxes(transfer, 1, 2)
         covariance[:, CURRENT, CURRENT] += taken_over(self._loose[:, -1]) / self._size**2
         if (short := np.abs(self._p / self._frame.p - 1.0).max(axis=1) > ARRIVED).any():
-            there = self._frame.moved(covariance, Scaling(self._size, self._p))
+            there = self._frame.convert(covariance, Scaling(self._size, self._p))
             covariance = np.where(short[:, None, None], there, covariance)
         belief = Belief(
             self._size,
@@ -371,9 +373,9 @@ class _Search:
         n = information.shape[1]
         ridge = 1e-12 * np.trace(information, axis1=1, axis2=2)[:, None, None] / n + 1e-300
         inside = solved(information + ridge * np.eye(n), right[..., None])
-        left = (drift - (jacobian @ inside)[..., 0]) * self._weights
-        size = np.sum(left**2, axis=1)
-        statistic = np.sum(left * self._residual, axis=1) ** 2 / np.maximum(
+        remainder = (drift - (jacobian @ inside)[..., 0]) * self._weights
+        size = np.sum(remainder**2, axis=1)
+        statistic = np.sum(remainder * self._residual, axis=1) ** 2 / np.maximum(
             size * self._noise**2, 1e-300
         )
         clear: Array = np.where(

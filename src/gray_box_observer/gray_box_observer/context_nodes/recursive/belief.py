@@ -122,12 +122,14 @@ class Belief:
         finite: NDArray[np.bool_] = np.isfinite(rows).all(axis=1)
         return finite
 
-    def overwritten(self, other: Belief, which: NDArray[np.bool_]) -> Belief:
+    def overwritten(self, other: Belief, selection: NDArray[np.bool_]) -> Belief:
         """Return this belief with that of another for some of the motors."""
-        if which.all():
+        if selection.all():
             return other
         mixed = {
-            name: np.where(which.reshape((-1,) + (1,) * (old.ndim - 1)), getattr(other, name), old)
+            name: np.where(
+                selection.reshape((-1,) + (1,) * (old.ndim - 1)), getattr(other, name), old
+            )
             for name, old in self.arrays().items()
         }
         return Belief(**mixed)

@@ -84,11 +84,11 @@ class Block:
         signals: Any = (getattr(self, field.name)[index] for field in fields(self)[2:])
         return Block(self.stretch.select(index), self.path.select(index), *signals)
 
-    def silenced(self, which: NDArray[np.bool_]) -> Block:
+    def silenced(self, selection: NDArray[np.bool_]) -> Block:
         """Return the block without information on some motors, (motor,); they only move on."""
-        information = np.where(which[:, None, None], 0.0, self.information)
+        information = np.where(selection[:, None, None], 0.0, self.information)
         return replace(
-            self, information=information, right=np.where(which[:, None], 0.0, self.right)
+            self, information=information, right=np.where(selection[:, None], 0.0, self.right)
         )
 
 
@@ -176,14 +176,15 @@ def _from(
     return path, residual, jacobian, np.sqrt(1.0 + variance), loose
 
 
-def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | None) -> Belief:
+def learn(white_box: WhiteBox, belief: Belief, block: Block, walk_spread: Array | None) -> Belief:
     """Turn a block's residuals into new coordinates, state and covariance.
 
     Args:
         white_box: the physics.
         belief: what the block was predicted from.
         block: the block.
-        walked: shape (motor, coordinate, coordinate): variance that the coordinates' logarithms
+        walk_spread: shape (motor, coordinate, coordinate): variance that the coordinates'
+            logarithms
             have walked over it; None: none.
     """
     n = belief.p.shape[1]
@@ -203,9 +204,9 @@ def learn(white_box: WhiteBox, belief: Belief, block: Block, walked: Array | Non
     moved = transfer @ posterior @ transfer.swapaxes(1, 2)
     moved[:, CURRENT, CURRENT] += block.left / belief.current_a**2
     state = block.path.state[:, -1] + (transfer @ step[..., None])[:, CURRENT, 0] * belief.current_a
-    if walked is not None:
-        moved[:, COORDINATES, COORDINATES] += walked / (belief.noise**2)[:, None, None]
-    covariance = belief.frame.moved(moved, Scaling(belief.current_a, p))
+    if walk_spread is not None:
+        moved[:, COORDINATES, COORDINATES] += walk_spread / (belief.noise**2)[:, None, None]
+    covariance = belief.frame.convert(moved, Scaling(belief.current_a, p))
     after = replace(belief, p=p, state=state, covariance=covariance)
     return replace(belief, state=block.stretch.state[:, -1]).overwritten(after, after.finite)
 
@@ -269,6 +270,6 @@ def likelihood(belief: Belief, block: Block) -> tuple[Array, Array, NDArray[np.i
     )
     squares = (np.sum(block.weights * block.residual**2, axis=1) - explained) / belief.noise**2
     logarithm = logarithm - np.sum(np.log(np.where(block.kept, block.weights, 1.0)), axis=1)
-    told = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
-    count = np.where(told, block.used, 0)
-    return np.where(told, squares, 0.0), np.where(told, 0.5 * logarithm, 0.0), count
+    is_valid = ~block.kicked & (sign > 0.0) & (squares >= 0.0) & np.isfinite(squares + logarithm)
+    count = np.where(is_valid, block.used, 0)
+    return np.where(is_valid, squares, 0.0), np.where(is_valid, 0.5 * logarithm, 0.0), count

@@ -186,14 +186,14 @@ class BlockUpdater:
         """What is believed of motors of which nobody told anything but where to begin."""
         return Prior.of_parameters(prior.p, np.full(prior.p.shape, self._rules.prior_relative_std))
 
-    def _refuted(self, prior: Prior, found: Belief) -> NDArray[np.intp]:
+    def _refuted(self, prior: Prior, belief: Belief) -> NDArray[np.intp]:
         """Places of motors whose data contradict what was stated about them."""
-        away = np.log(found.p / prior.p)
+        away = np.log(belief.p / prior.p)
         distance = (away * solved(prior.covariance, away[..., None])[..., 0]).sum(axis=1)
         sharp = prior.covariance.diagonal(0, 1, 2) < 0.5 * self._vague(prior).covariance.diagonal(
             0, 1, 2
         )
-        return np.flatnonzero(found.finite & (distance > REFUTED) & sharp.any(axis=1))
+        return np.flatnonzero(belief.finite & (distance > REFUTED) & sharp.any(axis=1))
 
     def _fit_without(
         self, motors: MotorSelection, samples: int, fit: Fit, index: NDArray[np.intp]
@@ -211,22 +211,22 @@ class BlockUpdater:
         better = again.belief.finite & (gain > FREE)
         if not better.any():
             return fit
-        places, made = index[better], copied(fit)
-        put(made, places, chosen(again, better))
-        told = copied(motors.state.prior)
-        put(told, places, chosen(prior, better))
-        motors.state.prior = told
-        return made
+        places, result = index[better], copied(fit)
+        put(result, places, chosen(again, better))
+        vague_prior = copied(motors.state.prior)
+        put(vague_prior, places, chosen(prior, better))
+        motors.state.prior = vague_prior
+        return result
 
     @staticmethod
-    def _open(found: Belief, prior: Prior, stretch: SampleWindow) -> Belief:
+    def _open(belief: Belief, prior: Prior, stretch: SampleWindow) -> Belief:
         """Belief at the beginning of a fitted window, had the window not been seen."""
-        loose = random_walk.START_RELATIVE_STD**2 * np.eye(found.p.shape[1])
-        covariance = np.zeros_like(found.covariance)
+        loose = random_walk.START_RELATIVE_STD**2 * np.eye(belief.p.shape[1])
+        covariance = np.zeros_like(belief.covariance)
         covariance[:, COORDINATES, COORDINATES] = (
-            np.minimum(prior.covariance, loose) / found.noise[:, None, None] ** 2
+            np.minimum(prior.covariance, loose) / belief.noise[:, None, None] ** 2
         )
-        return replace(found, covariance=covariance).restarted_at(stretch.state[:, 0])
+        return replace(belief, covariance=covariance).restarted_at(stretch.state[:, 0])
 
     def learn_due(
         self, state: EstimatorState, schedule: UpdateSchedule
@@ -279,8 +279,10 @@ class BlockUpdater:
             part = motors.part(index)
             self._learn(part, block.select(index))
             put(state, index, part.state)
-        if (begun := fresh & state.hold.begun).any():
-            self._begin_again(motors, begun, AT_REST * self._rules.first_fit, self._rules.first_fit)
+        if (has_begun := fresh & state.hold.begun).any():
+            self._begin_again(
+                motors, has_begun, AT_REST * self._rules.first_fit, self._rules.first_fit
+            )
 
     def _look_at_rest(self, motors: MotorSelection, fresh: NDArray[np.bool_], block: Block) -> None:
         """Ask whether motors only ever at rest now rest elsewhere, at the same voltage."""
@@ -292,7 +294,7 @@ class BlockUpdater:
         state.pending = np.where(fresh, 0, state.pending)
 
     def _begin_again(
-        self, motors: MotorSelection, which: NDArray[np.bool_], keep: int, more: int
+        self, motors: MotorSelection, selection: NDArray[np.bool_], keep: int, more: int
     ) -> None:
         """Restart some motors from their newest samples, with a fit of these and so many more.
 
@@ -300,35 +302,35 @@ class BlockUpdater:
         recursion to get there.
         """
         state = motors.state
-        motors.forget(keep, which)
-        state.is_started = state.is_started & ~which
-        state.next_fit_at = np.where(which, motors.remembered + more, state.next_fit_at)
+        motors.forget(keep, selection)
+        state.is_started = state.is_started & ~selection
+        state.next_fit_at = np.where(selection, motors.remembered + more, state.next_fit_at)
         state.suspicion, state.left_out = (
-            np.where(which, 0.0, state.suspicion),
-            np.where(which, 0.0, state.left_out),
+            np.where(selection, 0.0, state.suspicion),
+            np.where(selection, 0.0, state.left_out),
         )
 
     def _suspects(self, state: EstimatorState, block: Block) -> NDArray[np.int_]:
         """How many of the newest samples to examine where the motor seems changed; 0 elsewhere."""
         belief = state.belief
         size = belief.current_a[:, None]
-        reached = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (
+        total_sensitivity = block.jacobian[:, -1, COORDINATES] + block.path.by_start[:, -1:] * (
             belief.sensitivity * size
         )
         scores, alarm, memory = self._drift.update(
             (state.score, state.information), *block_step.surprise(belief, block)
         )
         state.score, state.information = scores
-        state.belief = replace(belief, sensitivity=reached / size)
-        lost = (block.used < 0.5 * block.samples) | (block.kicked & ~state.hold.begun)
-        state.suspicion, state.since = self._suspicion(state, block, lost)
+        state.belief = replace(belief, sensitivity=total_sensitivity / size)
+        is_lost = (block.used < 0.5 * block.samples) | (block.kicked & ~state.hold.begun)
+        state.suspicion, state.since = self._suspicion(state, block, is_lost)
         sudden = state.suspicion >= SUSPICIOUS_BLOCKS
         state.left_out = (
             LEFT_OUT_MEMORY * state.left_out + (block.samples - block.used) / block.kept.shape[1]
         )
         # outliers by the dozen, in a fit that goes on between them: transitions, perhaps, of
         # another inductance
-        misfit = (state.left_out > LEFT_OUT) & ~lost
+        misfit = (state.left_out > LEFT_OUT) & ~is_lost
         if not (alarm | sudden | misfit).any():
             return np.zeros_like(state.pending)
         blocks_back = np.where(alarm, memory, MEMORIES_BLOCKS[0])
@@ -347,55 +349,55 @@ class BlockUpdater:
 
     @staticmethod
     def _suspicion(
-        state: EstimatorState, block: Block, lost: NDArray[np.bool_]
+        state: EstimatorState, block: Block, is_lost: NDArray[np.bool_]
     ) -> tuple[Array, NDArray[np.int_]]:
         """Count blocks in a row that mostly misfit, and the samples since the first of them."""
-        if not lost.any():
+        if not is_lost.any():
             return 0.0 * state.suspicion, 0 * state.since
-        suspicion = np.where(lost, state.suspicion + 1.0, 0.0)
+        suspicion = np.where(is_lost, state.suspicion + 1.0, 0.0)
         unfit = block.valid & ~block.kept
         fresh = np.where(suspicion == 1.0, np.sum(np.cumsum(unfit, axis=1) > 0, axis=1), 0)
         return suspicion, np.where(
-            lost, state.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0
+            is_lost, state.since + np.where(fresh > 0, fresh, unfit.shape[1]), 0
         )
 
     def _learn(self, motors: MotorSelection, block: Block) -> None:
         """Learn a block in which nothing is suspicious."""
         state = motors.state
         walking = state.walk_rate > 0.0
-        passed_s, walked = block.stretch.interval_s.sum(axis=1), None
+        passed_s, walk_spread = block.stretch.interval_s.sum(axis=1), None
         if walking.any():
-            walked = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
-        state.belief = block_step.learn(motors.white_box, state.belief, block, walked)
+            walk_spread = random_walk.Walk(self._heats, state.walk_rate).spread(passed_s)
+        state.belief = block_step.learn(motors.white_box, state.belief, block, walk_spread)
         self._follow_noise(state, block)
         state.hold, state.belief = self._holds.update(
             state.hold, state.belief, block.stretch, block.path.factor
         )
         self._move_anchors(state, slice(None))
 
-    def _move_anchors(self, state: EstimatorState, which: Any) -> None:
+    def _move_anchors(self, state: EstimatorState, selection: Any) -> None:
         """Where a motor's anchor is about to be forgotten, test for drift or drop a new anchor."""
-        walking = state.walk_rate[which] > 0.0
-        due = state.position[which] - state.anchor_position[
-            which
+        walking = state.walk_rate[selection] > 0.0
+        due = state.position[selection] - state.anchor_position[
+            selection
         ] >= self._rules.replay_capacity // np.where(walking, 2, 1)
         if not due.any():
             return
         everyone = np.zeros(state.motors, dtype=bool)
-        everyone[which] = due & walking
+        everyone[selection] = due & walking
         state.pending = np.where(everyone, WALK_AGAIN, state.pending)
-        everyone[which] = due & ~walking
+        everyone[selection] = due & ~walking
         state.anchor_here(everyone)
 
     def _follow_noise(self, state: EstimatorState, block: Block) -> None:
         count = block.residual.shape[1]
         state.noise_count = np.minimum(state.noise_count + count, self._rules.noise_memory)
-        seen = (np.where(block.kept, block.residual / block.spread, 0.0) ** 2).sum(axis=1)
-        seen = seen / np.maximum(block.used, 1)
+        mean_square = (np.where(block.kept, block.residual / block.spread, 0.0) ** 2).sum(axis=1)
+        mean_square = mean_square / np.maximum(block.used, 1)
         share = np.where(block.used > 0, count / state.noise_count, 0.0)
         before = state.belief.noise
-        variance = before**2 + share * (seen - before**2)
+        variance = before**2 + share * (mean_square - before**2)
         noise = np.maximum(np.sqrt(variance), self._rules.noise_floor * state.belief.current_a)
         noise = np.maximum(noise, state.least_noise)
-        followed = state.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
-        state.belief = replace(state.belief, noise=np.where(followed, noise, before))
+        is_followed = state.hold.begun & np.isfinite(noise)  # what fits leave vague is in its units
+        state.belief = replace(state.belief, noise=np.where(is_followed, noise, before))

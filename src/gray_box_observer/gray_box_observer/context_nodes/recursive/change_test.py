@@ -50,8 +50,8 @@ _MEMORIES = np.array(MEMORIES_BLOCKS)
 
 def keep() -> Array:
     """Return what a block leaves of every memory, shape (memory,)."""
-    left: Array = np.exp(-1.0 / _MEMORIES)
-    return left
+    decay: Array = np.exp(-1.0 / _MEMORIES)
+    return decay
 
 
 Scores = tuple[Array, Array]
@@ -89,8 +89,8 @@ class ChangeTest:
         all_information = self._keep[..., None] ** 2 * before[1] + information[:, None]
         n = scores.shape[-1]
         ridge = 1e-6 * np.trace(all_information, axis1=-2, axis2=-1)[..., None, None] / n + 1e-300
-        reached = solved(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
-        over = (scores * reached).sum(axis=-1) > self._threshold
+        direction = solved(all_information + ridge * np.eye(n), scores[..., None])[..., 0]
+        over = (scores * direction).sum(axis=-1) > self._threshold
         alarm: NDArray[np.bool_] = over.any(axis=1)
         return (scores, all_information), alarm, _MEMORIES[over.argmax(axis=1)]
 
@@ -124,13 +124,13 @@ def changes(parameters: tuple[Parameter, ...], relative_std: float) -> list[Chan
     return [*single, Change(relative_std * np.eye(n), EVERYTHING_PENALTY)]
 
 
-def evidence_for(stretch: SampleWindow, held: Fit, free: Fit) -> Array:
+def evidence_for(stretch: SampleWindow, constant_fit: Fit, free: Fit) -> Array:
     """Log-likelihood that a fit brings over another on the same stretch, shape (motor,).
 
     A sample that a fit leaves out counts as one that lies just at the limit: what fits only without
     its transitions does not fit. Nothing is gained by taking them in at the price of more noise.
     """
-    gain: Array = stretch.state.shape[1] * np.log(held.belief.noise / free.belief.noise)
-    left_out = 0.5 * OUTLIER**2 * (held.left_out - free.left_out)
-    louder = free.belief.noise > LOUDER * held.belief.noise
+    gain: Array = stretch.state.shape[1] * np.log(constant_fit.belief.noise / free.belief.noise)
+    left_out = 0.5 * OUTLIER**2 * (constant_fit.left_out - free.left_out)
+    louder = free.belief.noise > LOUDER * constant_fit.belief.noise
     return gain + np.where(louder, np.minimum(left_out, 0.0), left_out)

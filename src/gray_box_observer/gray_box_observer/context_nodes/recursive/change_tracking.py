@@ -64,7 +64,7 @@ class ChangeTracker:
         state, belief = motors.state, motors.state.belief
         stretch = motors.newest(samples)
         before = Prior(belief.p, belief.posterior + UNCHANGED**2 * np.eye(belief.p.shape[1]))
-        held = self._fit_from(motors, stretch, before)
+        baseline = self._fit_from(motors, stretch, before)
         self._calm(state)
         soon = state.position - state.examined_at <= SOON + patience(
             state.in_vain, self._rules.block
@@ -77,10 +77,12 @@ class ChangeTracker:
         fits = [self._fit_from(motors, stretch, prior) for prior in priors]
         penalties = [change.penalty for change in self._changes]
         pairs = zip(fits, penalties, strict=True)
-        evidence = np.array([evidence_for(stretch, held, fit) - penalty for fit, penalty in pairs])
+        evidence = np.array(
+            [evidence_for(stretch, baseline, fit) - penalty for fit, penalty in pairs]
+        )
         best = np.argmax(evidence, axis=0)
         changed = np.take_along_axis(evidence, best[None], axis=0)[0] > CHANGE_EVIDENCE
-        state.belief = self._back_on_track(belief, held.belief, ~changed)
+        state.belief = self._back_on_track(belief, baseline.belief, ~changed)
         if not np.any(changed):
             return
         settles = (
@@ -91,14 +93,14 @@ class ChangeTracker:
             return
         state.change_count = state.change_count + jumped
         motors.forget(samples, jumped)
-        found, freedom = fits[0].belief, priors[0].covariance
+        best_belief, freedom = fits[0].belief, priors[0].covariance
         for j, (fit, prior) in enumerate(zip(fits, priors, strict=True)):
-            found = found.overwritten(fit.belief, best == j)
+            best_belief = best_belief.overwritten(fit.belief, best == j)
             freedom = np.where((best == j)[:, None, None], prior.covariance, freedom)
         one = jumped[:, None]
         p = np.where(one, before.p, state.prior.p)
         state.prior = Prior(p, np.where(one[..., None], freedom, state.prior.covariance))
-        motors.adopt(found, jumped)
+        motors.adopt(best_belief, jumped)
         state.share = np.where(one, 0.0, state.share)
         state.anchor_here(jumped)
 
@@ -110,19 +112,19 @@ class ChangeTracker:
         state.anchor_here(np.ones_like(state.is_started))
 
     def drifting(
-        self, motors: MotorSelection, which: NDArray[np.bool_], jumped_before: int | None = None
+        self, motors: MotorSelection, selection: NDArray[np.bool_], jumped_before: int | None = None
     ) -> NDArray[np.bool_]:
         """Find the motors that drift by the samples since the anchor; these follow a random walk.
 
         Args:
             motors: those motors.
-            which: shape (motor,): those that are asked about.
+            selection: shape (motor,): those that are asked about.
             jumped_before: so many samples ago they may have changed suddenly instead.
         """
-        state, walking = motors.state, np.zeros_like(which)
+        state, walking = motors.state, np.zeros_like(selection)
         length = state.position - state.anchor_position + 1
-        for samples in np.unique(length[which]).tolist():
-            index = np.flatnonzero(which & (length == samples))
+        for samples in np.unique(length[selection]).tolist():
+            index = np.flatnonzero(selection & (length == samples))
             part = motors.part(index)
             walking[index] = self._walk(part, part.newest(samples), jumped_before)
             put(state, index, part.state)
@@ -160,16 +162,16 @@ class ChangeTracker:
         )
 
     @staticmethod
-    def _back_on_track(belief: Belief, held: Belief, which: NDArray[np.bool_]) -> Belief:
+    def _back_on_track(belief: Belief, baseline: Belief, selection: NDArray[np.bool_]) -> Belief:
         """Go on with unchanged parameters from the state of a fit under them, for some motors."""
-        usable = which & held.finite
-        units = (held.noise * held.current_a / (belief.noise * belief.current_a)) ** 2
+        usable = selection & baseline.finite
+        units = (baseline.noise * baseline.current_a / (belief.noise * belief.current_a)) ** 2
         covariance = belief.covariance.copy()
         covariance[:, CURRENT, CURRENT] += np.where(
-            usable, units * held.covariance[:, CURRENT, CURRENT], 0.0
+            usable, units * baseline.covariance[:, CURRENT, CURRENT], 0.0
         )
         return replace(
-            belief, state=np.where(usable, held.state, belief.state), covariance=covariance
+            belief, state=np.where(usable, baseline.state, belief.state), covariance=covariance
         )
 
     def _fit_from(self, motors: MotorSelection, stretch: SampleWindow, prior: Prior) -> Fit:

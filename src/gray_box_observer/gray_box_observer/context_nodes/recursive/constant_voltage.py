@@ -86,8 +86,8 @@ class HoldState:
     def none(cls, motors: int, coordinates: int) -> HoldState:
         """Return the state before the first sample."""
         nothing, no, n = np.zeros(motors), np.zeros(motors, dtype=bool), coordinates
-        held = np.full(motors, np.inf), nothing, nothing.copy(), no, no.copy()
-        return cls(*held, np.ones((motors, n)), np.zeros((motors, n, n)))
+        hold = np.full(motors, np.inf), nothing, nothing.copy(), no, no.copy()
+        return cls(*hold, np.ones((motors, n)), np.zeros((motors, n, n)))
 
 
 def check_hold(name: str, arrays: Mapping[str, Array], coordinates: int) -> None:
@@ -134,22 +134,22 @@ class ConstantVoltage:
         self._long_s = long_s
 
     def update(
-        self, held: HoldState, belief: Belief, stretch: SampleWindow, decay: Array
+        self, hold: HoldState, belief: Belief, stretch: SampleWindow, decay: Array
     ) -> tuple[HoldState, Belief]:
         """Follow one block of samples that the belief has learnt; return what may be believed.
 
         Args:
-            held: where we stood.
+            hold: where we stood.
             belief: after the block.
             stretch: the block.
             decay: shape (motor, k): what every interval leaves of a deviation.
         """
-        same, largest = self._same(held.level, held.largest, stretch)
-        held_s = np.where(same, held.held_s + np.sum(stretch.interval_s, axis=1), 0.0)
-        level = np.where(same, held.level, stretch.voltage_v[:, -1])
-        begun = held.begun | self._moved(held.level, largest, stretch)
-        level = np.where(begun, level, held.level)
-        now = replace(held, level=level, largest=largest, held_s=held_s, begun=begun)
+        same, largest = self._same(hold.level, hold.largest, stretch)
+        held_s = np.where(same, hold.held_s + np.sum(stretch.interval_s, axis=1), 0.0)
+        level = np.where(same, hold.level, stretch.voltage_v[:, -1])
+        begun = hold.begun | self._moved(hold.level, largest, stretch)
+        level = np.where(begun, level, hold.level)
+        now = replace(hold, level=level, largest=largest, held_s=held_s, begun=begun)
         if not np.any(same):
             return replace(now, settled=same), belief
         moving = ~stretch.restart
@@ -160,31 +160,31 @@ class ConstantVoltage:
                 axis=1,
             )
         settled = same & (held_s * rate > SETTLED)
-        fresh = settled & ~held.settled
-        p = np.where(fresh[:, None], belief.p, held.p)
-        covariance = np.where(fresh[:, None, None], belief.posterior, held.covariance)
+        fresh = settled & ~hold.settled
+        p = np.where(fresh[:, None], belief.p, hold.p)
+        covariance = np.where(fresh[:, None, None], belief.posterior, hold.covariance)
         now = replace(now, settled=settled, p=p, covariance=covariance)
         return now, self.cut(now, belief)
 
-    def fitted(self, held: HoldState, belief: Belief, stretch: SampleWindow) -> HoldState:
+    def fitted(self, hold: HoldState, belief: Belief, stretch: SampleWindow) -> HoldState:
         """Look at everything that a fit was made of; return where we stand.
 
         Args:
-            held: where we stood.
+            hold: where we stood.
             belief: what the fit has found.
             stretch: everything remembered.
         """
-        first = np.where(np.isinf(held.level), stretch.voltage_v[:, 0], held.level)
-        _, largest = self._same(first, held.largest, stretch)
+        first = np.where(np.isinf(hold.level), stretch.voltage_v[:, 0], hold.level)
+        _, largest = self._same(first, hold.largest, stretch)
         variance = np.diagonal(belief.posterior, axis1=1, axis2=2)[:, ~self._free[COORDINATES]]
         begun = (
-            held.begun | self._moved(first, largest, stretch) | np.all(variance <= VAGUE**2, axis=1)
+            hold.begun | self._moved(first, largest, stretch) | np.all(variance <= VAGUE**2, axis=1)
         )
-        level, largest = np.where(begun, held.level, first), np.where(begun, held.largest, largest)
-        return replace(held, level=level, largest=largest, begun=begun)
+        level, largest = np.where(begun, hold.level, first), np.where(begun, hold.largest, largest)
+        return replace(hold, level=level, largest=largest, begun=begun)
 
     def without_excitation(
-        self, held: HoldState, belief: Belief, prior: Prior, stretch: SampleWindow
+        self, hold: HoldState, belief: Belief, prior: Prior, stretch: SampleWindow
     ) -> Belief:
         """Restore the first belief where the voltage has never moved; return what may be believed.
 
@@ -193,14 +193,14 @@ class ConstantVoltage:
         rotor gathers speed, and its back-EMF would be taken for L and R.
 
         Args:
-            held: where we stood before the fit.
+            hold: where we stood before the fit.
             belief: what the fit has found.
             prior: what was believed before the data.
             stretch: everything remembered.
         """
-        first = np.where(np.isinf(held.level), stretch.voltage_v[:, 0], held.level)
-        largest = self._same(first, held.largest, stretch)[1]
-        still = ~held.begun & ~self._moved(first, largest, stretch)
+        first = np.where(np.isinf(hold.level), stretch.voltage_v[:, 0], hold.level)
+        largest = self._same(first, hold.largest, stretch)[1]
+        still = ~hold.begun & ~self._moved(first, largest, stretch)
         if not still.any():
             return belief
         size = np.abs(stretch.state)
@@ -211,9 +211,9 @@ class ConstantVoltage:
         stays = last > RISEN * most
         still &= ~(stays & (size[:, 0] < FROM_REST * most))
         falls = still & ~stays
-        known = replace(prior, covariance=prior.covariance / belief.noise[:, None, None] ** 2)
+        prior_here = replace(prior, covariance=prior.covariance / belief.noise[:, None, None] ** 2)
         nothing = replace(
-            belief, p=prior.p, covariance=_beside(belief.covariance, known.covariance)
+            belief, p=prior.p, covariance=_beside(belief.covariance, prior_here.covariance)
         )
         return self._given(belief, prior.p, prior.covariance, still & ~falls).overwritten(
             nothing, falls
@@ -223,17 +223,17 @@ class ConstantVoltage:
         """Whether the voltage has left its first level by more than its noise, shape (motor,)."""
         moving = ~stretch.restart
         low, high = _range(stretch.voltage_v, moving)
-        moved: NDArray[np.bool_] = ~(
+        is_moving: NDArray[np.bool_] = ~(
             np.fmax(high - level, level - low) <= MOVED_TOLERANCE * largest
         )
         if self._speed_measured:
             slow, fast = _range(stretch.speed_rad_s[:, 1:], moving)
-            moved |= fast - slow > MOVED_TOLERANCE * np.fmax(-slow, fast)
-        return moved
+            is_moving |= fast - slow > MOVED_TOLERANCE * np.fmax(-slow, fast)
+        return is_moving
 
-    def same(self, held: HoldState, stretch: SampleWindow) -> NDArray[np.bool_]:
+    def same(self, hold: HoldState, stretch: SampleWindow) -> NDArray[np.bool_]:
         """Tell whether the voltage is still where it was, shape (motor,)."""
-        return self._same(held.level, held.largest, stretch)[0]
+        return self._same(hold.level, hold.largest, stretch)[0]
 
     def _same(
         self, level: Array, largest: Array, stretch: SampleWindow
@@ -248,35 +248,35 @@ class ConstantVoltage:
             same &= fast - slow <= HOLD_TOLERANCE * np.fmax(-slow, fast)
         return same, largest
 
-    def cut(self, held: HoldState, belief: Belief) -> Belief:
+    def cut(self, hold: HoldState, belief: Belief) -> Belief:
         """In long holds, give what does not heat back the belief of when the hold had settled.
 
         The rest stays what it is given these: with (c) the free and (k) the kept unknowns, ``m_c +
         A (k - m_k)`` and ``P_cc - A P_kc + A K A'``, where ``A = P_ck P_kk^-1`` and ``(k, K)`` is
         the kept marginal.
         """
-        long: NDArray[np.bool_] = held.begun & held.settled & (held.held_s > self._long_s)
-        return self._given(belief, held.p, held.covariance, long)
+        long: NDArray[np.bool_] = hold.begun & hold.settled & (hold.held_s > self._long_s)
+        return self._given(belief, hold.p, hold.covariance, long)
 
     def _given(
-        self, belief: Belief, p: Array, posterior: Array, which: NDArray[np.bool_]
+        self, belief: Belief, p: Array, posterior: Array, selection: NDArray[np.bool_]
     ) -> Belief:
         """Restore log-values and covariance of what does not heat, for some of the motors."""
-        if not np.any(which) or np.all(self._free):
+        if not np.any(selection) or np.all(self._free):
             return belief
         f = int(np.sum(self._free))
         order = np.argsort(~self._free, kind='stable')  # what is free first
-        back, kept = np.argsort(order), order[f:] - STATES
+        back, rest = np.argsort(order), order[f:] - STATES
         covariance = belief.covariance[:, order][:, :, order]
         a = np.swapaxes(solved(covariance[:, f:, f:], covariance[:, f:, :f]), 1, 2)
-        marginal = posterior[:, kept][:, :, kept] / belief.noise[:, None, None] ** 2
+        marginal = posterior[:, rest][:, :, rest] / belief.noise[:, None, None] ** 2
         joint = np.zeros_like(covariance)
         joint[:, f:, f:] = marginal
         joint[:, :f, f:] = a @ marginal
         joint[:, f:, :f] = np.swapaxes(joint[:, :f, f:], 1, 2)
         joint[:, :f, :f] = covariance[:, :f, :f] + a @ (joint[:, f:, :f] - covariance[:, f:, :f])
-        moved = np.log(p[:, kept] / belief.p[:, kept])
-        shift = np.concatenate([(a @ moved[..., None])[..., 0], moved], axis=1)[:, back]
+        is_moving = np.log(p[:, rest] / belief.p[:, rest])
+        shift = np.concatenate([(a @ is_moving[..., None])[..., 0], is_moving], axis=1)[:, back]
         joint = joint[:, back][:, :, back]
         restored = replace(
             belief,
@@ -284,15 +284,15 @@ class ConstantVoltage:
             p=belief.p * np.exp(shift[:, COORDINATES]),
             covariance=0.5 * (joint + np.swapaxes(joint, 1, 2)),
         )
-        return belief.overwritten(restored, which & restored.finite)
+        return belief.overwritten(restored, selection & restored.finite)
 
 
 def _beside(covariance: Array, coordinates: Array) -> Array:
     """A covariance of the state as it was, and of coordinates that are independent of it."""
-    joined = np.zeros_like(covariance)
-    joined[:, CURRENT, CURRENT] = covariance[:, CURRENT, CURRENT]
-    joined[:, COORDINATES, COORDINATES] = coordinates
-    return joined
+    result = np.zeros_like(covariance)
+    result[:, CURRENT, CURRENT] = covariance[:, CURRENT, CURRENT]
+    result[:, COORDINATES, COORDINATES] = coordinates
+    return result
 
 
 def _range(signal: Array, moving: NDArray[np.bool_]) -> tuple[Array, Array]:

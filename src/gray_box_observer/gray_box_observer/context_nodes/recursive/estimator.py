@@ -89,8 +89,8 @@ class RecursiveEstimator:
         theta = np.clip(np.asarray(initial, dtype=float), self._lower, self._upper)
         motors = theta.shape[0]
         vague = np.full(theta.shape, self._rules.prior_relative_std)
-        stated = vague if initial_relative_std is None else initial_relative_std
-        relative_std = np.where(stated > 0.0, stated, vague)
+        stated_std = vague if initial_relative_std is None else initial_relative_std
+        relative_std = np.where(stated_std > 0.0, stated_std, vague)
         prior = Prior.of_parameters(to_coordinates(theta), relative_std)
         self._state = EstimatorState.nothing(prior, self._rules.first_fit)
         self.replay = ReplayBuffer(
@@ -135,12 +135,12 @@ class RecursiveEstimator:
 
     def counters(self, motor: int | None = None) -> dict[str, int]:
         """Samples left out, state kicks, changes, and drift, of one motor or of all."""
-        which, state = slice(None) if motor is None else slice(motor, motor + 1), self._state
+        selection, state = slice(None) if motor is None else slice(motor, motor + 1), self._state
         return {
-            'torque outliers': int(state.outliers[which].sum()),
-            'state kicks': int(state.kicks[which].sum()),
-            'motor changes': int(state.change_count[which].sum()),
-            'motors that drift': int(np.sum(state.walk_rate[which] > 0.0)),
+            'torque outliers': int(state.outliers[selection].sum()),
+            'state kicks': int(state.kicks[selection].sum()),
+            'motor changes': int(state.change_count[selection].sum()),
+            'motors that drift': int(np.sum(state.walk_rate[selection] > 0.0)),
         }
 
     def is_drifting(self, motor: int) -> bool:
@@ -158,18 +158,18 @@ class RecursiveEstimator:
         self._frozen = frozen
         self._resumes = None if frozen else np.ones_like(self._nobody)
 
-    def estimate(self, which: Any = slice(None)) -> Estimate:
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts, of all motors or of some."""
         belief, parameters = self._state.belief, self._white_box.parameters
-        everyone = isinstance(which, slice) and which == slice(None)
-        motors = None if everyone else np.arange(self.replay.motors)[which]
+        everyone = isinstance(selection, slice) and selection == slice(None)
+        motors = None if everyone else np.arange(self.replay.motors)[selection]
         values = None if self._frozen else self._compiled_values(motors)
         if values is not None:
             return Estimate(self._stamp_ns, parameters, *values)
-        theta = to_parameters(belief.p[which])
+        theta = to_parameters(belief.p[selection])
         posterior = (
-            belief.covariance[which, COORDINATES, COORDINATES]
-            * belief.noise[which, None, None] ** 2
+            belief.covariance[selection, COORDINATES, COORDINATES]
+            * belief.noise[selection, None, None] ** 2
         )
         covariance, theta = (
             parameter_covariance(theta, posterior),
@@ -178,8 +178,8 @@ class RecursiveEstimator:
         covariance = spread_of_values(theta, 0.5 * (covariance + covariance.swapaxes(1, 2)))
         covariance = definite(bounded(theta, covariance), theta)
         std = np.sqrt(covariance.diagonal(0, 1, 2))
-        share = self._state.share[which]
-        most = np.where(share > 0.0, theta * share + self._state.reach[which], np.inf)
+        share = self._state.share[selection]
+        most = np.where(share > 0.0, theta * share + self._state.reach[selection], np.inf)
         verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
@@ -258,26 +258,26 @@ class RecursiveEstimator:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of one motor, as plain values and arrays with a motor axis of one."""
-        which = slice(motor, motor + 1)
-        state = chosen(self._state, which)
-        received = int(self.replay.received[motor])
-        content = self.replay.content(which, more=received - int(state.position[0]))
+        selection = slice(motor, motor + 1)
+        state = chosen(self._state, selection)
+        received_count = int(self.replay.received[motor])
+        content = self.replay.content(selection, more=received_count - int(state.position[0]))
         plain: dict[str, Any] = {
-            'new': received - int(state.position[0]),
+            'new': received_count - int(state.position[0]),
             'next_fit': int(state.next_fit_at[0]),
             'started': bool(state.is_started[0]),
             'stamp_ns': self._stamp_ns,
             'noise_count': int(state.noise_count[0]),
             'resumes': self._resumes is not None and bool(self._resumes[motor]),
             'parameters': [p.name for p in self._white_box.parameters],
-            'anchored': int(state.anchor_position[0]) - received,
-            'examined': int(state.examined_at[0]) - received,
-            'gone': received - content.shape[2],
-            'begin': int(self.replay.begin(which)[0]),
+            'anchored': int(state.anchor_position[0]) - received_count,
+            'examined': int(state.examined_at[0]) - received_count,
+            'gone': received_count - content.shape[2],
+            'begin': int(self.replay.begin(selection)[0]),
             'asked': int(state.pending[0]),
         }
         arrays = saved_arrays(state)
-        arrays |= {'speed': self._speed[which].copy(), 'replay': content}
+        arrays |= {'speed': self._speed[selection].copy(), 'replay': content}
         return plain, arrays
 
     def restore(
@@ -290,7 +290,7 @@ class RecursiveEstimator:
             CheckpointError: it is no state that could have been learnt.
         """
         names = [p.name for p in self._white_box.parameters]
-        which = motor if isinstance(motor, slice) else slice(motor, motor + 1)
+        selection = motor if isinstance(motor, slice) else slice(motor, motor + 1)
         if plain['parameters'] != names:
             raise ConfigurationError(
                 f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
@@ -301,14 +301,16 @@ class RecursiveEstimator:
             new = 0
         if content.shape[2] - new < self.replay.capacity:  # less is there than may be remembered
             begin = max(begin, plain['gone'])
-        self.replay.refill(content, which, plain['gone'], begin)
-        received = self.replay.received[which]
-        part = restored(chosen(self._state, which), {**plain, 'new': new}, arrays, received)
-        put(self._state, which, part)
-        self._speed[which] = arrays['speed']
+        self.replay.refill(content, selection, plain['gone'], begin)
+        received_count = self.replay.received[selection]
+        part = restored(
+            chosen(self._state, selection), {**plain, 'new': new}, arrays, received_count
+        )
+        put(self._state, selection, part)
+        self._speed[selection] = arrays['speed']
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         if plain['resumes']:
             self._resumes = np.zeros_like(self._nobody) if self._resumes is None else self._resumes
-            self._resumes[which] = True
-        self._schedule.plan(self._state, which)
+            self._resumes[selection] = True
+        self._schedule.plan(self._state, selection)
         self._schedule.wake()

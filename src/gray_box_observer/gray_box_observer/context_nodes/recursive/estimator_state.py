@@ -114,9 +114,11 @@ class EstimatorState:
         """How many motors it is about."""
         return int(self.position.size)
 
-    def anchor_here(self, which: NDArray[np.bool_]) -> None:
+    def anchor_here(self, selection: NDArray[np.bool_]) -> None:
         """Reckon the likelihood of a drift from the present belief on, for some of the motors."""
-        index = np.flatnonzero(which)  # in place: of very many motors some at a time move theirs
+        index = np.flatnonzero(
+            selection
+        )  # in place: of very many motors some at a time move theirs
         put(self.anchor, index, chosen(self.belief, index))
         self.anchor_position[index] = self.position[index]
 

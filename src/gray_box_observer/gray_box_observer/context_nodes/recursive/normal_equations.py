@@ -69,12 +69,12 @@ class Scaling:
         )
         return matrix
 
-    def moved(self, covariance: Array, new: Scaling) -> Array:
+    def convert(self, covariance: Array, new: Scaling) -> Array:
         """Express a covariance of this frame in the units of another."""
         ratio = np.empty((self.p.shape[0], STATES + self.p.shape[1]))
         ratio[:, CURRENT], ratio[:, COORDINATES] = self.current_a / new.current_a, self.p / new.p
-        moved: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
-        return moved
+        covariance_here: Array = covariance * ratio[:, :, None] * ratio[:, None, :]
+        return covariance_here
 
 
 def robust_std(residual: Array, valid: NDArray[np.bool_]) -> Array:

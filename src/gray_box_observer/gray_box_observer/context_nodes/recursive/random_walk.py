@@ -132,10 +132,10 @@ class _Fitted:
         evidence: Array = other._likelihood(same) - self._likelihood(same)
         return np.where(np.isfinite(evidence), evidence, -np.inf)
 
-    def _likelihood(self, which: NDArray[np.bool_]) -> Array:
+    def _likelihood(self, selection: NDArray[np.bool_]) -> Array:
         """Log-likelihood of some block_step, at the noise that makes it largest."""
         squares, size, count = (
-            np.sum(which * part, axis=0) for part in (self.squares, self.size, self.count)
+            np.sum(selection * part, axis=0) for part in (self.squares, self.size, self.count)
         )
         likelihood: Array = (
             -0.5 * count * np.log(np.maximum(squares, 1e-12) / np.maximum(count, 1.0)) - size
@@ -152,14 +152,14 @@ def _run(
     jump: Jump | None = None,
 ) -> tuple[Belief, _Fitted]:
     """Learn a window block by block; return the belief and the quality of its predictions."""
-    told = []
+    likelihoods = []
     for begin in range(0, stretch.restart.shape[1], block):
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))
         if jump is not None and begin <= jump.at < begin + block:
             belief = belief.loosened(jump.directions)
         predicted = block_step.predict(white_box, belief, part)
-        told.append(block_step.likelihood(belief, predicted))
+        likelihoods.append(block_step.likelihood(belief, predicted))
         belief = block_step.learn(
             white_box, belief, predicted, walk.spread(np.sum(part.interval_s, axis=1))
         )
-    return belief, _Fitted(*(np.array(column) for column in zip(*told, strict=True)))
+    return belief, _Fitted(*(np.array(column) for column in zip(*likelihoods, strict=True)))

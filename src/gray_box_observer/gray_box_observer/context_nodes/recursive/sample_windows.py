@@ -73,9 +73,9 @@ class MotorSelection:
         """How many samples are remembered up to the last that is learnt, shape (motor,)."""
         return self.replay.remembered(self.motor_index, self.state.position)
 
-    def forget(self, keep: int, which: NDArray[np.bool_]) -> None:
+    def forget(self, keep: int, selection: NDArray[np.bool_]) -> None:
         """Drop all but the newest samples of some of the motors."""
-        motor_index = np.flatnonzero(which)
+        motor_index = np.flatnonzero(selection)
         self.replay.forget(keep, self._places[motor_index], self.state.position[motor_index])
 
     def adopt(self, belief: Belief, mask: NDArray[np.bool_]) -> None:

@@ -69,7 +69,7 @@ def restored(
     state: EstimatorState,
     plain: dict[str, Any],
     arrays: dict[str, Array],
-    received: NDArray[np.int_],
+    received_count: NDArray[np.int_],
 ) -> EstimatorState:
     """Return the state that was saved; counts for diagnostics stay those of the present state.
 
@@ -77,14 +77,14 @@ def restored(
         state: present state of the motors, shape (motor, ...).
         plain: plain values that were saved.
         arrays: arrays that were saved.
-        received: shape (motor,): samples in each motor's stream.
+        received_count: shape (motor,): samples in each motor's stream.
     """
     return EstimatorState(
         belief=Belief(**_below('belief', arrays)),
         prior=Prior(arrays['prior_p'], arrays['prior_covariance']),
         anchor=Belief(**_below('anchor', arrays)),
-        anchor_position=received + plain['anchored'],
-        position=received - plain['new'],
+        anchor_position=received_count + plain['anchored'],
+        position=received_count - plain['new'],
         is_started=np.array([plain['started']]),
         next_fit_at=np.array([plain['next_fit']]),
         pending=np.array([plain['asked']]),
@@ -92,7 +92,7 @@ def restored(
         score=np.moveaxis(arrays['drift_score'], 1, 0),
         information=np.moveaxis(arrays['drift_information'], 1, 0),
         hold=HoldState(**_below('holds', arrays)),
-        examined_at=received + plain['examined'],
+        examined_at=received_count + plain['examined'],
         outliers=state.outliers,
         kicks=state.kicks,
         change_count=state.change_count,
@@ -135,13 +135,13 @@ def check(plain: dict[str, Any], arrays: dict[str, Array], coordinates: int) -> 
     }
     check_arrays(arrays, rules)
     remembered = arrays['replay'].shape[2]
-    gone = whole(plain, 'gone')
+    dropped_count = whole(plain, 'gone')
     new = min(whole(plain, 'new'), remembered)
     whole(plain, 'next_fit', 1)
     whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
     whole(plain, 'noise_count')
     whole(plain, 'anchored', -MOST, -new)
-    whole(plain, 'begin', 0, gone + remembered - new)
+    whole(plain, 'begin', 0, dropped_count + remembered - new)
     whole(plain, 'examined', -MOST, 0)
     pending = whole(plain, 'asked', WALK_AGAIN)
     if not flag(plain, 'started') and pending:

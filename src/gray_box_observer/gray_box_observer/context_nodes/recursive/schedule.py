@@ -65,8 +65,8 @@ class UpdateSchedule:
     def sleep(self, samples: int | None = None) -> None:
         """Rest for so many samples of the group, by default until the next motor is due."""
         if samples is None:
-            received = self._replay.received
-            samples = max(1, int((self.next_update_at - received).min()))
+            received_count = self._replay.received
+            samples = max(1, int((self.next_update_at - received_count).min()))
         self._wakes_at = self._replay.total + samples
 
     def wake(self) -> None:
@@ -127,5 +127,5 @@ class UpdateSchedule:
         return due
 
     def _by_waiting(self, motors: NDArray[np.intp]) -> NDArray[np.intp]:
-        waiting = self._replay.received[motors] - self.next_update_at[motors]
-        return motors[np.argsort(-waiting, kind='stable')]
+        wait = self._replay.received[motors] - self.next_update_at[motors]
+        return motors[np.argsort(-wait, kind='stable')]

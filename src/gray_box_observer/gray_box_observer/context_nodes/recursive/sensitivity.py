@@ -45,8 +45,10 @@ def sensitivity(
     for name, value in white_box.known.items():
         changed[name] = replace(white_box, known={**white_box.known, name: (1.0 + CHANGE) * value})
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        given = _fit(white_box, replay, theta)
-        ratios = {name: _fit(other, replay, theta) / given - 1.0 for name, other in changed.items()}
+        nominal = _fit(white_box, replay, theta)
+        ratios = {
+            name: _fit(other, replay, theta) / nominal - 1.0 for name, other in changed.items()
+        }
     if not all(np.all(np.isfinite(ratio)) for ratio in ratios.values()):
         return None
     names = [parameter.name for parameter in white_box.parameters]

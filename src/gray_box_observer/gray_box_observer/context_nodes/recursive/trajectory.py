@@ -107,7 +107,7 @@ class SampleWindow:
         white_box: WhiteBox,
         replay: ReplayBuffer,
         samples: int,
-        which: Any = slice(None),
+        selection: Any = slice(None),
         until: NDArray[np.int_] | None = None,
     ) -> SampleWindow:
         """Take samples out of a replay buffer, the first of them as where the stretch starts.
@@ -116,11 +116,13 @@ class SampleWindow:
             white_box: of the chosen motors.
             replay: where they are.
             samples: how many, at most.
-            which: index of the motors.
+            selection: index of the motors.
             until: place of the last one in each motor's stream; None: the newest.
         """
-        samples = min(samples, int(replay.remembered(which, until).min()))
-        return cls.of_content(white_box, np.ascontiguousarray(replay.newest(samples, which, until)))
+        samples = min(samples, int(replay.remembered(selection, until).min()))
+        return cls.of_content(
+            white_box, np.ascontiguousarray(replay.newest(samples, selection, until))
+        )
 
     @classmethod
     def of_content(cls, white_box: WhiteBox, content: Array) -> SampleWindow:
@@ -193,8 +195,8 @@ def linearise(white_box: WhiteBox, p: Array, stretch: SampleWindow, about: Array
     """
     speed, start = stretch.speed_rad_s, about[:, :-1]
     ends = speed[:, :-1], speed[:, 1:]
-    moved = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
-    end, by_state, forced = moved.of_state(CURRENT)
+    motion = interval_motion.move(white_box, p, start, stretch.voltage_v, *ends, stretch.interval_s)
+    end, by_state, forced = motion.of_state(CURRENT)
     limit = FAR * (np.max(np.abs(stretch.state), axis=1, keepdims=True) + 1e-9)
     if not (
         np.abs(end) <= limit
@@ -287,17 +289,17 @@ def restart_variance(decay: Array, restart: NDArray[np.bool_]) -> Array:
     variance = np.zeros((motors, k + 1))
     motor, at = np.nonzero(restart)
     variance[motor, at + 1] = UNKNOWN
-    left = np.ones(motor.size)  # after the sample that it restarts from
+    remaining = np.ones(motor.size)  # after the sample that it restarts from
     for ahead in range(1, SETTLING):
         onward = at + ahead < k
         onward[onward] = ~restart[motor[onward], at[onward] + ahead]
-        onward &= left > NEGLIGIBLE
+        onward &= remaining > NEGLIGIBLE
         if not np.any(onward):
             break
-        motor, at, left = motor[onward], at[onward], left[onward]
-        predicted = decay[motor, at + ahead] ** 2 * left
+        motor, at, remaining = motor[onward], at[onward], remaining[onward]
+        predicted = decay[motor, at + ahead] ** 2 * remaining
         variance[motor, at + ahead + 1] = predicted
-        left = taken_over(predicted)
+        remaining = taken_over(predicted)
     return variance
 
 

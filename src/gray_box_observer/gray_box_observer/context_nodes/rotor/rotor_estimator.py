@@ -167,7 +167,7 @@ class RotorUpdate:
             return
         self._frozen, self._resumes = frozen, not frozen
 
-    def estimate(self, which: Any = slice(None)) -> Estimate:
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
         """Return the present values with covariance and verdicts."""
         theta = self.theta
         covariance = self._covariance[None] * theta[:, :, None] * theta[:, None, :]
