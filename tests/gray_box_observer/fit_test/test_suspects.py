@@ -7,14 +7,14 @@ import pytest
 from linear_motor_records import WHITE_BOX, Record, current_of, current_of_free_rotor, noise, steps
 
 from gray_box_observer.fit_test.effects import EFFECTS
-from gray_box_observer.fit_test.suspects import Explanation, explanations, select_rate
+from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
 
 SAMPLES = 3000
 
 
 def _first(voltage_v: np.ndarray, current_a: np.ndarray) -> str:
     noisy = Record(voltage_v, current_a + noise(current_a.size, 0.02, 3))
-    return select_rate(explanations(WHITE_BOX, noisy.stretch).values(), {})[0].effect.name
+    return select_explanations(explanations(WHITE_BOX, noisy.stretch).values(), {})[0].effect.name
 
 
 def test_what_comes_late_is_named() -> None:
@@ -44,5 +44,5 @@ def test_a_supply_that_wanders_is_named() -> None:
 
 def test_a_rotor_beside_no_resistance_at_all_is_named_all_the_same() -> None:
     found = Explanation(EFFECTS['rotor'], 100.0, 1.0, 1.0, 0.0)
-    assert select_rate([found], {}) == [found]
+    assert select_explanations([found], {}) == [found]
     assert 'velocity' in found.suspect('motor', 0.02).remedy

@@ -97,7 +97,7 @@ def profile(
     ]
     whole = (after[WINDOW:] == before[:-WINDOW]).astype(float)
     change = (state[WINDOW:] - state[:-WINDOW]) * whole
-    known = -_windowed(white_box.drive(np.zeros_like(state), state, speed), interval_s) * whole
+    known_drop = -_windowed(white_box.drive(np.zeros_like(state), state, speed), interval_s) * whole
     basis = [_windowed(phi, interval_s) * whole for phi in white_box.basis(state, speed)]
     first, last = grid[0] - high * interval_s, grid[-1] - low * interval_s
     wide = first + interval_s * np.arange(round((last - first) / interval_s) + 1)
@@ -106,7 +106,7 @@ def profile(
         integral[WINDOW:] - integral[:-WINDOW]
     )  # of the window that ends at each instant of the wide grid
     yield
-    misfit = yield from _misfits(change, basis, known, whole, volt)
+    misfit = yield from _misfits(change, basis, known_drop, whole, volt)
     delays: Array = interval_s * np.arange(low, high + 1, dtype=np.float64)
     return Profile(delays, misfit[::-1], int(whole.sum()))  # a later window is a smaller delay
 
@@ -135,7 +135,7 @@ def _windowed(values: Array, interval_s: float) -> Array:
 
 
 def _misfits(
-    change: Array, basis: list[Array], known: Array, whole: Array, volt: Array
+    change: Array, basis: list[Array], known_drop: Array, whole: Array, volt: Array
 ) -> Generator[None, None, Array]:
     """Sums of squares of the balance for every place of the voltage's windows.
 
@@ -152,15 +152,19 @@ def _misfits(
         left = np.zeros((change.size, 0))
     rest = change - left @ (left.T @ change)
     about = volt - np.mean(volt)  # sums of squares cancel less about the mean
-    known = (known - np.mean(volt)) * whole
+    known_drop = (known_drop - np.mean(volt)) * whole
     yield
     along = _Correlation(about, change.size)
-    by_rest = along(rest) - rest @ known
+    by_rest = along(rest) - rest @ known_drop
     yield
-    square = _Correlation(about**2, change.size)(whole) - 2.0 * along(known) + known @ known
+    square = (
+        _Correlation(about**2, change.size)(whole)
+        - 2.0 * along(known_drop)
+        + known_drop @ known_drop
+    )
     for column in left.T:
         yield
-        square = square - (along(column) - column @ known) ** 2
+        square = square - (along(column) - column @ known_drop) ** 2
     total = float(rest @ rest)
     explained = np.where(
         square > 1e-9 * np.max(square, initial=0.0), by_rest * np.maximum(by_rest, 0.0), 0.0

@@ -204,15 +204,15 @@ class FineSearch:
         self._evaluate()
         stretch = self._stretch(self._delay_s)
         least, count = self._spread(), float(np.sum(self._valid))
-        found = 0.0
+        best_gain = 0.0
         near = np.abs(self._residual) < OUTLIER * self._scale
         for gain in GAINS:
             self._predict(stretch, gain * near)
             spread = self._spread()
-            if count * np.log(least / spread) > (GAIN_EVIDENCE if found == 0.0 else 0.0):
-                found, least = gain, spread
-        self._gain = found
-        return found > 0.0
+            if count * np.log(least / spread) > (GAIN_EVIDENCE if best_gain == 0.0 else 0.0):
+                best_gain, least = gain, spread
+        self._gain = best_gain
+        return best_gain > 0.0
 
     def _spread(self) -> float:
         near = np.minimum(np.abs(self._residual), CLIP * self._scale)[self._valid]
@@ -248,9 +248,9 @@ class FineSearch:
         return Fitted(self._delay_s, std * self._interval_s, loss, noise, min(correlated, speaking))
 
 
-def evidence(best: Fitted, held: Fitted) -> float:
+def evidence(best: Fitted, fixed: Fitted) -> float:
     """Log-likelihood gain of the best delay over the held one, less for correlated residuals."""
     scale = best.noise_a**2 * best.correlated
     return (
-        (held.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
+        (fixed.loss_a2 - best.loss_a2) / scale if scale > 0.0 else 0.0
     )  # a motor at rest says nothing

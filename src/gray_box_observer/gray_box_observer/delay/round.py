@@ -25,7 +25,7 @@ class DelayRound:
     def __init__(self, motors: int, make: Callable[[int], DelayWatch], applied_s: float) -> None:
         self._make = make
         self._watches: list[DelayWatch | None] = [None] * motors
-        self._asked = [0] * motors
+        self._query_counts = [0] * motors
         self._idle = DelayEstimate(applied_s, False)
         self._turn = 0
         self._count = 0
@@ -47,22 +47,22 @@ class DelayRound:
         if not watch.searching:
             self._history = history.select_motor(self._turn)
         assert self._history is not None
-        watch.update(self._history, stamp_ns, self._count - self._asked[self._turn])
-        self._asked[self._turn] = self._count
+        watch.update(self._history, stamp_ns, self._count - self._query_counts[self._turn])
+        self._query_counts[self._turn] = self._count
         if not watch.searching:
             self._turn = (self._turn + 1) % len(self._watches)
 
     def watch(self, motor: int) -> DelayWatch:
         """Return the watch of one motor."""
-        found = self._watches[motor]
-        if found is None:
-            found = self._watches[motor] = self._make(motor)
-        return found
+        watch = self._watches[motor]
+        if watch is None:
+            watch = self._watches[motor] = self._make(motor)
+        return watch
 
     def estimate_of(self, motor: int) -> DelayEstimate:
         """Return what is known of one motor."""
-        found = self._watches[motor]
-        return self._idle if found is None else found.estimate
+        watch = self._watches[motor]
+        return self._idle if watch is None else watch.estimate
 
     def state(self, motor: int) -> dict[str, Any]:
         """What was found of one motor, for a checkpoint."""

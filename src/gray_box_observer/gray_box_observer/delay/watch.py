@@ -83,11 +83,11 @@ class DelayEstimate:
     @property
     def words(self) -> str:
         """Which of the two is which, in one line: what the data say, and what is taken off."""
-        found = 'the data do not tell'
+        result = 'the data do not tell'
         if math.isfinite(self.value_s):
-            found = f'found in the data: {self.value_s:.6g} +- {self.std_s:.2g} s'
+            result = f'found in the data: {self.value_s:.6g} +- {self.std_s:.2g} s'
         origin = 'estimated' if self.asked else 'declared'
-        return f'{found}; applied: {self.applied_s:.6g} s, as {origin}'
+        return f'{result}; applied: {self.applied_s:.6g} s, as {origin}'
 
     def complaint(self, motor: str) -> str | None:
         """Say what is wrong and what to do about it, in one line; None where nothing is."""
@@ -136,14 +136,16 @@ class DelayWatch:
         self._initial = to_coordinates(np.asarray(initial, dtype=float))
         self._gap_s = gap_s
         self.estimate = DelayEstimate(applied_s, asked)
-        self._gone = 0
+        self._dropped_count = 0
         self._count = 0
         self._restart(0)
 
     def _restart(self, restarts: int) -> None:
         """Begin a new signal history; what was found stays."""
         self._restarts = restarts
-        self._gone += self._count  # samples that were learnt and are in no history any more
+        self._dropped_count += (
+            self._count
+        )  # samples that were learnt and are in no history any more
         self._count = 0
         self._next = FIRST
         self._put_off = False
@@ -216,8 +218,8 @@ class DelayWatch:
             return _Found(applied_s, math.nan, 0.0, interval_s, True)
         fine = FineSearch(self._white_box, signals, restart, interval_s, self._initial, reach_s)
         best = yield from fine.fit(start_s, free=True)
-        held = yield from fine.fit(applied_s, free=False)
-        brought = evidence(best, held)
+        fixed_fit = yield from fine.fit(applied_s, free=False)
+        brought = evidence(best, fixed_fit)
         if not math.isfinite(best.std_s + brought):
             return None
         margin_s = 0.5 * interval_s
@@ -226,13 +228,13 @@ class DelayWatch:
 
     def _worth_refining(self, coarse: Profile, delay_s: float, interval_s: float) -> bool:
         """Whether a coarse search finds news; the fine one takes twenty times as long."""
-        known, growing = self.estimate, self._count <= 2 * TORQUES
-        if known.asked and growing:
+        estimate, growing = self.estimate, self._count <= 2 * TORQUES
+        if estimate.asked and growing:
             return True
-        if known.verdict is DelayVerdict.UNDECLARED and not growing:
-            return abs(delay_s - known.value_s) > 0.5 * interval_s
-        away = abs(delay_s - known.applied_s) > COARSE_WORTH * interval_s
-        return away and coarse.evidence(known.applied_s) > COARSE_EVIDENCE
+        if estimate.verdict is DelayVerdict.UNDECLARED and not growing:
+            return abs(delay_s - estimate.value_s) > 0.5 * interval_s
+        away = abs(delay_s - estimate.applied_s) > COARSE_WORTH * interval_s
+        return away and coarse.evidence(estimate.applied_s) > COARSE_EVIDENCE
 
     def _cut(
         self, signals: RawSignals, applied_s: float
@@ -248,43 +250,48 @@ class DelayWatch:
             keep &= np.isfinite(signals.speed_rad_s)
         if np.count_nonzero(keep) < FIRST // 4:
             return None
-        kept = replace(
+        remaining = replace(
             signals,
             time_s=signals.time_s[keep],
             torque_nm=signals.torque_nm[keep],
             speed_rad_s=signals.speed_rad_s[keep],
         )
-        return kept, (low, high)
+        return remaining, (low, high)
 
-    def _judge(self, found: _Found) -> float | None:
+    def _judge(self, result: _Found) -> float | None:
         """Compare the outcome with the delay in force; two searches must agree on another one."""
-        known, before, self._before = self.estimate, self._before, None
-        off_s = abs(found.delay_s - known.applied_s)
-        if math.isnan(found.std_s):
-            if known.verdict in (DelayVerdict.UNKNOWN, DelayVerdict.SUSPECTED):
-                self.estimate = replace(known, verdict=DelayVerdict.CONFIRMED)
+        estimate, before, self._before = self.estimate, self._before, None
+        off_s = abs(result.delay_s - estimate.applied_s)
+        if math.isnan(result.std_s):
+            if estimate.verdict in (DelayVerdict.UNKNOWN, DelayVerdict.SUSPECTED):
+                self.estimate = replace(estimate, verdict=DelayVerdict.CONFIRMED)
             return None
-        if off_s < max(STDS * found.std_s, WORTH * found.interval_s):
-            return self._agree(found) if found.inside and found.std_s < found.interval_s else None
-        if not found.inside or found.evidence < EVIDENCE:
+        if off_s < max(STDS * result.std_s, WORTH * result.interval_s):
+            return (
+                self._agree(result) if result.inside and result.std_s < result.interval_s else None
+            )
+        if not result.inside or result.evidence < EVIDENCE:
             return None
-        self._before = found
-        near_s = found.interval_s + STDS * math.hypot(
-            found.std_s, 0.0 if before is None else before.std_s
+        self._before = result
+        near_s = result.interval_s + STDS * math.hypot(
+            result.std_s, 0.0 if before is None else before.std_s
         )
-        if before is None or abs(found.delay_s - before.delay_s) > near_s:
-            if known.verdict is not DelayVerdict.UNDECLARED:
-                self.estimate = replace(known, verdict=DelayVerdict.SUSPECTED)
+        if before is None or abs(result.delay_s - before.delay_s) > near_s:
+            if estimate.verdict is not DelayVerdict.UNDECLARED:
+                self.estimate = replace(estimate, verdict=DelayVerdict.SUSPECTED)
             return None
-        if not known.asked:
+        if not estimate.asked:
             self.estimate = replace(
-                known, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.UNDECLARED
+                estimate,
+                value_s=result.delay_s,
+                std_s=result.std_s,
+                verdict=DelayVerdict.UNDECLARED,
             )
             return None
         self._before = None
-        return self._apply(found)
+        return self._apply(result)
 
-    def _agree(self, found: _Found) -> float | None:
+    def _agree(self, result: _Found) -> float | None:
         """Note that the data agree with the delay in force; sharpen an estimated one.
 
         Then all is learnt anew from the history: only while that forgets nothing and holds what
@@ -293,41 +300,48 @@ class DelayWatch:
         if not self.estimate.asked:
             self.estimate = replace(
                 self.estimate,
-                value_s=found.delay_s,
-                std_s=found.std_s,
+                value_s=result.delay_s,
+                std_s=result.std_s,
                 verdict=DelayVerdict.CONFIRMED,
             )
             return None
         sharper = (
-            found.std_s < 0.5 * self._applied_std_s
-            and abs(found.delay_s - self.estimate.applied_s) > found.std_s
+            result.std_s < 0.5 * self._applied_std_s
+            and abs(result.delay_s - self.estimate.applied_s) > result.std_s
         )
-        if sharper and self.estimate.applied_s != 0.0 and self._gone <= self._count <= TORQUES:
-            return self._apply(found)
+        if (
+            sharper
+            and self.estimate.applied_s != 0.0
+            and self._dropped_count <= self._count <= TORQUES
+        ):
+            return self._apply(result)
         self.estimate = replace(
-            self.estimate, value_s=found.delay_s, std_s=found.std_s, verdict=DelayVerdict.ESTIMATED
+            self.estimate,
+            value_s=result.delay_s,
+            std_s=result.std_s,
+            verdict=DelayVerdict.ESTIMATED,
         )
         return None
 
-    def _apply(self, found: _Found) -> float:
-        applied_s = seconds(nanoseconds(found.delay_s))
+    def _apply(self, result: _Found) -> float:
+        applied_s = seconds(nanoseconds(result.delay_s))
         self.estimate = DelayEstimate(
-            applied_s, True, found.delay_s, found.std_s, DelayVerdict.ESTIMATED
+            applied_s, True, result.delay_s, result.std_s, DelayVerdict.ESTIMATED
         )
-        self._applied_std_s = found.std_s
-        self._gone = 0
+        self._applied_std_s = result.std_s
+        self._dropped_count = 0
         return applied_s
 
     def state(self) -> dict[str, Any]:
         """What was found, as plain values for a checkpoint; searches under way begin anew."""
-        known = self.estimate
+        estimate = self.estimate
         return {
-            'applied_s': known.applied_s,
-            'value_s': None if math.isnan(known.value_s) else known.value_s,
-            'std_s': None if math.isnan(known.std_s) else known.std_s,
-            'verdict': known.verdict.name,
+            'applied_s': estimate.applied_s,
+            'value_s': None if math.isnan(estimate.value_s) else estimate.value_s,
+            'std_s': None if math.isnan(estimate.std_s) else estimate.std_s,
+            'verdict': estimate.verdict.name,
             'applied_std_s': self._applied_std_s if math.isfinite(self._applied_std_s) else None,
-            'learnt': self._gone + self._count,
+            'learnt': self._dropped_count + self._count,
         }
 
     def restore(self, plain: dict[str, Any]) -> None:
@@ -341,7 +355,7 @@ class DelayWatch:
         std_s, applied_std_s = (
             number_or_none(plain, name, 0.0, LARGEST) for name in ('std_s', 'applied_std_s')
         )
-        learnt, word = whole(plain, 'learnt'), entry(plain, 'verdict')
+        learnt_count, word = whole(plain, 'learnt'), entry(plain, 'verdict')
         if not isinstance(word, str) or word not in DelayVerdict.__members__:
             raise CheckpointError(
                 f'verdict is {printable(repr(word), 40)}, expected one of a delay'
@@ -349,7 +363,7 @@ class DelayWatch:
         if not self.estimate.asked and applied_s != self.estimate.applied_s:
             return
         self._applied_std_s = math.inf if applied_std_s is None else applied_std_s
-        self._gone = learnt
+        self._dropped_count = learnt_count
         value_s, std_s = (math.nan if value is None else value for value in (value_s, std_s))
         self.estimate = DelayEstimate(
             applied_s, self.estimate.asked, value_s, std_s, DelayVerdict[word]

@@ -19,11 +19,13 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
         motor: as configured.
         white_box: its physics, which says whether speed is measured.
     """
-    found = {}
-    chosen = 'speed_source' in motor.stated and motor.values['speed_source'] == 'torque_constant'
-    followed = not (white_box.speed_measured or white_box.has_rotor or chosen)
-    if followed and not _has_data_sheet(motor):
-        found[UNSEEN_ROTOR] = (
+    findings = {}
+    is_thesis_speed = (
+        'speed_source' in motor.stated and motor.values['speed_source'] == 'torque_constant'
+    )
+    follows_current = not (white_box.speed_measured or white_box.has_rotor or is_thesis_speed)
+    if follows_current and not _has_data_sheet(motor):
+        findings[UNSEEN_ROTOR] = (
             'neither speed nor a data sheet is given, so the speed is taken to be Kt i, as in the '
             'thesis: with a rotor '
             'that spins, L and R come out wrong however sure they look; publish the speed in '
@@ -34,12 +36,12 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
         )
     if KB not in motor.stated and KB not in white_box.context_nodes:
         kt = float(motor.values['torque_constant'])
-        found[DEFAULT_KB] = (
+        findings[DEFAULT_KB] = (
             f'Kb is left at its default of {motor.values[KB]:g} V s/rad, which says nothing of '
             'this motor: '
             f'set {motor.name}.{KB}; in SI units it is nearly the torque constant ({kt:g})'
         )
-    return found
+    return findings
 
 
 def _has_data_sheet(motor: MotorConfiguration) -> bool:

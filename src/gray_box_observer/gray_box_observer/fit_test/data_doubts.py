@@ -159,10 +159,10 @@ def doubts(
     balance = _balance(white_box, samples) if white_box.speed_measured else None
     voltage = _doubt_of_voltage(samples, balance, motor)
     current = None if voltage else _doubt_of_current(white_box, samples, balance, theta, motor)
-    found = [suspect for suspect in (time, voltage, current) if suspect is not None]
+    findings = [suspect for suspect in (time, voltage, current) if suspect is not None]
     if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
-        return tuple(found)
-    return (*found, *_doubts_of_back_emf(white_box, balance, motor))
+        return tuple(findings)
+    return (*findings, *_doubts_of_back_emf(white_box, balance, motor))
 
 
 def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
@@ -294,19 +294,19 @@ def _doubts_of_back_emf(
     kb = 0.0 if identified else float(white_box.known.get(KB, 0.0))
     if not balance.contradicts(kb):
         return ()
-    found = []
+    findings = []
     if balance.kb < 0.0:
         text = (
             'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
         )
-        found.append(Suspect('speed_sign', balance.evidence, text))
+        findings.append(Suspect('speed_sign', balance.evidence, text))
     magnitude = abs(balance.kb)
     far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
     away = max(magnitude, kb) > far * min(magnitude, kb)
     if not identified and away and magnitude > SURE * balance.std:
         text = f'{motor.name}.back_emf_constant: {magnitude:.4g} (it is {kb:g} V s/rad now)'
-        found.append(Suspect(KB, balance.evidence, text))
-    return tuple(found)
+        findings.append(Suspect(KB, balance.evidence, text))
+    return tuple(findings)
 
 
 def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
@@ -326,20 +326,20 @@ def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
     if not spread > max(DISTINCT, ABOVE_NOISE * noise) ** 2 * float(back_emf @ back_emf):
         return None
     weights = np.linalg.lstsq(columns, target, rcond=None)[0]
-    left = target - columns @ weights
+    remainder = target - columns @ weights
     theta = weights / scale
-    known = target - float(white_box.known.get(KB, 0.0)) * scale[-1] * back_emf
-    configured = known - others @ np.linalg.lstsq(others, known, rcond=None)[0]
+    base_target = target - float(white_box.known.get(KB, 0.0)) * scale[-1] * back_emf
+    configured = base_target - others @ np.linalg.lstsq(others, base_target, rcond=None)[0]
     freedom = max(target.size - theta.size, 1)
     names = white_box.context_nodes
     resistance = float(theta[names.index('resistance')]) if 'resistance' in names else math.nan
     return _Balance(
         kb=float(theta[-1]),
         resistance=resistance,
-        std=math.sqrt(float(left @ left) / freedom / spread) / float(scale[-1]),
+        std=math.sqrt(float(remainder @ remainder) / freedom / spread) / float(scale[-1]),
         voltage_v=float(np.sqrt(np.mean(target**2))),
         speed_rad_s=speed,
-        gain=float(left @ left) / max(float(configured @ configured), 1e-300),
+        gain=float(remainder @ remainder) / max(float(configured @ configured), 1e-300),
         windows=target.size,
     )
 

@@ -23,23 +23,27 @@ def contradiction(motor: MotorConfiguration, estimate: Estimate) -> str | None:
         motor: as configured.
         estimate: of this motor alone.
     """
-    found = []
-    given = zip(motor.initial(), motor.initial_relative_std(), strict=True)
-    for j, (parameter, (initial, told)) in enumerate(zip(estimate.parameters, given, strict=True)):
-        if told <= 0.0 or estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
+    findings = []
+    priors = zip(motor.initial(), motor.initial_relative_std(), strict=True)
+    for j, (parameter, (initial, relative_std)) in enumerate(
+        zip(estimate.parameters, priors, strict=True)
+    ):
+        if relative_std <= 0.0 or estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
             continue
         value = float(estimate.value[0, j])
-        away = abs(math.log(value / initial)) / math.hypot(told, float(estimate.std[0, j]) / value)
+        away = abs(math.log(value / initial)) / math.hypot(
+            relative_std, float(estimate.std[0, j]) / value
+        )
         if away > FAR:
-            found.append(
+            findings.append(
                 f'{parameter.name} of {value:.3g} {parameter.unit} is {away:.1f} standard '
                 'deviations from '
-                f'the {initial:.3g} {parameter.unit} +- {100.0 * told:.3g} % given'
+                f'the {initial:.3g} {parameter.unit} +- {100.0 * relative_std:.3g} % given'
             )
-    if not found:
+    if not findings:
         return None
     remedy = (
         'check torque_constant, known constants, the data sheet and whether speed is measured; or '
         'has it changed?'
     )
-    return f'{", ".join(found)}: {remedy}'
+    return f'{", ".join(findings)}: {remedy}'

@@ -104,9 +104,9 @@ def interval_means(signal: Array) -> Array:
 
 def leaky_mean(signal: Array, samples: tuple[float, ...]) -> Array:
     """Return leaky means of a signal, shape (time constant, k), for time constants in samples."""
-    left = np.exp(-1.0 / np.array(samples))[:, None]
-    factor = np.broadcast_to(left, (len(samples), signal.size))
-    inputs = (1.0 - left) * signal
+    decay = np.exp(-1.0 / np.array(samples))[:, None]
+    factor = np.broadcast_to(decay, (len(samples), signal.size))
+    inputs = (1.0 - decay) * signal
     means: Array = recurrence(factor, inputs[None], np.full((1, len(samples)), signal[0]))[0, :, 1:]
     return means
 

@@ -32,7 +32,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
-from gray_box_observer.fit_test.suspects import Explanation, explanations, select_rate
+from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LARGEST,
@@ -141,7 +141,7 @@ class FitMonitor:
     ) -> None:
         self._motors = motors
         self._white_boxes = white_boxes
-        self._tested: list[_Tested | None] = [None] * len(motors)
+        self._results: list[_Tested | None] = [None] * len(motors)
         self._due = np.full(len(motors), FEWEST)
         self._soon = np.full(len(motors), NEVER)
         self._begin = np.full(len(motors), NEVER)
@@ -149,13 +149,13 @@ class FitMonitor:
 
     def assessment(self, motor: int) -> FitAssessment:
         """Return what is known of the fit of one motor."""
-        tested = self._tested[motor]
-        return FitAssessment() if tested is None else tested.assessment
+        result = self._results[motor]
+        return FitAssessment() if result is None else result.assessment
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
-        tested = self._tested[motor]
-        return tested is None or tested.assessment.verdict is FitVerdict.MISFIT
+        result = self._results[motor]
+        return result is None or result.assessment.verdict is FitVerdict.MISFIT
 
     def due(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
         """Return which of some motors are to be tested now.
@@ -179,24 +179,24 @@ class FitMonitor:
             for row in rows.tolist()
             if waited[row] or self._has_moved(estimate, row, motors[row])
         )
-        chosen = (
+        due_motors = (
             int(motors[row])
             for row in worth
             if self._is_ripe(estimate, row, motors[row], places[row])
         )
-        return list(islice(chosen, max(1, len(self._motors) // MANY)))
+        return list(islice(due_motors, max(1, len(self._motors) // MANY)))
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
         """Tell whether a first test is worth its time: something would be believed without it."""
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
-        return self._tested[motor] is not None or hopeful or bool(place >= UNASKED)
+        return self._results[motor] is not None or hopeful or bool(place >= UNASKED)
 
     def _has_moved(self, estimate: Estimate, row: int, motor: int) -> bool:
         """Tell whether a motor that did not fit has become another one since."""
-        tested = self._tested[motor]
-        if tested is None or tested.assessment.verdict is not FitVerdict.MISFIT:
+        result = self._results[motor]
+        if result is None or result.assessment.verdict is not FitVerdict.MISFIT:
             return False
-        return bool(np.max(np.abs(np.log(estimate.value[row] / tested.theta))) > MOVED)
+        return bool(np.max(np.abs(np.log(estimate.value[row] / result.theta))) > MOVED)
 
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -216,7 +216,7 @@ class FitMonitor:
         if count < FEWEST:
             self._put_off(motor, place + FEWEST - count)
             return
-        before = self._tested[motor]
+        before = self._results[motor]
         samples = replay.newest(count, one)
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[0]
         white_box = self._white_boxes[motor]
@@ -240,42 +240,42 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
         )
-        named = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
-        stored = replay.newest(min(replay.stored(motor), WINDOW), one)
-        clipped = doubt_of_range(white_box.state(stored[TORQUE, 0]), analysis.moving_noise_a)
+        suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
+        content = replay.newest(min(replay.stored(motor), WINDOW), one)
+        clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
         if clipped is not None:
-            named.append(clipped)
+            suspicions.append(clipped)
         late = self._delay_suspect(motor, delay)
-        if named or late:
+        if suspicions or late:
             judgement = replace(judgement, verdict=FitVerdict.MISFIT)
         if judgement.verdict is not FitVerdict.OK:
             explained = (
                 {}  # its balance has a speed that nobody measures
                 if white_box.has_rotor
-                else explanations(white_box, SampleWindow.of_content(white_box, stored))
+                else explanations(white_box, SampleWindow.of_content(white_box, content))
             )
             if _clearest(explained) > VERY_CLEARLY:
                 judgement = replace(judgement, verdict=FitVerdict.MISFIT)
-            named += self._suspects(analysis, explained, motor)
-        named = [
-            late[0] if late and suspect.effect == 'delay' else suspect for suspect in named
+            suspicions += self._suspects(analysis, explained, motor)
+        suspicions = [
+            late[0] if late and suspect.effect == 'delay' else suspect for suspect in suspicions
         ] + late
         assessment = FitAssessment(
             judgement.verdict,
             analysis.ratio,
             analysis.whiteness,
-            _without_repetition(named),
+            _without_repetition(suspicions),
             analysis.samples,
         )
         range_v = float(np.ptp(samples[VOLTAGE, 0]))
         misfit = judgement.verdict is FitVerdict.MISFIT
         if not misfit and before is not None and before.outweighs(count, range_v):
             wait = min(2 * before.wait, LONGEST_WAIT)
-            self._tested[motor] = replace(before, place=place, begin=begin, wait=wait)
+            self._results[motor] = replace(before, place=place, begin=begin, wait=wait)
         else:
             misfits = 1 + (0 if before is None else before.misfits) if misfit else 0
             wait = self._wait(before, judgement.verdict, count)
-            self._tested[motor] = _Tested(
+            self._results[motor] = _Tested(
                 assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits
             )
         self._follow(motor)
@@ -286,12 +286,12 @@ class FitMonitor:
 
     def _follow(self, motor: int) -> None:
         """Note when a motor is tested next, and whether its test limits its estimate."""
-        tested = self._tested[motor]
-        assert tested is not None
-        self._due[motor] = tested.place + tested.wait
-        self._soon[motor] = tested.place + SHORTEST_WAIT
-        self._begin[motor] = tested.begin
-        judgement = tested.judgement
+        result = self._results[motor]
+        assert result is not None
+        self._due[motor] = result.place + result.wait
+        self._soon[motor] = result.place + SHORTEST_WAIT
+        self._begin[motor] = result.begin
+        judgement = result.judgement
         self._limits[motor] = judgement.widens or judgement.verdict is FitVerdict.MISFIT
 
     @staticmethod
@@ -332,7 +332,8 @@ class FitMonitor:
             }
         torque_constant = float(self._white_boxes[motor].torque_constant)
         return [
-            one.suspect(name, torque_constant) for one in select_rate(explained.values(), scores)
+            one.suspect(name, torque_constant)
+            for one in select_explanations(explained.values(), scores)
         ]
 
     def judged(
@@ -352,52 +353,52 @@ class FitMonitor:
         verdicts = list(estimate.verdicts)
         for row in limited.tolist():
             motor = int(motors[row])
-            tested = self._tested[motor]
-            if tested is None:
+            result = self._results[motor]
+            if result is None:
                 verdicts[row] = tuple(map(_at_most_converging, verdicts[row]))
                 continue
-            widened = _widened(tested.judgement, estimate.value[row], estimate.covariance[row])
+            widened = _widened(result.judgement, estimate.value[row], estimate.covariance[row])
             if widened is not None:
                 covariance = covariance.copy() if covariance is estimate.covariance else covariance
                 covariance[row] = widened
                 std = np.sqrt(np.diagonal(widened))[None]
                 frozen = Verdict.FROZEN in verdicts[row]
                 value = estimate.value[row : row + 1]
-                most = _largest_shares(nodes, motor, value[0], tested.judgement)[None]
+                most = _largest_shares(nodes, motor, value[0], result.judgement)[None]
                 verdicts[row] = nodes.verdict_rules.judge(
                     estimate.parameters, value, std, frozen=frozen, most=most
                 )[0]
-            if tested.assessment.verdict is FitVerdict.MISFIT:
+            if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(_misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
 
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
-        self._tested = [None] * len(self._motors)
+        self._results = [None] * len(self._motors)
         self._due[:] = FEWEST
         self._soon[:] = self._begin[:] = NEVER
         self._limits[:] = True
 
-    def state(self, motor: int, received: int) -> dict[str, Any]:
+    def state(self, motor: int, received_count: int) -> dict[str, Any]:
         """Everything about one motor, as plain values; places count back from the newest."""
-        tested = self._tested[motor]
-        if tested is None:
-            return {'due': int(self._due[motor]) - received}
-        judgement = tested.judgement
+        result = self._results[motor]
+        if result is None:
+            return {'due': int(self._due[motor]) - received_count}
+        judgement = result.judgement
         return {
-            'due': int(self._due[motor]) - received,
-            'assessment': {**tested.assessment.to_dict(), 'samples': tested.assessment.samples},
+            'due': int(self._due[motor]) - received_count,
+            'assessment': {**result.assessment.to_dict(), 'samples': result.assessment.samples},
             'factor': judgement.factor.tolist(),
             'spread': judgement.spread.tolist(),
-            'theta': tested.theta.tolist(),
-            'place': tested.place - received,
-            'begin': tested.begin - received,
-            'wait': tested.wait,
-            'range_v': tested.range_v,
-            'misfits': tested.misfits,
+            'theta': result.theta.tolist(),
+            'place': result.place - received_count,
+            'begin': result.begin - received_count,
+            'wait': result.wait,
+            'range_v': result.range_v,
+            'misfits': result.misfits,
         }
 
-    def restore(self, plain: dict[str, Any], motor: int, received: int) -> None:
+    def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
         """Take back what :meth:`state` gave.
 
         Raises:
@@ -405,8 +406,8 @@ class FitMonitor:
         """
         _check_saved(plain, len(self._white_boxes[motor].parameters))
         if 'assessment' not in plain:
-            self._tested[motor] = None
-            self._due[motor] = plain['due'] + received
+            self._results[motor] = None
+            self._due[motor] = plain['due'] + received_count
             self._soon[motor] = self._begin[motor] = NEVER
             self._limits[motor] = True
             return
@@ -414,18 +415,18 @@ class FitMonitor:
         judgement = Judgement(
             assessment.verdict, np.array(plain['factor']), np.array(plain['spread'])
         )
-        self._tested[motor] = _Tested(
+        self._results[motor] = _Tested(
             assessment,
             judgement,
             np.array(plain['theta']),
-            plain['place'] + received,
-            plain['begin'] + received,
+            plain['place'] + received_count,
+            plain['begin'] + received_count,
             plain['wait'],
             plain['range_v'],
             plain['misfits'],
         )
         self._follow(motor)
-        self._due[motor] = plain['due'] + received
+        self._due[motor] = plain['due'] + received_count
 
 
 def _check_saved(plain: dict[str, Any], parameters: int) -> None:
@@ -501,10 +502,10 @@ def _clearest(explained: Mapping[str, Explanation]) -> float:
 
 def _knows_inductance(estimate: Estimate) -> bool:
     """Tell whether a motor's inductance is identified: its current was seen to rise or fall."""
-    known = zip(estimate.parameters, estimate.verdicts[0], strict=True)
+    verdicts = zip(estimate.parameters, estimate.verdicts[0], strict=True)
     return any(
         parameter.name == 'inductance' and verdict is Verdict.IDENTIFIED
-        for parameter, verdict in known
+        for parameter, verdict in verdicts
     )
 
 
@@ -530,9 +531,9 @@ def _misfit(verdict: Verdict) -> Verdict:
     return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
 
 
-def _without_repetition(named: Sequence[Suspect]) -> tuple[Suspect, ...]:
+def _without_repetition(suspicions: Sequence[Suspect]) -> tuple[Suspect, ...]:
     """Return the first few suspects, each effect once."""
     first: dict[str, Suspect] = {}
-    for suspect in named:
+    for suspect in suspicions:
         first.setdefault(suspect.effect, suspect)
     return tuple(first.values())[:MOST_SUSPECTS]

@@ -152,9 +152,9 @@ def judge(
         fully, from_here = SHORTEST
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
         late += share * UNIFORM_STD
-    moved = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
-    spread += np.outer(moved, moved)
-    told = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
-    if not np.isfinite(told).all():  # what is no number says nothing, and nothing is believed
+    delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
+    spread += np.outer(delay_effect, delay_effect)
+    numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
+    if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
     return Judgement(verdict, factor, spread)

@@ -234,23 +234,23 @@ class _Projection:
 
     def without(self, signal: Array) -> Array:
         """Return what the columns do not explain of a signal, shape (sample, ...)."""
-        left: Array = signal - self._q @ (self._q.T @ signal)
-        return left
+        rest: Array = signal - self._q @ (self._q.T @ signal)
+        return rest
 
     def shift(self, signal: Array) -> Array:
         """Return the response of the log-parameters to a misread signal, shape (parameter,)."""
-        moved = self._solved(self._q.T @ signal) / self._scale
-        return _of_parameters(moved[1 : self._unknowns])
+        shift = self._solved(self._q.T @ signal) / self._scale
+        return _of_parameters(shift[1 : self._unknowns])
 
     def robust_std(self) -> Array:
         """Standard deviations of the log-parameters, shape (parameter,), for any correlation."""
-        reached = self._q * self.remainder[:, None]
-        spread = self._solved(long_run_covariance(reached)) / self._scale[:, None]
+        weighted_rows = self._q * self.remainder[:, None]
+        spread = self._solved(long_run_covariance(weighted_rows)) / self._scale[:, None]
         spread = (self._solved(spread.T) / self._scale[:, None])[
             1 : self._unknowns, 1 : self._unknowns
         ]
-        moved = _of_parameters(_of_parameters(spread).T)
-        std: Array = np.sqrt(np.maximum(np.diagonal(moved), 0.0))
+        shift = _of_parameters(_of_parameters(spread).T)
+        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
         return std
 
     def _solved(self, right: Array) -> Array:
@@ -262,9 +262,9 @@ class _Projection:
 
 def _of_parameters(coordinates: Array) -> Array:
     """Turn changes of log-coordinates, shape (coordinate, ...), into those of parameters."""
-    moved = coordinates - coordinates[:1]
-    moved[0] = -coordinates[0]
-    return moved
+    shift = coordinates - coordinates[:1]
+    shift[0] = -coordinates[0]
+    return shift
 
 
 def long_run_covariance(terms: Array) -> Array:
@@ -287,12 +287,12 @@ def _scores(
     run: FreeRun, projection: _Projection, scene: Scene, weight: Array, least_a: float
 ) -> tuple[EffectScore, ...]:
     """Test every effect but those that white residuals rule out at ``least_a`` or more."""
-    listed = [
+    candidates = [
         (effect, shapes)
         for effect, alternatives in possible_effects(scene)
         for shapes in alternatives
     ]
-    voltages = np.stack([shape for _, shapes in listed for shape in shapes])
+    voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
     response = run.response(voltages).T * weight[:, None]
     distinct = projection.without(response)
     power = (distinct**2).sum(axis=0)
@@ -300,33 +300,35 @@ def _scores(
     remainder = projection.remainder
     best: dict[str, EffectScore] = {}
     first = 0
-    for effect, shapes in listed:
+    for effect, shapes in candidates:
         columns = np.arange(first, first + len(shapes))
         first += len(shapes)
         columns = columns[own[columns]]
-        tested = _score(distinct[:, columns], remainder, least_a) if columns.size else None
-        if tested is None:
+        entry = _score(distinct[:, columns], remainder, least_a) if columns.size else None
+        if entry is None:
             continue
-        score, amount = tested
+        score, amount = entry
         if effect.name not in best or score > best[effect.name].score:
             shift = -projection.shift(response[:, columns] @ amount)
             best[effect.name] = EffectScore(effect, score, shift)
-    return tuple(sorted(best.values(), key=lambda tested: -tested.score))
+    return tuple(sorted(best.values(), key=lambda entry: -entry.score))
 
 
 def _score(distinct: Array, remainder: Array, least_a: float) -> tuple[float, Array] | None:
     """Robust score and size of one alternative; None where white residuals rule it out."""
     gram = distinct.T @ distinct
-    reached = distinct.T @ remainder
-    amount: Array = np.asarray(np.linalg.lstsq(gram, reached, rcond=1e-10)[0], dtype=float)
-    explained = float(reached @ amount)
+    weighted_rows = distinct.T @ remainder
+    amount: Array = np.asarray(np.linalg.lstsq(gram, weighted_rows, rcond=1e-10)[0], dtype=float)
+    explained = float(weighted_rows @ amount)
     degrees = distinct.shape[1]
-    left = remainder - distinct @ amount
-    noise = max(float(left @ left) / remainder.size, least_a**2)
+    rest = remainder - distinct @ amount
+    noise = max(float(rest @ rest) / remainder.size, least_a**2)
     if explained < LIKELY * degrees * noise:
         return None
-    covariance = long_run_covariance(distinct * left[:, None])
+    covariance = long_run_covariance(distinct * rest[:, None])
     white = gram * noise
     covariance = covariance + 0.5 * white
-    score = float(reached @ np.linalg.lstsq(covariance, reached, rcond=1e-10)[0]) / degrees
+    score = (
+        float(weighted_rows @ np.linalg.lstsq(covariance, weighted_rows, rcond=1e-10)[0]) / degrees
+    )
     return score, amount

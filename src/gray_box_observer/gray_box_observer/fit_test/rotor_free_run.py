@@ -70,21 +70,21 @@ def rotor_free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> Free
     window = Window.from_samples(white_box, _samples(white_box, stretch))
     with np.errstate(all='ignore'):
         runs = settled_runs(white_box, theta, window) if window.histories else None
-    joined = _joined(window) if window.histories else stretch
+    whole = _joined(window) if window.histories else stretch
     if runs is None:
-        return _nothing(p, joined)
+        return _nothing(p, whole)
     transitions = _transitions(runs)
     decay = np.clip(transitions[:, 0, 0], 0.0, 1.0)
     rate = -np.log(np.clip(decay, 1e-12, 1.0 - 1e-12))
     by_start = _by_start(runs)
     return RotorFreeRun(
-        joined,
+        whole,
         float(theta[0]),
-        joined.state[0] - runs.residual_a,
+        whole.state[0] - runs.residual_a,
         runs.residual_a,
         np.column_stack([by_start[0], -runs.by_parameter.sum(axis=1), runs.by_parameter[:, 1:]]),
         decay,
-        joined.interval_s[0] * (1.0 - decay) / rate,
+        whole.interval_s[0] * (1.0 - decay) / rate,
         np.ones_like(runs.residual_a),
         tuple(by_start[1:]),
         transitions,
@@ -96,9 +96,9 @@ def _samples(white_box: MotorWhiteBox, stretch: SampleWindow) -> Array:
     interval = np.concatenate([[0.0], np.where(stretch.restart[0], 0.0, stretch.interval_s[0])])
     voltage = np.concatenate([[0.0], stretch.voltage_v[0]])
     torque = np.asarray(white_box.output(stretch.state[0]))
-    made = np.zeros((SPEED + 1, torque.size))
-    made[:SPEED] = interval, voltage, torque
-    return made
+    result = np.zeros((SPEED + 1, torque.size))
+    result[:SPEED] = interval, voltage, torque
+    return result
 
 
 def _joined(window: Window) -> SampleWindow:

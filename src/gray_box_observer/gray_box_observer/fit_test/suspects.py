@@ -97,7 +97,7 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
         white_box: of one motor.
         stretch: its samples, with a motor axis of one.
     """
-    rows, names, listed = _balance(white_box, stretch)
+    rows, names, candidates = _balance(white_box, stretch)
     if rows.shape[1] < FEWEST_ROWS:
         return {}
     regressors = list(rows[: len(names)])
@@ -106,33 +106,35 @@ def explanations(white_box: MotorWhiteBox, stretch: SampleWindow) -> dict[str, E
     given_ohm = float(white_box.known.get('resistance', math.nan))
     best: dict[str, Explanation] = {}
     first = len(names) + 1
-    for effect, shapes in listed:
+    for effect, shapes in candidates:
         further = list(rows[first : first + len(shapes)])
         first += len(shapes)
-        left, weights = _fit([*regressors, *further], target)
-        gain = 0.5 * target.size / STRIDE * math.log(unexplained / left)
+        rest, weights = _fit([*regressors, *further], target)
+        gain = 0.5 * target.size / STRIDE * math.log(unexplained / rest)
         evidence = gain - 0.5 * len(shapes) * math.log(target.size)
         resistance = (
             float(weights[names.index('resistance')]) if 'resistance' in names else given_ohm
         )
         own = weights[len(names) :]
-        found = Explanation(effect, evidence, float(own[0]), float(own.sum()), resistance)
-        if effect.name not in best or found.rank > best[effect.name].rank:
-            best[effect.name] = found
+        explanation = Explanation(effect, evidence, float(own[0]), float(own.sum()), resistance)
+        if effect.name not in best or explanation.rank > best[effect.name].rank:
+            best[effect.name] = explanation
     return best
 
 
-def select_rate(found: Iterable[Explanation], scores: Mapping[str, float]) -> list[Explanation]:
+def select_explanations(
+    candidates: Iterable[Explanation], scores: Mapping[str, float]
+) -> list[Explanation]:
     """Return explanations that bring enough, the best first.
 
     An offset and a lost voltage are the same while the current keeps its sign; one that takes
     voltage is more often a loss, one that gives it an offset.
 
     Args:
-        found: what might be.
+        candidates: what might be.
         scores: evidence of the free run, by the effect's name.
     """
-    clear = (one for one in found if one.evidence > CLEAR and one.is_credible)
+    clear = (one for one in candidates if one.evidence > CLEAR and one.is_credible)
     ranked = sorted(clear, key=lambda one: -one.evidence)
     if ranked and {one.effect.name for one in ranked[:2]} == set(LATE):
         ranked[:2] = sorted(ranked[:2], key=lambda one: -scores.get(one.effect.name, 0.0))
@@ -142,8 +144,8 @@ def select_rate(found: Iterable[Explanation], scores: Mapping[str, float]) -> li
         if one.effect.name in ALIKE and one.evidence > ranked[0].evidence - TIED
     ]
     if ranked and len(tied) > 1 and ranked[0] in tied:
-        wanted = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
-        tied.sort(key=lambda one: one.effect.name != wanted)
+        effect_name = 'lost_voltage' if tied[0].amount > 0.0 else 'current_offset'
+        tied.sort(key=lambda one: one.effect.name != effect_name)
         ranked = tied + [one for one in ranked if one not in tied]
     return ranked
 
@@ -164,15 +166,15 @@ def _balance(
     ]
     measured = interval_means(speed[0]) if white_box.speed_measured else None
     scene = Scene(stretch.voltage_v[0], interval_means(current_a), measured, fine=True)
-    listed = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
+    candidates = [(effect, shapes) for effect, group in possible_effects(scene) for shapes in group]
     signals = [
         np.diff(current_a),
         *(interval_means(base) * interval_s for base in bases),
         drive_v * interval_s,
     ]
-    signals += [-shape * interval_s for _, shapes in listed for shape in shapes]
+    signals += [-shape * interval_s for _, shapes in candidates for shape in shapes]
     rows = _windowed(np.where(whole, np.stack(signals), 0.0), whole)
-    return rows, [parameter.name for parameter in white_box.parameters], listed
+    return rows, [parameter.name for parameter in white_box.parameters], candidates
 
 
 def _windowed(signals: Array, whole: Array) -> Array:
@@ -193,5 +195,5 @@ def _fit(regressors: list[Array], target: Array) -> tuple[float, Array]:
     columns = np.column_stack(regressors)
     scale = np.linalg.norm(columns, axis=0) + 1e-300
     weights = np.linalg.lstsq(columns / scale, target, rcond=1e-9)[0]
-    left = target - columns @ (weights / scale)
-    return float(left @ left) + 1e-24 * float(target @ target) + 1e-300, weights / scale
+    rest = target - columns @ (weights / scale)
+    return float(rest @ rest) + 1e-24 * float(target @ target) + 1e-300, weights / scale

@@ -132,5 +132,7 @@ def autocorrelation(residual: Array) -> tuple[Array, float] | None:
     power = float(newest @ newest)
     if newest.size <= 2 * LAGS or not power > 0.0:
         return None
-    found = np.array([float(newest[lag:] @ newest[:-lag]) / power for lag in range(1, LAGS + 1)])
-    return found, BAND / math.sqrt(newest.size)
+    correlations = np.array(
+        [float(newest[lag:] @ newest[:-lag]) / power for lag in range(1, LAGS + 1)]
+    )
+    return correlations, BAND / math.sqrt(newest.size)

@@ -61,11 +61,11 @@ def coordinates(white_box: MotorWhiteBox, theta: Array) -> Array:
     """
     values = {name: float(value) for name, value in white_box.known.items()}
     values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
-    made = np.zeros(COORDINATES)
+    result = np.zeros(COORDINATES)
     for name, term in TERMS.items():
         storage = values[STORAGES[term.state]]
-        made[_PLACES[name]] = (values.get(name, 0.0) if term.formula else 1.0) / storage
-    return made
+        result[_PLACES[name]] = (values.get(name, 0.0) if term.formula else 1.0) / storage
+    return result
 
 
 def slopes(white_box: MotorWhiteBox, p: Array) -> Array:
@@ -78,13 +78,13 @@ def slopes(white_box: MotorWhiteBox, p: Array) -> Array:
     Returns:
         Shape (coordinate, parameter).
     """
-    made = np.zeros((COORDINATES, len(white_box.context_nodes)))
+    result = np.zeros((COORDINATES, len(white_box.context_nodes)))
     for node, name in enumerate(white_box.context_nodes):
         term = TERMS[name]
         if term.formula:
-            made[_PLACES[name], node] = p[_PLACES[name]]
+            result[_PLACES[name], node] = p[_PLACES[name]]
             continue
         for other, place in _PLACES.items():
             if TERMS[other].state is term.state:
-                made[place, node] = -p[place]
-    return made
+                result[place, node] = -p[place]
+    return result

@@ -111,9 +111,11 @@ class RotorUpdate:
         self.verdict_rules = verdict_rules or VerdictSettings()
         self._lower, self._upper = bounds(white_box.parameters)
         theta = np.clip(np.asarray(initial, dtype=float)[0], self._lower, self._upper)
-        stated = np.zeros_like(theta) if initial_relative_std is None else initial_relative_std[0]
-        self._is_stated = stated > 0.0
-        std = np.where(self._is_stated, stated, VAGUE)
+        stated_std = (
+            np.zeros_like(theta) if initial_relative_std is None else initial_relative_std[0]
+        )
+        self._is_stated = stated_std > 0.0
+        std = np.where(self._is_stated, stated_std, VAGUE)
         self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
         self.replay = ReplayBuffer(
             1, max(self._rules.replay_capacity, WINDOW), speed_measured=False
@@ -135,8 +137,8 @@ class RotorUpdate:
     @property
     def theta(self) -> Array:
         """Present values, shape (1, parameter)."""
-        made: Array = np.exp(self._logarithms)[None].clip(self._lower, self._upper)
-        return made
+        result: Array = np.exp(self._logarithms)[None].clip(self._lower, self._upper)
+        return result
 
     @property
     def changed(self) -> NDArray[np.bool_]:
@@ -274,10 +276,10 @@ class RotorUpdate:
         """Fit without regard to what was known, from every start there is."""
         newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
         starts = [self.theta[0], *weak_starts(self._white_box, newest)]
-        found = fit_window(self._white_box, newest, self._data_sheet, starts)
-        if found is None or newest is window:
-            return found
-        return fit_window(self._white_box, window, self._data_sheet, [found.theta])
+        fit = fit_window(self._white_box, newest, self._data_sheet, starts)
+        if fit is None or newest is window:
+            return fit
+        return fit_window(self._white_box, window, self._data_sheet, [fit.theta])
 
     @staticmethod
     def _is_poor(fit: Fit) -> bool:
@@ -297,15 +299,15 @@ class RotorUpdate:
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
-        received = self._place
+        received_count = self._place
         content = self.replay.content()
         plain = {
             'parameters': [p.name for p in self._white_box.parameters],
             'stamp_ns': self._stamp_ns,
-            'mark': self._mark - received,
-            'due': self._due - received,
+            'mark': self._mark - received_count,
+            'due': self._due - received_count,
             'wait': self._wait,
-            'gone': received - content.shape[2],
+            'gone': received_count - content.shape[2],
             'begin': int(self.replay.begin()[0]),
             'settled': self._is_settled,
             'resumes': self._resumes,
@@ -336,9 +338,9 @@ class RotorUpdate:
             )
         self._check(plain, arrays)
         self.replay.refill(arrays['replay'], dropped_count=plain['gone'], begin=plain['begin'])
-        self._place = received = int(self.replay.received[0])
-        self._mark = max(received + plain['mark'], 0)
-        self._due = received + plain['due']
+        self._place = received_count = int(self.replay.received[0])
+        self._mark = max(received_count + plain['mark'], 0)
+        self._due = received_count + plain['due']
         self._wait = plain['wait']
         self._stamp_ns = max(self._stamp_ns, plain['stamp_ns'])
         self._is_settled = plain['settled']
@@ -368,11 +370,11 @@ class RotorUpdate:
         check_covariance('memory_precision', arrays['memory_precision'])
         check_signals('replay', arrays.get('replay'))
         whole(plain, 'stamp_ns', -LATEST_NS, LATEST_NS)
-        gone = whole(plain, 'gone')
-        whole(plain, 'mark', -gone - arrays['replay'].shape[2], 0)
+        dropped_count = whole(plain, 'gone')
+        whole(plain, 'mark', -dropped_count - arrays['replay'].shape[2], 0)
         whole(plain, 'due', -MOST, LONGEST_WAIT)
         whole(plain, 'wait', AGAIN, LONGEST_WAIT)
-        whole(plain, 'begin', 0, gone + arrays['replay'].shape[2])
+        whole(plain, 'begin', 0, dropped_count + arrays['replay'].shape[2])
         for name in ('settled', 'resumes', 'remembers'):
             flag(plain, name)
 
@@ -381,5 +383,5 @@ def _inverse(matrix: Array) -> Array:
     """Inverse of a symmetric matrix in its own units, symmetric again."""
     unit = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     scaled = matrix / unit[:, None] / unit
-    made = np.linalg.pinv(0.5 * (scaled + scaled.T), rcond=1e-13, hermitian=True)
-    return np.asarray(made / unit[:, None] / unit, dtype=float)
+    result = np.linalg.pinv(0.5 * (scaled + scaled.T), rcond=1e-13, hermitian=True)
+    return np.asarray(result / unit[:, None] / unit, dtype=float)

@@ -80,17 +80,17 @@ def run(
     transitions = np.empty((count, STATES, STATES))
     library = native.library() if compiled else None
     if library is None:
-        followed = _run(
+        path = _run(
             torque_constant, p, start, (voltage_v, interval_s), limits,
             (states, derivatives, transitions),
         )  # fmt: skip
-        return Run(states, derivatives, transitions, followed == count)
-    given = [
+        return Run(states, derivatives, transitions, path == count)
+    arguments = [
         np.ascontiguousarray(array, dtype=float)
         for array in (p, start, voltage_v, interval_s, limits)
     ]
-    to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, given)
-    followed = library.whole_motor_run(
+    to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, arguments)
+    path = library.whole_motor_run(
         to_p,
         torque_constant,
         to_start,
@@ -102,7 +102,7 @@ def run(
         MOST_STEPS,
         *map(native.pointer, (states, derivatives, transitions)),
     )
-    return Run(states, derivatives, transitions, followed == count)
+    return Run(states, derivatives, transitions, path == count)
 
 
 def _run(
@@ -121,13 +121,13 @@ def _run(
     coefficients = dict(enumerate(p.tolist()))
     with np.errstate(all='ignore'):
         for k, (volt, length) in enumerate(zip(*(s.tolist() for s in signals), strict=True)):
-            moved = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
-            if not all(abs(x) <= most for x, most in zip(moved.value, limits, strict=True)):
+            motion = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
+            if not all(abs(x) <= most for x, most in zip(motion.value, limits, strict=True)):
                 return k
-            states[k + 1] = moved.value
-            transitions[k] = moved.by_state
+            states[k + 1] = motion.value
+            transitions[k] = motion.by_state
             derivatives[k + 1] = transitions[k] @ derivatives[k]
-            derivatives[k + 1, :, STATES:] += np.array(moved.by_coordinate)
+            derivatives[k + 1, :, STATES:] += np.array(motion.by_coordinate)
     return int(states.shape[0]) - 1
 
 
@@ -142,16 +142,16 @@ def _interval_moved(
     here = rate_at(start, 0.0)
     away = _fastest(here)
     interval = Interval(volt, 0.0, 0.0, length)  # type: ignore[arg-type]
-    moved = _in_steps(rate_at, start, here, interval, away)
+    motion = _in_steps(rate_at, start, here, interval, away)
     passes = [
         abs(x) <= length * abs(slope) or x * end <= 0.0
-        for x, slope, end in zip(start, here.value, moved.value, strict=True)
+        for x, slope, end in zip(start, here.value, motion.value, strict=True)
     ]
     if not any(passes):
-        return moved
+        return motion
     at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
     steepest = _fastest(rate_at(at, 0.0))
-    return _in_steps(rate_at, start, here, interval, steepest) if steepest > away else moved
+    return _in_steps(rate_at, start, here, interval, steepest) if steepest > away else motion
 
 
 def _in_steps(
@@ -160,10 +160,10 @@ def _in_steps(
     """Equal steps from a start, as many as a stiffness asks for; ``here`` is the rate there."""
     length: Any = interval.length_s
     share = stiffness * length / LARGEST_STEP
-    wanted = math.ceil(share) if math.isfinite(share) else MOST_STEPS + 1
-    count = max(1, min(wanted, MOST_STEPS))
+    step_count = math.ceil(share) if math.isfinite(share) else MOST_STEPS + 1
+    count = max(1, min(step_count, MOST_STEPS))
     step: Any = runge_kutta_step
-    if wanted > MOST_STEPS:
+    if step_count > MOST_STEPS:
         step = partial(_exponential_step, _FLOATS)
     part = Interval(interval.voltage_v, 0.0, 0.0, length / count)  # type: ignore[arg-type]
     whole = step(rate_at, start, here, part)

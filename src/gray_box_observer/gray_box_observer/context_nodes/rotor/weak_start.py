@@ -39,15 +39,15 @@ def weak_starts(white_box: MotorWhiteBox, window: Window) -> Iterator[Array]:
     """
     with np.errstate(all='ignore'):
         for width in WIDTHS:
-            found = _solved(window, width)
-            if found is not None and np.isfinite(found).all():
-                yield _nodes(white_box, found, window)
+            solution = _solved(window, width)
+            if solution is not None and np.isfinite(solution).all():
+                yield _nodes(white_box, solution, window)
 
 
 def _solved(window: Window, width: int) -> Array | None:
     """Return (L, R, a, b, c); None where the samples are too few or tell nothing."""
     resistance = None
-    found = None
+    solution = None
     for _ in range(2):  # the sign of the back-EMF needs a resistance
         rows = [
             _rows(history, width, resistance)
@@ -56,11 +56,11 @@ def _solved(window: Window, width: int) -> Array | None:
         ]
         if not rows or sum(row.shape[0] for row in rows) < 16:
             return None
-        found = _positive(np.concatenate(rows))
-        if found is None:
+        solution = _positive(np.concatenate(rows))
+        if solution is None:
             return None
-        resistance = float(found[1])
-    return found
+        resistance = float(solution[1])
+    return solution
 
 
 def _rows(history: History, width: int, resistance: float | None) -> Array:
@@ -82,8 +82,8 @@ def _rows(history: History, width: int, resistance: float | None) -> Array:
     def corners(signal: Array) -> Array:
         """Second difference over the corners of every triangle."""
         before, middle, after = signal[: -2 * width], signal[width:-width], signal[2 * width :]
-        made: Array = (before - middle) / left + (after - middle) / right
-        return made
+        result: Array = (before - middle) / left + (after - middle) / right
+        return result
 
     signals = (current, once, twice, -volt_twice, -sign_twice, volt_once)
     return np.stack([corners(signal) for signal in signals], axis=1)
@@ -105,12 +105,12 @@ def _positive(rows: Array) -> Array | None:
     """Solve for (L, R, a, b, c), without friction where it comes out negative."""
     *_, right = rows.T
     for columns in ((0, 1, 2, 3, 4), (0, 1, 2, 4), (0, 1, 2, 3), (0, 1, 2)):
-        chosen = rows[:, columns]
-        size = np.linalg.norm(chosen, axis=0)
-        kept = size > 0.0
+        selection = rows[:, columns]
+        size = np.linalg.norm(selection, axis=0)
+        is_present = size > 0.0
         answer = np.zeros(5)
-        solved = np.linalg.lstsq(chosen[:, kept] / size[kept], right, rcond=1e-9)[0]
-        answer[np.array(columns)[kept]] = solved / size[kept]
+        solved = np.linalg.lstsq(selection[:, is_present] / size[is_present], right, rcond=1e-9)[0]
+        answer[np.array(columns)[is_present]] = solved / size[is_present]
         inductance, slope, level, viscous, dry = answer
         if level <= 0.0 or slope <= 0.0:
             continue
@@ -125,9 +125,9 @@ def _positive(rows: Array) -> Array | None:
     return None
 
 
-def _nodes(white_box: MotorWhiteBox, found: Array, window: Window) -> Array:
+def _nodes(white_box: MotorWhiteBox, solution: Array, window: Window) -> Array:
     """Turn (L, R, a, b, c) into context nodes within bounds; others keep initial values."""
-    inductance, resistance, coupling, viscous, dry = found.tolist()
+    inductance, resistance, coupling, viscous, dry = solution.tolist()
     back_emf = float(white_box.known['back_emf_constant'])
     torque_constant = float(white_box.torque_constant)
     inertia = back_emf * torque_constant / coupling
@@ -140,6 +140,6 @@ def _nodes(white_box: MotorWhiteBox, found: Array, window: Window) -> Array:
         'viscous_friction': max(viscous * inertia, slowest),
         'coulomb_friction': max(dry * inertia / back_emf, LEAST_FRICTION * torque),
     }
-    made = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
+    result = np.array([values.get(p.name, p.lower) for p in white_box.parameters])
     lower, upper = bounds(white_box.parameters)
-    return np.asarray(np.clip(made, 1.01 * lower, 0.99 * upper), dtype=float)
+    return np.asarray(np.clip(result, 1.01 * lower, 0.99 * upper), dtype=float)

@@ -73,7 +73,7 @@ class Window:
         current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
         begins = np.flatnonzero(samples[INTERVAL] <= 0.0)
         edges = np.unique([0, *begins.tolist(), current.size])
-        made = [
+        result = [
             History(
                 current[begin:end],
                 samples[VOLTAGE, begin + 1 : end],
@@ -82,10 +82,10 @@ class Window:
             for begin, end in pairwise(edges.tolist())
             if end - begin >= FEWEST
         ]
-        if len(made) > MOST_HISTORIES:
-            shortest = sorted(history.current_a.size for history in made)[-MOST_HISTORIES]
-            made = [history for history in made if history.current_a.size >= shortest]
-        return cls(tuple(made[-MOST_HISTORIES:]))
+        if len(result) > MOST_HISTORIES:
+            shortest = sorted(history.current_a.size for history in result)[-MOST_HISTORIES]
+            result = [history for history in result if history.current_a.size >= shortest]
+        return cls(tuple(result[-MOST_HISTORIES:]))
 
     @cached_property
     def current_a(self) -> Array:
@@ -179,18 +179,18 @@ def free_runs(
     runs = []
     for history, start in zip(window.histories, starts, strict=True):
         torque_constant = float(white_box.torque_constant)
-        made = run(
+        result = run(
             torque_constant, p, start, history.voltage_v, history.interval_s, limits,
             compiled=compiled,
         )  # fmt: skip
-        runs.append(made)
-        if not made.is_bounded:
+        runs.append(result)
+        if not result.is_bounded:
             nothing = np.empty(0)
             return FreeRuns(tuple(runs), nothing, (), nothing, is_bounded=False)
-    slope = [made.slopes[:, State.CURRENT] for made in runs]
+    slope = [result.slopes[:, State.CURRENT] for result in runs]
     residual = [
-        history.current_a - made.states[:, State.CURRENT]
-        for history, made in zip(window.histories, runs, strict=True)
+        history.current_a - result.states[:, State.CURRENT]
+        for history, result in zip(window.histories, runs, strict=True)
     ]
     return FreeRuns(
         tuple(runs),
@@ -212,19 +212,19 @@ def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Arr
     Returns:
         Shape (n,): current in A; NaN where the values cannot be run.
     """
-    made = np.full(samples.shape[1], np.nan)
+    result = np.full(samples.shape[1], np.nan)
     current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
     begins = np.flatnonzero(samples[INTERVAL] <= 0.0).tolist()
     for begin, end in pairwise(sorted({0, *begins, current.size})):
         between = slice(begin + 1, end)
         history = History(current[begin:end], samples[VOLTAGE, between], samples[INTERVAL, between])
         window = Window((history,))
-        made[begin] = current[begin]
+        result[begin] = current[begin]
         if end - begin > 1:
             runs = free_runs(white_box, theta, window, guessed_starts(white_box, theta, window))
             if runs.is_bounded:
-                made[begin:end] = history.current_a - runs.residual_a
-    return made
+                result[begin:end] = history.current_a - runs.residual_a
+    return result
 
 
 def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Array:

@@ -119,8 +119,8 @@ class Fit:
     @property
     def theta(self) -> Array:
         """Shape (parameter,)."""
-        made: Array = np.exp(self.logarithms)
-        return made
+        result: Array = np.exp(self.logarithms)
+        return result
 
 
 def fit_window(
@@ -152,15 +152,15 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
     interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
     if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
         return []
-    found = []
+    fits = []
     for factor in OTHERS:
-        moved = fit.logarithms.copy()
-        moved[white_box.context_nodes.index('inductance')] += np.log(factor)
-        search = _Search(white_box, window, prior, moved)
+        neighbour = fit.logarithms.copy()
+        neighbour[white_box.context_nodes.index('inductance')] += np.log(factor)
+        search = _Search(white_box, window, prior, neighbour)
         if search.is_valid:
             search.run()
-            found.append(search.result())
-    return [other for other in found if other is not None]
+            fits.append(search.result())
+    return [other for other in fits if other is not None]
 
 
 def _size(fit: Fit) -> float:
@@ -321,13 +321,15 @@ class _Search:
             precision = equations.information + self.prior.precision
             right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
             before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
-            moved, damping = self._stepped(equations, precision, right, (scale, before, damping))
-            if moved is None:
+            neighbour, damping = self._stepped(
+                equations, precision, right, (scale, before, damping)
+            )
+            if neighbour is None:
                 return
             left = float(right @ np.linalg.lstsq(precision, right, rcond=1e-12)[0])
             after = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
             idle = idle + 1 if before - after < IDLE else 0
-            if left < TOLERANCE**2 * moved.size or idle == MOST_IDLE:
+            if left < TOLERANCE**2 * neighbour.size or idle == MOST_IDLE:
                 return
 
     def _stepped(
@@ -439,5 +441,5 @@ class _Equations:
             step: shape (parameter,).
             own: share of what they would move by.
         """
-        made: Array = own * (self.level - self.gain @ step)
-        return made
+        result: Array = own * (self.level - self.gain @ step)
+        return result
