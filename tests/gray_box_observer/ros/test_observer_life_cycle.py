@@ -170,7 +170,7 @@ def test_an_alarm_still_to_be_told_goes_out_before_what_is_loaded(node, monkeypa
         one._outputs._alarm, 'motor', lambda data: told.append(deserialize_message(data, Bool).data)
     )
     monkeypatch.setattr(one._keeper, 'load', lambda observer: 'c')
-    one._unsettled = [
+    one._deferred_results = [
         SimpleNamespace(
             group=SimpleNamespace(names=('motor',), observer=None), alarm=np.array([True])
         )
