@@ -9,6 +9,22 @@ from pathlib import Path
 import numpy as np
 
 
+def load(kind: type[ctypes.CDLL] = ctypes.CDLL) -> ctypes.CDLL | None:
+    """Load the file of compiled code; None if absent, or on a 32-bit processor.
+
+    Args:
+        kind: how functions are called: ``CDLL`` lets the interpreter lock go meanwhile, ``PyDLL``
+            keeps it.
+    """
+    if np.dtype(int).itemsize != ctypes.sizeof(ctypes.c_int64):
+        return None
+    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
+    try:
+        return kind(str(path))
+    except OSError:
+        return None
+
+
 def library(
     size: str, structure: type[ctypes.Structure], kind: type[ctypes.CDLL] = ctypes.CDLL
 ) -> ctypes.CDLL | None:
@@ -20,16 +36,11 @@ def library(
     Args:
         size: function that tells the size of a structure there.
         structure: the same here.
-        kind: how functions are called: ``CDLL`` lets the interpreter lock go meanwhile, ``PyDLL``
-            keeps it.
+        kind: how functions are called, see :func:`load`.
     """
-    if np.dtype(int).itemsize != ctypes.sizeof(ctypes.c_int64):
+    handle = load(kind)
+    if handle is None or not hasattr(handle, size):
         return None
-    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
-    try:
-        handle = kind(str(path))
-        size_of = getattr(handle, size)
-    except (OSError, AttributeError):
-        return None
+    size_of = getattr(handle, size)
     size_of.restype = ctypes.c_int64
     return handle if size_of() == ctypes.sizeof(structure) else None

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-import sysconfig
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.context_nodes.native import compiled
 from gray_box_observer.white_box import forms
 
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
@@ -19,12 +18,10 @@ _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 @cache
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
-    path = Path(__file__).with_name(f'_compiled{sysconfig.get_config_var("EXT_SUFFIX")}')
-    try:
-        handle = ctypes.CDLL(str(path))
-        fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_run
-    except (OSError, AttributeError):
+    handle = compiled.load()
+    if handle is None or not hasattr(handle, 'whole_motor_fingerprint'):
         return None
+    fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_run
     fingerprint.restype = run.restype = _COUNT
     run.argtypes = (
         *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _NUMBER, _COUNT),
