@@ -7,13 +7,15 @@
 /* Bound of the fastest rate: flow.py, _stiffness, of one motor. */
 INLINE double fastest(const Linear *here)
 {
-    const double coupled = sqrt(absolute(here->by_state[CURRENT][SPEED] * here->by_state[SPEED][CURRENT]));
+    const double coupled =
+        sqrt(absolute(here->by_state[CURRENT][SPEED] * here->by_state[SPEED][CURRENT]));
     return larger(absolute(here->by_state[CURRENT][CURRENT]) + coupled,
                   absolute(here->by_state[SPEED][SPEED]) + coupled);
 }
 
 /* Equal steps from a start, as many as a stiffness asks for; `here` is the rate at the start. */
-static Linear in_steps(const double *p, double torque_constant, const double *start, const Linear *rate, double voltage,
+static Linear in_steps(const double *p, double torque_constant, const double *start,
+                       const Linear *rate, double voltage,
                        double length, double stiffness, double largest_step, int64_t most_steps)
 {
     const double wanted = ceil(stiffness * length / largest_step);
@@ -25,7 +27,8 @@ static Linear in_steps(const double *p, double torque_constant, const double *st
     for (int64_t k = 0; k < count; k++) {
         if (k > 0) here = rate_of(p, torque_constant, whole.value, voltage);
         const Linear part = stiff ? exponential_step(whole.value, &here, step)
-                                  : runge_kutta_step(p, torque_constant, whole.value, &here, voltage, step);
+                                  : runge_kutta_step(
+                                        p, torque_constant, whole.value, &here, voltage, step);
         whole = joined(&whole, &part);
     }
     return whole;
@@ -43,7 +46,8 @@ INLINE int passing(const double *start, const Linear *here, const double *end, d
 }
 
 /* Move one interval on, again in shorter steps where a state has passed zero. */
-static Linear interval_moved(const double *p, double torque_constant, const double *start, double voltage,
+static Linear interval_moved(const double *p, double torque_constant, const double *start,
+                             double voltage,
                              double length, double largest_step, int64_t most_steps)
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
@@ -57,16 +61,19 @@ static Linear interval_moved(const double *p, double torque_constant, const doub
     const Linear there = rate_of(p, torque_constant, at, voltage);
     const double steepest = fastest(&there);
     if (!(steepest > away)) return moved;
-    return in_steps(p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps);
+    return in_steps(
+        p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps);
 }
 
 int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
 
 /* Follow `count` intervals from a start. `states` has room for [count + 1][STATES], `slopes` for
- * [count + 1][STATES][COLUMNS], derivatives by both first states and every coordinate, and `transitions` for
- * [count][STATES][STATES]. Returns how many intervals were followed before a state was beyond its limit. */
+ * [count + 1][STATES][COLUMNS], derivatives by both first states and every coordinate, and
+ * `transitions` for [count][STATES][STATES]. Returns how many intervals were followed before a
+ * state was beyond its limit. */
 int64_t whole_motor_run(const double *p, double torque_constant, const double *start, int64_t count,
-                        const double *voltage, const double *length, const double *limits, double largest_step,
+                        const double *voltage, const double *length, const double *limits,
+                        double largest_step,
                         int64_t most_steps, double *states, double *slopes, double *transitions)
 {
     for (int s = 0; s < STATES; s++) {
@@ -75,16 +82,20 @@ int64_t whole_motor_run(const double *p, double torque_constant, const double *s
     }
     for (int64_t k = 0; k < count; k++) {
         const Linear moved =
-            interval_moved(p, torque_constant, states + k * STATES, voltage[k], length[k], largest_step, most_steps);
+            interval_moved(p, torque_constant, states + k * STATES, voltage[k], length[k],
+                           largest_step, most_steps);
         const double *before = slopes + k * STATES * COLUMNS;
         double *after = slopes + (k + 1) * STATES * COLUMNS;
         for (int s = 0; s < STATES; s++) {
             if (!(absolute(moved.value[s]) <= limits[s])) return k;
             states[(k + 1) * STATES + s] = moved.value[s];
-            for (int r = 0; r < STATES; r++) transitions[(k * STATES + s) * STATES + r] = moved.by_state[s][r];
+            for (int r = 0; r < STATES; r++)
+                transitions[(k * STATES + s) * STATES + r] = moved.by_state[s][r];
             const double a = moved.by_state[s][CURRENT], b = moved.by_state[s][SPEED];
-            for (int j = 0; j < COLUMNS; j++) after[s * COLUMNS + j] = a * before[j] + b * before[COLUMNS + j];
-            for (int j = 0; j < COORDINATES; j++) after[s * COLUMNS + STATES + j] += moved.by_coordinate[s][j];
+            for (int j = 0; j < COLUMNS; j++)
+                after[s * COLUMNS + j] = a * before[j] + b * before[COLUMNS + j];
+            for (int j = 0; j < COORDINATES; j++)
+                after[s * COLUMNS + STATES + j] += moved.by_coordinate[s][j];
         }
     }
     return count;
