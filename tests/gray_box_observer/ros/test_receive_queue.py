@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import mmap
 import threading
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
@@ -19,6 +19,15 @@ from gray_box_observer.ros.observer.receive_queue import BUDGET_MESSAGES, CALM_S
 LIMIT = 4_000_000
 BUDGET = BUDGET_MESSAGES * LIMIT
 DEPTH = 1000
+
+
+def touched_memory() -> mmap.mmap:
+    """Return 80 MB, each page touched; pages that the system makes large would count as few."""
+    memory = mmap.mmap(-1, 80_000_000)
+    memory.madvise(mmap.MADV_NOHUGEPAGE)
+    for offset in range(0, len(memory), mmap.PAGESIZE):
+        memory[offset] = 1
+    return memory
 
 
 class Node:
@@ -147,10 +156,10 @@ def test_what_is_closed_while_it_is_made_anew_stays_closed(queue, node):
 
 def test_growth_is_told_by_who_has_touched_the_memory():
     memory, kept = ReceiveMemory(), []
-    kept.append(np.ones(10_000_000))
+    kept.append(touched_memory())
     assert memory.grown_bytes() < 20e6, 'ours'
     memory.mark()
-    other = threading.Thread(target=lambda: kept.append(np.ones(10_000_000)))
+    other = threading.Thread(target=lambda: kept.append(touched_memory()))
     other.start()
     other.join()
     assert memory.grown_bytes() > 60e6, 'of another thread'
@@ -160,7 +169,7 @@ def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatc
     kept, written, go_on = [], threading.Event(), threading.Event()
 
     def write(*_):
-        kept.append(np.ones(10_000_000))
+        kept.append(touched_memory())
         written.set()
         assert go_on.wait(20.0)
 
@@ -176,7 +185,7 @@ def test_what_the_writer_of_checkpoints_touches_is_no_flood(tmp_path, monkeypatc
     keeper.keep(observer)
     assert written.wait(20.0)
     assert memory.grown_bytes() < 20e6, 'while it writes'
-    other = threading.Thread(target=lambda: kept.append(np.ones(10_000_000)))
+    other = threading.Thread(target=lambda: kept.append(touched_memory()))
     other.start()
     other.join()
     assert memory.grown_bytes() > 60e6, 'a flood meanwhile, with a disk that does not answer'
