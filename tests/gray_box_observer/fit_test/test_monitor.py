@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -200,3 +201,31 @@ def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
         stretched.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
     stretched.flush()
     return stretched
+
+
+def test_a_test_that_changes_nothing_that_is_believed_says_so() -> None:
+    """Who publishes sends an estimate again only where its test has changed it."""
+    observer = _healthy().observed()
+    group = observer.group_of('motor')
+    assert group.observer is not None
+    group.observer.retested()
+    changes = []
+    for _ in _feed_on(observer, _healthy(seed=7, samples=3 * SAMPLES)):
+        changes += group.observer.retested().values()
+    assert len(changes) >= 3, 'it was tested'
+    assert not any(changes)
+    for _ in _feed_on(observer, _free_rotor(seed=8, samples=2 * SAMPLES), later=4 * SAMPLES):
+        changes += group.observer.retested().values()
+    assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
+    assert any(changes), 'the estimate that was identified is not any more'
+
+
+def _feed_on(observer: Observer, record: Record, later: int = SAMPLES) -> Iterator[None]:
+    """Feed a record behind another one, a sample at a time."""
+    for k, (voltage_v, current_a) in enumerate(
+        zip(record.voltage_v, record.current_a, strict=True)
+    ):
+        stamp_ns = round((later + k) * INTERVAL_S * 1e9)
+        observer.voltage('motor', stamp_ns, float(voltage_v))
+        observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
+        yield

@@ -167,6 +167,8 @@ class FitMonitor:
         """
         replay = nodes.replay
         places = replay.received[motors]
+        if (places < np.minimum(self._due[motors], self._soon[motors])).all():
+            return []
         changed = replay.begin(motors) > self._begin[motors]
         waited = places >= np.where(changed, self._soon[motors], self._due[motors])
         settling = self._limits[motors] & (places >= self._soon[motors])

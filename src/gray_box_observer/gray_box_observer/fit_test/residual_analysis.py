@@ -192,7 +192,7 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     count = max(FEWEST_STEEP, int(STEEPEST * slope.size))
     if 4 * count >= slope.size:  # there is no rest to compare with
         return 0.0
-    order = np.argsort(slope)
+    order = np.argpartition(slope, (slope.size - 4 * count, slope.size - count))
     steep, rest = order[-count:], order[: -4 * count]
     size = np.abs(remainder)
     steep_a = MAD_TO_STD * float(np.median(size[steep]))
@@ -232,9 +232,9 @@ class _Projection:
         self._unknowns = unknowns
         self.remainder: Array = self.without(residual)
 
-    def without(self, signal: Array) -> Array:
-        """Return what the columns do not explain of a signal, shape (sample, ...)."""
-        rest: Array = signal - self._q @ (self._q.T @ signal)
+    def without(self, signals: Array) -> Array:
+        """Return what the columns do not explain of signals, shape (..., sample)."""
+        rest: Array = signals - (signals @ self._q) @ self._q.T
         return rest
 
     def shift(self, signal: Array) -> Array:
@@ -293,42 +293,55 @@ def _scores(
         for shapes in alternatives
     ]
     voltages = np.stack([shape for _, shapes in candidates for shape in shapes])
-    response = run.response(voltages).T * weight[:, None]
+    response = run.response(voltages)
+    response *= weight
     distinct = projection.without(response)
-    power = (distinct**2).sum(axis=0)
-    own = power > DISTINCT * (response**2).sum(axis=0)
+    gram = distinct @ distinct.T
+    own = np.diagonal(gram) > DISTINCT * np.einsum('ij,ij->i', response, response)
     remainder = projection.remainder
+    products = distinct @ remainder
+    power = float(remainder @ remainder)
     best: dict[str, EffectScore] = {}
     first = 0
     for effect, shapes in candidates:
         columns = np.arange(first, first + len(shapes))
         first += len(shapes)
         columns = columns[own[columns]]
-        entry = _score(distinct[:, columns], remainder, least_a) if columns.size else None
-        if entry is None:
+        if columns.size == 0:
             continue
-        score, amount = entry
+        own_gram, own_products = gram[np.ix_(columns, columns)], products[columns]
+        amount = _least_squares(own_gram, own_products)
+        explained = float(own_products @ amount)
+        rest_power = power - 2.0 * explained + float(amount @ own_gram @ amount)
+        noise = max(rest_power / remainder.size, least_a**2)
+        if explained < LIKELY * columns.size * noise:  # a white residual rules it out
+            continue
+        score = _score(distinct[columns], remainder, amount, own_products, noise * own_gram)
         if effect.name not in best or score > best[effect.name].score:
-            shift = -projection.shift(response[:, columns] @ amount)
+            shift = -projection.shift(amount @ response[columns])
             best[effect.name] = EffectScore(effect, score, shift)
     return tuple(sorted(best.values(), key=lambda entry: -entry.score))
 
 
-def _score(distinct: Array, remainder: Array, least_a: float) -> tuple[float, Array] | None:
-    """Robust score and size of one alternative; None where white residuals rule it out."""
-    gram = distinct.T @ distinct
-    weighted_rows = distinct.T @ remainder
-    amount: Array = np.asarray(np.linalg.lstsq(gram, weighted_rows, rcond=1e-10)[0], dtype=float)
-    explained = float(weighted_rows @ amount)
-    degrees = distinct.shape[1]
-    rest = remainder - distinct @ amount
-    noise = max(float(rest @ rest) / remainder.size, least_a**2)
-    if explained < LIKELY * degrees * noise:
-        return None
-    covariance = long_run_covariance(distinct * rest[:, None])
-    white = gram * noise
-    covariance = covariance + 0.5 * white
-    score = (
-        float(weighted_rows @ np.linalg.lstsq(covariance, weighted_rows, rcond=1e-10)[0]) / degrees
-    )
-    return score, amount
+def _least_squares(matrix: Array, right: Array) -> Array:
+    """Solve normal equations, whose columns may depend on each other."""
+    if right.size == 1:
+        return right / matrix[0]
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-10)[0], dtype=float)
+
+
+def _score(
+    distinct: Array, remainder: Array, amount: Array, products: Array, white: Array
+) -> float:
+    """Return the robust score of one alternative.
+
+    Args:
+        distinct: shape (column, sample): what it alone explains.
+        remainder: shape (sample,): what is left of the residual.
+        amount: shape (column,): its size.
+        products: shape (column,): ``distinct`` times ``remainder``.
+        white: shape (column, column): covariance of the products if what is left then is white.
+    """
+    rest = remainder - amount @ distinct
+    covariance = long_run_covariance((distinct * rest).T) + 0.5 * white
+    return float(products @ _least_squares(covariance, products)) / products.size

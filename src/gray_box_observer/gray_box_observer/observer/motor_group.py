@@ -92,10 +92,11 @@ class GroupResult:
 
         Ask when all else of the result has gone out: it takes the work that was left for then.
         """
-        if self.deferred.alarm is None and self.group.observer is not None:
+        deferred = self.deferred
+        if deferred.alarm is None and self.group.observer is not None:
             self.group.observer.run_deferred()
-        assert self.deferred.alarm is not None
-        return self.deferred.alarm
+        assert deferred.alarm is not None
+        return deferred.alarm
 
     def __iter__(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction

@@ -79,7 +79,7 @@ class MotorObserver:
         self.delay = delay
         self._fit = fit
         self._tests: list[int] = []
-        self._retested: set[int] = set()
+        self._retested: dict[int, bool] = {}
         self._alarm = alarm
         self._deferred: DeferredUpdate | None = None
         self._is_frozen = False
@@ -162,14 +162,7 @@ class MotorObserver:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
         tests, self._tests = self._tests, []
         for motor in tests:
-            self._test(motor)
-            one = slice(motor, motor + 1)
-            self._know(
-                self._fit.judged(
-                    self.context_nodes, self.context_nodes.estimate(one), self._places[one]
-                ),
-                one,
-            )
+            self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
         deferred = self._deferred
         if deferred is None:
             return
@@ -244,21 +237,37 @@ class MotorObserver:
         """
         for motor in self._fit.due(self.context_nodes, estimate, self.changed_motors):
             if self._fit.is_urgent(motor):
-                self._test(motor)
+                self._test(motor, is_out=False)
             else:
                 self._tests.append(motor)
         return self._fit.judged(self.context_nodes, estimate, self.changed_motors)
 
-    def retested(self) -> list[int]:
-        """Return whose fit was tested since the last call: its belief may have changed."""
-        self.run_deferred()
-        motors, self._retested = sorted(self._retested), set()
-        return motors
+    def retested(self) -> dict[int, bool]:
+        """Return whose fit was tested since the last call, and whether their belief has changed.
 
-    def _test(self, motor: int) -> None:
-        self._retested.add(motor)
-        estimate = self.context_nodes.estimate(slice(motor, motor + 1))
+        Belief that has not gone out yet does not count as changed.
+        """
+        self.run_deferred()
+        retested, self._retested = self._retested, {}
+        return dict(sorted(retested.items()))
+
+    def _test(self, motor: int, *, is_out: bool) -> Estimate:
+        """Test the fit of one motor; return its estimate as far as that lets it be believed.
+
+        Args:
+            motor: its place on the motor axis.
+            is_out: whether its present estimate has gone out already.
+        """
+        one = slice(motor, motor + 1)
+        estimate = self.context_nodes.estimate(one)
+        before = self._fit.judged(self.context_nodes, estimate, self._places[one])
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
+        after = self._fit.judged(self.context_nodes, estimate, self._places[one])
+        has_changed = before.verdicts != after.verdicts or not np.array_equal(
+            before.covariance, after.covariance
+        )
+        self._retested[motor] = self._retested.get(motor, False) or (is_out and has_changed)
+        return after
 
     def _know(self, estimate: Estimate, motors: Any) -> None:
         """Keep the beliefs of some motors, and whether all is identified; freezing keeps both.
@@ -350,7 +359,7 @@ class MotorObserver:
         if self.alarm is not None:  # what it learnt of the residual is of the delay that is no more
             self.alarm.relearn()
         self._fit.forget()
-        self._retested.update(range(self.motors))
+        self._retested.update(dict.fromkeys(range(self.motors), True))
         self._know(self.estimate(), slice(None))
         self._precomputed = None
 

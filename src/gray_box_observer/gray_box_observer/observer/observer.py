@@ -178,7 +178,15 @@ class Observer:
 
     def results(self, result: GroupResult) -> list[Result]:
         """Return a sample's results motor by motor; nothing where the group has stopped since."""
-        return self.contain(result.group, lambda: list(result)) or []
+        if result.group.is_stopped:
+            return []
+        try:
+            return list(result)
+        except ConfigurationError:
+            raise
+        except Exception as error:
+            self.stop(result.group, error)
+            return []
 
     def contain(
         self, group: Group, action: Callable[[], T], samples: Sequence[Sample] = ()

@@ -108,13 +108,16 @@ class Outputs:
                 self.publish_tested(result.group)
 
     def publish_tested(self, group: Group) -> None:
-        """Publish the beliefs of a group's motors that were tested since, and their fit."""
+        """Publish the fit of a group's motors that were tested since, and beliefs it has changed."""
         observer = group.observer
         if observer is None or not self._fit:
             return
-        for motor in observer.retested():
-            name, estimate = group.names[motor], observer.estimate(slice(motor, motor + 1))
+        for motor, has_changed in observer.retested().items():
+            name = group.names[motor]
             self.fit(name, observer.fit_of(motor))
+            if not has_changed:
+                continue
+            estimate = observer.estimate(slice(motor, motor + 1))
             self.estimate(name, estimate, observer.identified_of(motor))
             self.parameters_identified(
                 name, estimate.parameters, observer.parameters_identified_of(motor)
