@@ -229,3 +229,23 @@ def _feed_on(observer: Observer, record: Record, later: int = SAMPLES) -> Iterat
         observer.voltage('motor', stamp_ns, float(voltage_v))
         observer.torque('motor', stamp_ns, TORQUE_CONSTANT * float(current_a))
         yield
+
+
+def test_a_motor_whose_test_was_put_off_is_tested_at_the_same_sample_after_a_restart(
+    tmp_path: Path,
+) -> None:
+    """A held voltage puts a test off; a checkpoint keeps until when."""
+    observer = _free_rotor(samples=SAMPLES).observed()
+    held = Record(np.full(5000, 4.0), np.full(5000, 0.5) + noise(5000, STD_A, 9))
+    for _ in _feed_on(observer, held):
+        pass
+    resumed = Observer(observer.configuration)
+    checkpoint.save(observer, tmp_path / 'held.safetensors')
+    checkpoint.load(resumed, tmp_path / 'held.safetensors')
+    schedules = []
+    for one in (observer, resumed):
+        one_observer = one.group_of('motor').observer
+        assert one_observer is not None
+        schedules.append(one_observer.state()[0]['fit'])
+    assert schedules[0]['soon'] == schedules[0]['due'], 'the test was put off'
+    assert schedules[0] == schedules[1]

@@ -384,11 +384,16 @@ class FitMonitor:
     def state(self, motor: int, received_count: int) -> dict[str, Any]:
         """Everything about one motor, as plain values; places count back from the newest."""
         result = self._results[motor]
+        is_asked_soon = self._soon[motor] < NEVER
+        due = {
+            'due': int(self._due[motor]) - received_count,
+            'soon': int(self._soon[motor]) - received_count if is_asked_soon else None,
+        }
         if result is None:
-            return {'due': int(self._due[motor]) - received_count}
+            return due
         judgement = result.judgement
         return {
-            'due': int(self._due[motor]) - received_count,
+            **due,
             'assessment': {**result.assessment.to_dict(), 'samples': result.assessment.samples},
             'factor': judgement.factor.tolist(),
             'spread': judgement.spread.tolist(),
@@ -409,9 +414,9 @@ class FitMonitor:
         _check_saved(plain, len(self._white_boxes[motor].parameters))
         if 'assessment' not in plain:
             self._results[motor] = None
-            self._due[motor] = plain['due'] + received_count
             self._soon[motor] = self._begin[motor] = NEVER
             self._limits[motor] = True
+            self._restore_due(plain, motor, received_count)
             return
         assessment = FitAssessment.from_dict(plain['assessment'])
         judgement = Judgement(
@@ -428,7 +433,12 @@ class FitMonitor:
             plain['misfits'],
         )
         self._follow(motor)
+        self._restore_due(plain, motor, received_count)
+
+    def _restore_due(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
         self._due[motor] = plain['due'] + received_count
+        if plain.get('soon') is not None:
+            self._soon[motor] = plain['soon'] + received_count
 
 
 def _check_saved(plain: dict[str, Any], parameters: int) -> None:
@@ -438,6 +448,8 @@ def _check_saved(plain: dict[str, Any], parameters: int) -> None:
         CheckpointError: something is missing, or out of its range.
     """
     whole(plain, 'due', -MOST, MOST)
+    if plain.get('soon') is not None:
+        whole(plain, 'soon', -MOST, MOST)
     if 'assessment' not in plain:
         return
     assessment = group(plain, 'assessment')
