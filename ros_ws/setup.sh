@@ -23,6 +23,18 @@ wheel_pythons='3.11 3.12 3.13'
 say() { printf 'setup: %s\n' "$*"; }
 fail() { printf 'setup: error: %s\n' "$*" >&2; exit 1; }
 
+check_place() { # what cannot work here, before anything is changed
+    case $root in
+        *[[:space:]:\"\'\$\`\\]*)
+            fail "the scripts that colcon and ROS 2 write cannot bear the blank or special character in $root; move the clone to another folder" ;;
+    esac
+    local path
+    for path in "$root" "$venv" "$workspace/build" "$workspace/install"; do
+        [ ! -e "$path" ] || [ -w "$path" ] \
+            || fail "$path belongs to $(stat -c %U "$path"), and $(id -un) may not write there; work in a clone of your own"
+    done
+}
+
 # --- which ROS ------------------------------------------------------------------------------------------------------
 
 remembered() { # WORD: what .venv was made with, if it was made here
@@ -95,14 +107,14 @@ find_python() {
 
 # --- the virtual environment ----------------------------------------------------------------------------------------
 
-locked_files() { # what is installed by hash, besides torch
-    local files=$locked/python.txt
+locked_requirements() { # what is installed by hash, besides torch
+    local files=("$locked/python.txt")
     if [ "$ros" = wheels ]; then
-        files="$files $locked/build.txt $locked/ros.txt"
+        files+=("$locked/build.txt" "$locked/ros.txt")
     elif ! "$python" -c 'import colcon_core, colcon_ros' 2>/dev/null; then
-        files="$files $locked/build.txt"
+        files+=("$locked/build.txt")
     fi
-    echo "$files"
+    cat "${files[@]}"
 }
 
 venv_stamp() {
@@ -110,8 +122,7 @@ venv_stamp() {
     echo "ros $ros"
     echo "executable $python"
     "$python" -c 'import sys; print("version", sys.version)' | tr '\n' ' '
-    # shellcheck disable=SC2046
-    cat $(locked_files) "$locked/torch.txt" "$locked/cuda.txt" "$torch_builds" "${BASH_SOURCE[0]}" | sha256sum
+    { locked_requirements; cat "$locked/torch.txt" "$locked/cuda.txt" "$torch_builds" "${BASH_SOURCE[0]}"; } | sha256sum
 }
 
 make_venv() {
@@ -141,15 +152,15 @@ make_venv() {
     fi
     install_requirements
     [ "$ros" = distribution ] || write_wheels_hook
+    write_search_path
     # Written last: an interrupted run leaves no stamp and is taken up again.
     printf '%s\n' "$wanted" >"$venv/.setup_stamp"
 }
 
 install_requirements() {
-    local file
     say 'installing pinned packages by their hashes (the first time downloads some hundred megabytes and takes minutes)'
     # Into .venv, so that it survives an interrupted run and can be looked at.
-    for file in $(locked_files); do as_installed <"$file"; done >"$venv/locked.txt"
+    locked_requirements | as_installed >"$venv/locked.txt"
     # First what builds the few packages that are sources, for pip would fetch a builder of its own without a hash.
     packages_named setuptools <"$venv/locked.txt" >"$venv/locked_setuptools.txt"
     install_locked "$venv/locked_setuptools.txt"
@@ -212,6 +223,13 @@ HOOK
     done
 }
 
+write_search_path() {
+    # Executables and scripts find our packages in a shell where the workspace is not sourced too.
+    local folder
+    folder=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+    printf '%s\n' "$workspace/build/dc_motor_sim" "$workspace/build/gray_box_observer" >"$folder/workspace.pth"
+}
+
 # --- the workspace --------------------------------------------------------------------------------------------------
 
 build_stamp() {
@@ -254,6 +272,7 @@ case ${1:-} in
     *) fail "unknown argument $1; expected nothing, --check or --help" ;;
 esac
 
+check_place
 find_ros
 enter_ros
 find_python

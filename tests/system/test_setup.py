@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 SETUP = ROOT / 'ros_ws' / 'setup.sh'
 RUN = ROOT / 'ros_ws' / 'run.sh'
-TOOLS = ('bash', 'cat', 'dirname', 'env', 'grep', 'sed', 'uname')
+TOOLS = ('bash', 'cat', 'dirname', 'env', 'grep', 'id', 'sed', 'stat', 'uname')
+NOBODY = 65534
 
 FAKE_PYTHON = """#!/bin/sh
 case "$*" in
@@ -45,15 +47,25 @@ def add_python(
 
 
 def check(
-    tools: Path, *, prefix: Path | None = None, **variables: str
+    tools: Path,
+    *,
+    prefix: Path | None = None,
+    checkout: str = 'checkout',
+    user: int | None = None,
+    **variables: str,
 ) -> subprocess.CompletedProcess[str]:
     """Ask a copy of the script, which knows nothing of this checkout's environment."""
-    copy = tools.parent / 'checkout' / 'ros_ws' / 'setup.sh'
+    copy = tools.parent / checkout / 'ros_ws' / 'setup.sh'
     copy.parent.mkdir(parents=True, exist_ok=True)
     shutil.copy(SETUP, copy)
     environment = {'PATH': str(tools), 'ROS_PREFIX': str(prefix or tools / 'no_ros'), **variables}
     return subprocess.run(
-        ['bash', str(copy), '--check'], env=environment, capture_output=True, text=True, timeout=30
+        ['bash', str(copy), '--check'],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        user=user,
     )
 
 
@@ -113,6 +125,29 @@ def one_line(done: subprocess.CompletedProcess[str]) -> str:
     assert done.returncode == 1
     assert len(lines) == 1 and lines[0].startswith('setup: error: ')
     return lines[0]
+
+
+@pytest.mark.parametrize('folder', ['a folder', 'path:list', 'dollar$'])
+def test_a_folder_that_no_script_of_ros_can_stand_in_is_refused(tools: Path, folder: str):
+    add_python(tools)
+    line = one_line(check(tools, checkout=folder))
+    assert 'move the clone to another folder' in line
+    assert folder in line
+
+
+def test_an_environment_of_another_user_is_left_alone(tools: Path, tmp_path: Path):
+    add_python(tools)
+    venv = tmp_path / 'checkout' / '.venv'
+    venv.mkdir(parents=True)
+    (venv / 'theirs').touch()
+    for folder in (tmp_path, *tmp_path.parents):  # somebody else may look, but not write
+        if folder.parent.is_relative_to(tempfile.gettempdir()):
+            folder.chmod(0o755)
+    if os.getuid() != 0:
+        venv.chmod(0o555)
+    line = one_line(check(tools, user=NOBODY if os.getuid() == 0 else None))
+    assert 'work in a clone of your own' in line
+    assert (venv / 'theirs').exists()
 
 
 def test_a_missing_python_is_named(tools: Path):
@@ -177,15 +212,17 @@ def test_the_workspace_is_not_confused_by_another_environment(tmp_path: Path):
     assert str(tmp_path) not in done.stdout
 
 
+@pytest.mark.parametrize('source', ['. ros_ws/install/setup.bash && ', ''])
 @pytest.mark.parametrize(
-    'package_and_name', ['dc_motor_sim/motor_sim', 'gray_box_observer/observer']
+    'package_and_name',
+    ['dc_motor_sim/motor_sim', 'gray_box_observer/observer', 'gray_box_observer/identify'],
 )
-def test_an_executable_starts_from_a_sourced_shell_without_an_activated_environment(
-    package_and_name: str,
+def test_an_executable_starts_without_an_activated_environment_sourced_or_not(
+    package_and_name: str, source: str
 ):
     requires_built_workspace()
     package, name = package_and_name.split('/')
-    script = f'. ros_ws/install/setup.bash && ros_ws/install/{package}/lib/{package}/{name} --help'
+    script = f'{source}ros_ws/install/{package}/lib/{package}/{name} --help'
     done = subprocess.run(
         ['bash', '-c', script],
         cwd=ROOT,
