@@ -60,7 +60,9 @@ class Expression:
         """Whether a rate of change stands in it."""
         return self._formula is not None and self._formula.rate_count > 0
 
-    def __call__(self, table: Table, time_s: NDArray[np.float64] | None = None) -> Value:
+    def __call__(
+        self, table: Table, time_s: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
         """The value in every row, shape (row,); division by zero gives infinity or NaN there.
 
         Args:
@@ -109,8 +111,8 @@ class Expression:
         return number
 
 
-def _rate(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> Value:
-    """Mean rate of change since the row before; NaN where time does not advance.  shape: (row,)"""
+def _rate(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Mean rate of change since the row before; NaN where time stands still, shape (row,)."""
     if time_s is None:
         raise BagError('diff needs a time, which time itself and where do not have')
     passed_s = np.diff(time_s, prepend=np.nan)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gray_box_observer.csv_import.column_mapping import CsvMapping
 from gray_box_observer.errors import brief
-from gray_box_observer.expressions.units import OTHER_UNITS, SI
+from gray_box_observer.expressions.unit_factors import OTHER_UNITS, SI
 
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
 """Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
@@ -19,6 +19,7 @@ within L/R, which is between a tenth of a millisecond and some tenths of a secon
 _FACTORS = (1e-3, 1e-6, 1e-9)
 
 _SIGNALS = ('voltage', 'current', 'torque', 'speed')
+
 
 def unit_doubts(mapping: CsvMapping, names: tuple[str, ...]) -> Iterator[str]:
     """Say which columns are taken as they are although their names end with another unit."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.errors import ExpressionError, brief
-from gray_box_observer.expressions.units import unit_factors
+from gray_box_observer.expressions.unit_factors import unit_factors
 
 Value = NDArray[np.float64] | float
 """Of one sample or of many."""
@@ -213,10 +213,10 @@ class Formula:
         return lambda values, rate: apply(left(values, rate), right(values, rate))
 
     def _operator(self, op: ast.AST) -> Callable[..., Value]:
-        found = self._operators.get(type(op))
-        if found is None:
+        apply = self._operators.get(type(op))
+        if apply is None:
             raise self._not_allowed()
-        return found
+        return apply
 
     def _not_allowed(self) -> ExpressionError:
         is_condition = len(self._operators) > len(_ARITHMETIC)

@@ -101,7 +101,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         configuration['context_update'] != 'recursive'
         or configuration['variant'] != Variant.PHYSICS.value
     )
-    alone = rules_alone or bool(configuration['speed.topic']) or motor.has_rotor
+    alone = rules_alone or configuration.has_own_speed or motor.has_rotor
     if alone or motor.estimates_delay:
         return None
     values = motor.values
