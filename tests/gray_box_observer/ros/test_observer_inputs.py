@@ -12,7 +12,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Float64, Float64MultiArray
 
 pytestmark = pytest.mark.system
@@ -103,6 +103,58 @@ def test_an_element_of_a_plain_array_is_stamped_by_the_middleware(rig):
     rig.wait_for(torque_messages=10, voltage_messages=11)
     assert 'malformed: 1' in rig.values()['rejected']
     assert int(rig.values()['samples used']) + int(rig.values()['samples waiting for voltage']) >= 9
+
+
+def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record):
+    """The battery comes once a second and a half; the joint has another name than the motor."""
+    recording = record(EXCITATION, 8.0)
+    rig.start(
+        voltage__expression='duty * battery',
+        duty__topic='duty',
+        duty__type='sensor_msgs/msg/JointState',
+        duty__field='effort',
+        battery__topic='battery_state',
+        battery__type='sensor_msgs/msg/BatteryState',
+        battery__field='voltage',
+        torque__topic='joint_states',
+        torque__quantity='current',
+        motor__joint='wheel_joint',
+        hold_s=60.0,
+    )
+    senders = {
+        'battery': rig.peer.publisher(BatteryState, 'battery_state', RELIABLE, readers=1),
+        'duty': rig.peer.publisher(JointState, 'duty', RELIABLE, readers=1),
+        'torque': rig.peer.publisher(JointState, 'joint_states', RELIABLE, readers=1),
+    }
+    first = stamped(BatteryState(voltage=16.0), START_NS)
+    senders['battery'].publish(first)
+    rig.peer.wait(lambda: senders['battery'].wait_for_all_acked(Duration(seconds=5)), 'the battery')
+    rows = []
+    for k in range(800):
+        stamp_ns = START_NS + int(recording.stamp_ns[k])
+        duty = float(recording.voltage_v[0, k]) / 16.0
+        current_a = float(recording.torque_nm[0, k]) / 0.01
+        states = JointState(name=['arm', 'wheel_joint'], effort=[9.0, current_a])
+        row = {
+            'duty': stamped(JointState(name=['motor'], effort=[duty]), stamp_ns),
+            'torque': stamped(states, stamp_ns),
+        }
+        if k % 150 == 149:
+            row['battery'] = stamped(BatteryState(voltage=16.0), stamp_ns)
+        rows.append(row)
+    publish(rig.peer, senders, rows)
+    rig.wait_for(samples_used=800)
+    assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
+
+
+def test_an_expression_that_cannot_be_used_ends_the_start_in_one_line(rig):
+    rig.start(
+        voltage__expression='duty * batery', duty__topic='duty', battery__topic='battery_state'
+    )
+    assert rig.process.wait(60) == 2
+    said = rig.peer.end(rig.process)[2]
+    assert 'batery.topic is not given: did you mean battery?' in said
+    assert 'Traceback' not in said
 
 
 def test_a_publisher_of_lesser_quality_is_named_with_the_override_that_mends_it(rig, record):
