@@ -112,6 +112,14 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         1e6,
     ),
     *signal_parameters('voltage', 'motor/voltage', 'effort', 'armature voltage', 'V; of mV: 0.001'),
+    ParameterSpec(
+        'voltage.gain_relative_std',
+        0.0,
+        'How well the scale of the voltage is known: standard deviation relative to it; widens '
+        'covariance and verdicts.',
+        0.0,
+        1.0,
+    ),
     *signal_parameters(
         'torque', 'motor/torque', 'effort', 'motor torque', 'N m; of a current in A: Kt'
     ),
@@ -312,6 +320,14 @@ ROTOR_NODES = (
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
+    ParameterSpec(
+        'torque_constant_relative_std',
+        0.0,
+        'How well torque_constant is known: standard deviation relative to it; widens covariance '
+        'and verdicts.',
+        0.0,
+        1.0,
+    ),
     *_known_values(own=True),
     ParameterSpec(
         'context_nodes',

@@ -291,7 +291,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     fit = now.observer.fit(motor)
     if fit.verdict is FitVerdict.WARNING:
         return DiagnosticStatus.WARN, fit.sentence
-    doubt = contradiction(now.observer.configuration.motors[motor], estimate)
+    configuration = now.observer.configuration
+    doubt = contradiction(configuration.motors[motor], estimate, configuration['torque.quantity'])
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
     change_count = now.traffic.motors[motor].changes

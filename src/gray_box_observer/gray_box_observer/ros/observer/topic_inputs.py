@@ -26,7 +26,7 @@ from gray_box_observer.ros import topics
 from gray_box_observer.ros.message_types import message_class, missing_field
 from gray_box_observer.ros.observer.receive_memory import ReceiveMemory
 from gray_box_observer.ros.observer.receive_queue import ReceiveQueue
-from gray_box_observer.ros.qos import subscribe
+from gray_box_observer.ros.qos import PREFIX, subscribe
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.signal_sources import Feed
@@ -257,8 +257,28 @@ class Inputs:
         return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
 
     def _incompatible(self, name: str, event: Any) -> None:
-        self._refusals[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        """Hear a publisher by best effort where that is all it offers; else say what keeps it."""
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        if policy == 'reliability' and self._adapts(name):
+            return
+        self._refusals[name] = policy
         self._node.get_logger().warning(self._refusal(name, self._refusals[name]))
+
+    def _adapts(self, name: str) -> bool:
+        """Tell whether a topic is heard by best effort from now on, or is already about to be.
+
+        Who asks for reliability by an override gets nothing less.
+        """
+        queue = self._queues.get(name)
+        topic = self._node.resolve_topic_name(self._feeds[name].topic)
+        asked = f'{PREFIX}{topic}.subscription.reliability'
+        if queue is None or asked in getattr(self._node, '_parameter_overrides', {}):
+            return False
+        if queue.relax():
+            self._node.get_logger().info(
+                f'a publisher of {topic} offers best effort: heard by best effort from now on'
+            )
+        return True
 
     def _refusal(self, name: str, policy: str) -> str:
         topic = self._node.resolve_topic_name(self._feeds[name].topic)
