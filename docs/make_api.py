@@ -49,6 +49,7 @@ from gray_box_observer.settings.parameters import (
     OBSERVER_PARAMETERS,
     ParameterSpec,
 )
+from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
 
 PAGE = ROOT / 'docs' / 'API.md'
 
@@ -117,6 +118,8 @@ def page() -> str:
     lines += table(PARAMETER_HEAD, spec_rows(OBSERVER_PARAMETERS))
     lines += ['Of each motor, in a group under its name:', '']
     lines += table(PARAMETER_HEAD, spec_rows(MOTOR_PARAMETERS, '<motor>.'))
+    lines += ['Of each input that an expression names, in a group under its name:', '']
+    lines += table(PARAMETER_HEAD, spec_rows(INPUT_PARAMETERS, '<input>.'))
     of_motor = [replace(spec, name=f'motor.{spec.name}') for spec in MOTOR_PARAMETERS]
     complain_of_others('observer', observer, [*OBSERVER_PARAMETERS, *of_motor])
     lines += override_lines(observer)

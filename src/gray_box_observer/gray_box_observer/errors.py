@@ -35,3 +35,7 @@ class SampleError(GrayBoxError):
 
 class CheckpointError(GrayBoxError):
     """A checkpoint cannot be used, or must not be written where it shall stand."""
+
+
+class ExpressionError(GrayBoxError):
+    """The text of an expression cannot be used."""

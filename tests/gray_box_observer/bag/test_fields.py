@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from gray_box_observer.bag.fields import FieldPath
+from gray_box_observer.bag.fields import Entries, FieldPath
 from gray_box_observer.bag.reader import BagReader
 from gray_box_observer.errors import ConfigurationError, SampleError
 
@@ -39,7 +39,10 @@ def test_a_path_works_on_messages_of_a_bag_and_of_rclpy(make_bag):
         '.',
         'a.',
         '.a',
-        'a[b]',
+        'a[]',
+        'a[b',
+        '[b]',
+        'a[b[c]]',
         'a[-1]',
         'a[1',
         '__class__',
@@ -77,3 +80,42 @@ def test_an_index_behind_the_end_tells_the_length():
         FieldPath('wrench.torque.z[0]')(WRENCH)
     with pytest.raises(SampleError, match='it has no fields'):
         FieldPath('effort[0].x')(WRENCH)
+
+
+def interface(names: list[str], values: list[float]) -> SimpleNamespace:
+    return SimpleNamespace(interface_names=names, values=values)
+
+
+DYNAMIC = SimpleNamespace(
+    joint_names=['left_wheel', 'gripper', 'right_wheel'],
+    interface_values=[
+        interface(['position', 'effort'], [1.0, 2.0]),
+        interface(['position'], [3.0]),
+        interface(['effort', 'position'], [4.0, 5.0]),
+    ],
+)
+
+
+def test_an_entry_may_be_called_by_its_name():
+    state = SimpleNamespace(name=['arm', 'left/wheel'], effort=[1.0, 2.0])
+    assert FieldPath('effort[left/wheel]')(state) == 2.0
+    path = 'interface_values[right_wheel].values[effort]'
+    assert FieldPath(path)(DYNAMIC) == 4.0
+
+
+def test_without_an_index_every_entry_of_an_array_of_messages_is_meant():
+    entries = FieldPath('interface_values.values[effort]')(DYNAMIC)
+    assert entries == Entries(('left_wheel', 'right_wheel'), (2.0, 4.0))
+
+
+def test_a_trajectory_point_finds_its_names_in_the_message_around_it():
+    message = SimpleNamespace(joint_names=['a', 'b'], feedback=SimpleNamespace(effort=[1.0, 2.0]))
+    assert FieldPath('feedback.effort[b]')(message) == 2.0
+
+
+def test_a_name_that_is_not_there_is_told_with_those_that_are():
+    state = SimpleNamespace(name=['arm', 'wheel'], effort=[1.0, 2.0])
+    with pytest.raises(SampleError, match=r"no 'leg' among \['arm', 'wheel'\]"):
+        FieldPath('effort[leg]')(state)
+    with pytest.raises(SampleError, match='has no entries with names'):
+        FieldPath('effort[leg]')(SimpleNamespace(effort=[1.0]))

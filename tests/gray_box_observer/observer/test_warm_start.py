@@ -15,8 +15,8 @@ from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
-from gray_box_observer.settings.configuration import Configuration
-from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.settings.configuration import Configuration, MotorConfiguration
+from gray_box_observer.white_box import TERMS, MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates, to_parameters
 
 NAMES = ('inductance', 'resistance', 'hysteresis')
@@ -215,3 +215,41 @@ def test_what_is_certain_is_no_context_node() -> None:
         ConfigurationError, match=r'initial_relative_std\.resistance must be 0 or at least 1e-06'
     ):
         observer(TRUTH, [0.1, 1e-9, 0.0])
+
+
+def given_motor(**values: Any) -> MotorConfiguration:
+    flat = {f'motor.{name.replace("__", ".")}': value for name, value in values.items()}
+    return Configuration.from_flat(
+        {'motor.context_nodes': ['inductance', 'resistance'], **flat}
+    ).motors['motor']
+
+
+def sure_estimate(inductance: float, resistance: float) -> Estimate:
+    value = np.array([[inductance, resistance]])
+    parameters = tuple(TERMS[name].parameter for name in ('inductance', 'resistance'))
+    covariance = np.diag((0.001 * value[0]) ** 2)[None]
+    return Estimate(0, parameters, value, covariance, ((Verdict.IDENTIFIED,) * 2,))
+
+
+@pytest.mark.parametrize(
+    ('quantity', 'factor', 'other'), [('torque', 0.04, 'current'), ('current', 25.0, 'torque')]
+)
+def test_a_current_taken_for_a_torque_is_told_by_the_data_sheet(
+    quantity: str, factor: float, other: str
+) -> None:
+    motor = given_motor(torque_constant=0.04, initial__resistance=2.0)
+    estimate = sure_estimate(0.002 * factor, 2.1 * factor)
+    assert f'set torque.quantity: {other} ' in str(contradiction(motor, estimate, quantity))
+    assert contradiction(motor, sure_estimate(0.002, 2.1), quantity) is None
+    off = sure_estimate(0.002, 2.1 * factor**2)
+    assert 'torque.quantity' not in str(contradiction(motor, off, quantity))
+
+
+def test_a_value_given_without_a_std_is_contradicted_by_a_factor_of_four() -> None:
+    motor = given_motor(initial__resistance=2.0)
+    assert contradiction(motor, sure_estimate(0.002, 6.0)) is None
+    assert 'resistance of 9 ohm is far from the 2 ohm given' in str(
+        contradiction(motor, sure_estimate(0.002, 9.0))
+    )
+    nothing_given = given_motor(initial__resistance=3.0)
+    assert contradiction(nothing_given, sure_estimate(0.002, 90.0)) is None, 'that is the default'

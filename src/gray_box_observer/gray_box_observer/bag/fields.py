@@ -1,16 +1,18 @@
-"""Paths into messages, such as ``effort`` or ``effort[2]``: parsed, never evaluated."""
+"""Paths into messages, such as ``effort``, ``effort[2]`` or ``effort[wheel]``: never evaluated."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from gray_box_observer.bag.joint_state import JointStateDecoder, JointStateView, decode_joint_state
 from gray_box_observer.errors import ConfigurationError, SampleError, brief
 
 __all__ = [
+    'ByName',
+    'Entries',
     'FieldPath',
     'JointStateDecoder',
     'JointStateView',
@@ -18,48 +20,86 @@ __all__ = [
     'decode_joint_state',
 ]
 
-_STEP = re.compile(r'([A-Za-z]\w*)((?:\[\d{1,9}\])*)\Z')
-_INDEX = re.compile(r'\[(\d+)\]')
+_PART = re.compile(r'(?:^|\.)([A-Za-z]\w*)|\[(\d{1,9})\]|\[([A-Za-z_/][^\[\]]{0,199})\]')
+
+NAME_FIELDS = ('name', 'names', 'joint_names', 'interface_names', 'interface_groups')
+"""Fields of a message that name the entries of the arrays beside them."""
 
 
 class MissingFieldError(SampleError):
     """The type of a message does not have the field: no other message of this type will have it."""
 
 
+class ByName(NamedTuple):
+    """A step to the entry of an array that has this name."""
+
+    name: str
+
+
+class Entries(NamedTuple):
+    """What every entry of an array of messages holds.
+
+    Attributes:
+        names: of the entries that have it.
+        values: theirs.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[Any, ...]
+
+
+Step = str | int | ByName
+"""The name of a field, an index, or the name of an entry."""
+
+
+def steps_of(text: str) -> tuple[Step, ...]:
+    """Parse a path.
+
+    Raises:
+        ConfigurationError: The text is no path.
+    """
+    steps: list[Step] = []
+    end = 0
+    while match := _PART.match(text, end):
+        if match[1] is not None:
+            steps.append(match[1])
+        elif match[2] is not None:
+            steps.append(int(match[2]))
+        else:
+            steps.append(ByName(match[3]))
+        end = match.end()
+    if end < len(text) or not steps or not isinstance(steps[0], str) or text[0] == '.':
+        raise ConfigurationError(
+            f'{brief(text)} is no field path; expected names joined by dots, such as '
+            "'effort', 'wrench.torque.z', 'effort[2]' or 'effort[wheel_joint]'"
+        )
+    return tuple(steps)
+
+
 class FieldPath:
     """A compiled path to one field of a message, for rclpy's messages and mcap's decoded ones.
 
     Args:
-        text: Names joined by dots, each with indices if wanted: ``data``, ``wrench.torque.z``,
-            ``effort[2]``.
+        text: Names joined by dots, each with indices or names of entries if wanted: ``data``,
+            ``wrench.torque.z``, ``effort[2]``, ``effort[wheel]``, ``interface_values[wheel].
+            values[effort]``. Of an array of messages without an index every entry is meant.
 
     Raises:
         ConfigurationError: The text is no such path.
     """
 
-    __slots__ = ('_get', '_steps', 'text')
+    __slots__ = ('_get', '_steps', 'has_names', 'text')
 
     def __init__(self, text: str) -> None:
         self.text = text
-        steps: list[str | int] = []
-        for part in text.split('.'):
-            match = _STEP.match(part)
-            if match is None:
-                raise ConfigurationError(
-                    f'{brief(text)} is no field path; expected names joined by dots, such as '
-                    "'effort', "
-                    "'wrench.torque.z' or 'effort[2]'"
-                )
-            steps.append(match[1])
-            steps += [int(index) for index in _INDEX.findall(match[2])]
-        self._steps = tuple(steps)
-        self._get: Callable[[Any], Any] = (
-            attrgetter(text) if all(isinstance(s, str) for s in steps) else self._walk
-        )
+        self._steps = steps_of(text)
+        self.has_names = any(isinstance(step, ByName) for step in self._steps)
+        is_plain = all(isinstance(step, str) for step in self._steps)
+        self._get: Callable[[Any], Any] = attrgetter(text) if is_plain else self._walk
 
     @property
-    def steps(self) -> tuple[str | int, ...]:
-        """Names of fields, and indices."""
+    def steps(self) -> tuple[Step, ...]:
+        """Names of fields, indices, and names of entries."""
         return self._steps
 
     def __repr__(self) -> str:
@@ -84,15 +124,17 @@ class FieldPath:
             raise self._complaint(message) from None
 
     def _walk(self, message: Any) -> Any:
-        value = message
-        for step in self._steps:
-            value = getattr(value, step) if isinstance(step, str) else value[step]
-        return value
+        return _followed(message, self._steps, message)
 
     def _complaint(self, message: Any) -> SampleError:
         """Walk again, slowly, to say where the path leaves the message."""
         value, walked = message, type(message).__name__
         for step in self._steps:
+            if isinstance(step, ByName):
+                return MissingFieldError(
+                    f'{walked} has no entries with names, so there is no [{step.name}] (field '
+                    f'{self.text!r})'
+                )
             if isinstance(step, int):
                 try:
                     value = value[step]
@@ -116,6 +158,63 @@ class FieldPath:
             value = getattr(value, step)
             walked += f'.{step}'
         return SampleError(f'{walked} cannot be read (field {self.text!r})')
+
+
+def _followed(message: Any, steps: Sequence[Step], root: Any) -> Any:
+    """Follow steps from a message; names are looked up beside an array, then in the root."""
+    value, owner = message, message
+    for number, step in enumerate(steps):
+        if isinstance(step, ByName):
+            value = value[_place(step.name, owner, root)]
+        elif isinstance(step, int):
+            value = value[step]
+        elif number and isinstance(value, list | tuple) and not hasattr(value, step):
+            return _every(value, steps[number:], owner, root)
+        else:
+            owner = value
+            value = getattr(value, step)
+    return value
+
+
+def _every(values: Sequence[Any], steps: Sequence[Step], owner: Any, root: Any) -> Entries:
+    """Follow steps from every entry of an array; entries without what is named are left out."""
+    names = entry_names(owner) or entry_names(root)
+    if names is None or len(names) != len(values):
+        raise SampleError(f'an array of {len(values)} messages without names: add an index')
+    entries = []
+    for name, value in zip(names, values, strict=True):
+        try:
+            entries.append((name, _followed(value, steps, value)))
+        except SampleError:  # this one has no such interface
+            continue
+    return Entries(tuple(name for name, _ in entries), tuple(value for _, value in entries))
+
+
+def _place(name: str, owner: Any, root: Any) -> int:
+    """Return the place of a name among those beside an array.
+
+    Raises:
+        AttributeError: Nothing has names there.
+        SampleError: None of the names is this one.
+    """
+    names = entry_names(owner) or entry_names(root)
+    if names is None:
+        raise AttributeError(name)
+    try:
+        return list(names).index(name)
+    except ValueError:
+        raise SampleError(
+            f'there is no {brief(name)} among {brief(list(names))}: name another joint or interface'
+        ) from None
+
+
+def entry_names(message: Any) -> Sequence[str] | None:
+    """Return the names that a message gives the entries of its arrays; None if it has none."""
+    for field in NAME_FIELDS:
+        names = getattr(message, field, None)
+        if names is not None and not isinstance(names, str):
+            return names  # type: ignore[no-any-return]
+    return None
 
 
 def field_names(message: Any) -> list[str]:

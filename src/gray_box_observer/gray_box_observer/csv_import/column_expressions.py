@@ -1,62 +1,25 @@
-"""Arithmetic on the columns of a table, such as ``duty/32767*(va-vb)*2.466e-3``.
-
-The text is parsed to a tree of allowed operations; it is never evaluated as Python.
-"""
+"""Expressions over the columns of a table: the grammar of ``expressions/formula.py``."""
 
 from __future__ import annotations
 
-import ast
-import math
-import operator
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.errors import BagError, brief
+from gray_box_observer.errors import BagError, ExpressionError, brief
+from gray_box_observer.expressions.formula import Formula, Name, Value
 
 Table = Mapping[int, NDArray[np.float64]]
 """Columns by their 1-based number.  shape of each: (row,)"""
 
-_Value = NDArray[np.float64] | float
-_Node = Callable[[Table], _Value]
-
-_LONGEST = 1000
 _MOST_NAMED = 50
-_DEEPEST = 100
-"""Operations within each other; Python itself gives up at some hundreds."""
-
-_DIGITS_FIRST = re.compile(r'(?<![\w.$])\.?[0-9][\w.]*')
-_DECIMAL = re.compile(r'(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][0-9]*)?')
-_NUMBERED = re.compile(r'\$(\d{1,6})')
-_ARITHMETIC: dict[type[ast.AST], Callable[..., _Value]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: np.divide,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
-_COMPARISON: dict[type[ast.AST], Callable[..., _Value]] = {
-    ast.Eq: np.equal,
-    ast.NotEq: np.not_equal,
-    ast.Lt: np.less,
-    ast.LtE: np.less_equal,
-    ast.Gt: np.greater,
-    ast.GtE: np.greater_equal,
-    ast.And: np.logical_and,
-    ast.Or: np.logical_or,
-    ast.Not: np.logical_not,
-}
 
 
 class Expression:
     """A compiled expression over columns.
 
-    Allowed are numbers, column names, ``$N`` for the Nth column (from 1), ``+ - * /``, parentheses
-    and, in a condition, ``== != < <= > >= and or not``. A text that is exactly a column's name or
-    number means that column, whatever signs the name contains.
+    A text that is exactly a column's name means that column, whatever signs the name contains.
 
     Args:
         text: The expression.
@@ -69,111 +32,58 @@ class Expression:
 
     Attributes:
         columns: The numbers of the columns that it needs.
+        kind: What the unit of the whole expression measures; empty where it has none.
     """
 
     def __init__(
         self, text: str, names: Sequence[str], column_count: int, *, is_condition: bool = False
     ) -> None:
         self.text = text
-        self.columns: set[int] = set()
         self._names = names
         self._column_count = column_count
-        self._operators = _ARITHMETIC | _COMPARISON if is_condition else _ARITHMETIC
+        self._formula: Formula | None = None
         whole = text.strip()
         if whole in names:
-            self._node = self._column(self._number_of(whole))
+            self._places: dict[Name, int] = {whole: self._number_of(whole)}
+            self.kind = ''
         else:
-            self._node = self._compile(self._parse(whole), _DEEPEST)
+            try:
+                self._formula = Formula(text, is_condition=is_condition)
+            except ExpressionError as error:
+                raise BagError(str(error)) from None
+            self._places = {name: self._number_of(name) for name in self._formula.names}
+            self.kind = self._formula.kind
+        self.columns = set(self._places.values())
 
-    def __call__(self, table: Table) -> NDArray[np.float64]:
-        """The value in every row, shape (row,); division by zero gives infinity or NaN there."""
+    @property
+    def needs_time(self) -> bool:
+        """Whether a rate of change stands in it."""
+        return self._formula is not None and self._formula.rate_count > 0
+
+    def __call__(
+        self, table: Table, time_s: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """The value in every row, shape (row,); division by zero gives infinity or NaN there.
+
+        Args:
+            table: The columns.
+            time_s: Of every row, for rates of change.  shape: (row,)
+        """
         rows = next(iter(table.values())).shape if table else ()
-        with np.errstate(all='ignore'):
-            return np.broadcast_to(np.asarray(self._node(table), dtype=np.float64), rows)
+        values: dict[Name, Value] = {name: table[number] for name, number in self._places.items()}
 
-    def _parse(self, text: str) -> ast.expr:
-        if len(text) > _LONGEST:
-            raise BagError(f'expression of {len(text)} signs; expected at most {_LONGEST}')
-        for number in _DIGITS_FIRST.findall(text):
-            if _DECIMAL.fullmatch(number) is None:  # 1_2, 0x10, 1j
-                raise BagError(
-                    f'{brief(number)} is no number (in {brief(self.text)}); expected such as 12, '
-                    '-0.5 or 2e-3'
-                )
-        try:
-            return ast.parse(_NUMBERED.sub(r'__column__(\1)', text), mode='eval').body
-        except (SyntaxError, ValueError, RecursionError, MemoryError):
-            raise BagError(f'{brief(self.text)} is no arithmetic expression') from None
+        def differentiate(_number: int, value: Value) -> Value:
+            return _rate(np.broadcast_to(np.asarray(value, dtype=np.float64), rows), time_s)
 
-    def _compile(self, node: ast.expr, depth: int) -> _Node:
-        if not depth:
-            raise BagError(
-                f'expression with more than {_DEEPEST} operations within each other: '
-                f'{brief(self.text)}'
-            )
-        inner = depth - 1
-        match node:
-            case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
-                constant = self._number(number)
-                return lambda _: constant
-            case ast.Name(id=name):
-                return self._column(self._number_of(name))
-            case ast.Call(
-                func=ast.Name(id='__column__'), args=[ast.Constant(value=int(column))], keywords=[]
-            ):
-                return self._column(column)
-            case ast.UnaryOp(op=op, operand=operand):
-                apply, value = self._operator(op), self._compile(operand, inner)
-                return lambda table: apply(value(table))
-            case ast.BinOp(left=left, op=op, right=right):
-                return self._binary(op, self._compile(left, inner), self._compile(right, inner))
-            case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return self._binary(op, self._compile(left, inner), self._compile(right, inner))
-            case ast.BoolOp(op=op, values=operands):
-                result = self._compile(operands[0], inner)
-                for operand in operands[1:_DEEPEST]:
-                    result = self._binary(op, result, self._compile(operand, inner))
-                if len(operands) <= _DEEPEST:
-                    return result
-        raise self._not_allowed()
+        if self._formula is None:
+            result = next(iter(values.values()))
+        else:
+            result = self._formula(values, differentiate)
+        return np.broadcast_to(np.asarray(result, dtype=np.float64), rows)
 
-    def _binary(self, op: ast.AST, left: _Node, right: _Node) -> _Node:
-        apply = self._operator(op)
-        return lambda table: apply(left(table), right(table))
-
-    def _operator(self, op: ast.AST) -> Callable[..., _Value]:
-        operator = self._operators.get(type(op))
-        if operator is None:
-            raise self._not_allowed()
-        return operator
-
-    def _not_allowed(self) -> BagError:
-        allowed_syntax = '+ - * / ( )' + (
-            ' and comparisons' if len(self._operators) > len(_ARITHMETIC) else ''
-        )
-        return BagError(
-            f'{brief(self.text)} is not allowed; expected columns, numbers and {allowed_syntax}'
-        )
-
-    def _number(self, value: float) -> float:
-        try:
-            number = float(value)
-        except OverflowError:
-            number = math.inf
-        if not math.isfinite(number):
-            raise BagError(f'{brief(self.text)} holds a number that is too large')
-        return number
-
-    def _column(self, number: int) -> _Node:
-        if not 1 <= number <= self._column_count:
-            raise BagError(
-                f'there is no column {number} (in {brief(self.text)}); there are '
-                f'{self._column_count}'
-            )
-        self.columns.add(number)
-        return lambda table: table[number]
-
-    def _number_of(self, name: str) -> int:
+    def _number_of(self, name: Name) -> int:
+        if isinstance(name, int):
+            return self._checked(name)
         places = [number for number, title in enumerate(self._names, start=1) if title == name]
         if len(places) > 1:
             choices = ' or '.join(f'${number}' for number in places)
@@ -191,3 +101,19 @@ class Expression:
         raise BagError(
             f'there is no column {brief(name)} (in {brief(self.text)}); there are: {alternatives}'
         )
+
+    def _checked(self, number: int) -> int:
+        if not 1 <= number <= self._column_count:
+            raise BagError(
+                f'there is no column {number} (in {brief(self.text)}); there are '
+                f'{self._column_count}'
+            )
+        return number
+
+
+def _rate(values: NDArray[np.float64], time_s: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """Mean rate of change since the row before; NaN where time stands still, shape (row,)."""
+    if time_s is None:
+        raise BagError('diff needs a time, which time itself and where do not have')
+    passed_s = np.diff(time_s, prepend=np.nan)
+    return np.where(passed_s > 0.0, np.diff(values, prepend=np.nan) / passed_s, np.nan)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.csv_import.column_mapping import CsvMapping
 from gray_box_observer.errors import brief
+from gray_box_observer.expressions.unit_factors import OTHER_UNITS, SI
 
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
 """Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
@@ -17,29 +18,7 @@ within L/R, which is between a tenth of a millisecond and some tenths of a secon
 
 _FACTORS = (1e-3, 1e-6, 1e-9)
 
-_UNITS: Mapping[str, Mapping[str, str]] = {
-    'time': {
-        'ms': '1e-3',
-        'msec': '1e-3',
-        'us': '1e-6',
-        'usec': '1e-6',
-        'µs': '1e-6',
-        'ns': '1e-9',
-        'min': '60',
-    },
-    'voltage': {'mV': '1e-3', 'kV': '1e3'},
-    'current': {'mA': '1e-3', 'uA': '1e-6', 'µA': '1e-6'},
-    'torque': {'mNm': '1e-3', 'Nmm': '1e-3', 'uNm': '1e-6', 'Ncm': '1e-2'},
-    'speed': {
-        'rpm': '0.104719755',
-        'RPM': '0.104719755',
-        'dps': '0.0174532925',
-        'Hz': '6.28318531',
-    },
-}
-"""Units other than those of the mapping that a column's name may end with, and their factors."""
-
-_SI = {'time': 's', 'voltage': 'V', 'current': 'A', 'torque': 'N m', 'speed': 'rad/s'}
+_SIGNALS = ('voltage', 'current', 'torque', 'speed')
 
 
 def unit_doubts(mapping: CsvMapping, names: tuple[str, ...]) -> Iterator[str]:
@@ -47,15 +26,15 @@ def unit_doubts(mapping: CsvMapping, names: tuple[str, ...]) -> Iterator[str]:
     signals = [('time', 'time', mapping.time)]
     for motor, columns in mapping.motors.items():
         prefix = f'{motor}.' if len(mapping.motors) > 1 else ''
-        signals += [(f'{prefix}{key}', key, getattr(columns, key)) for key in _SI if key != 'time']
+        signals += [(f'{prefix}{key}', key, getattr(columns, key)) for key in _SIGNALS]
     for key, kind, expression in signals:
         if expression not in names:
             continue
         words = re.findall(r'[^\W\d_]+', expression)
-        factor = _UNITS[kind].get(words[-1]) if len(words) > 1 else None
+        factor = OTHER_UNITS[kind].get(words[-1]) if len(words) > 1 else None
         if factor is not None:
             yield (
-                f'{key} is in {_SI[kind]}, but column {brief(expression)} says {words[-1]}; '
+                f'{key} is in {SI[kind]}, but column {brief(expression)} says {words[-1]}; '
                 f'write such as {key}={expression}*{factor} if it is so'
             )
 

@@ -261,7 +261,8 @@ def _doubt_of_current(
     text = (
         f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN '
         'm, set torque.scale '
-        'to a thousandth, or current=NAME*1e-3 among --columns; if they are right, say so with '
+        'to a thousandth, or current=NAME*1e-3 among --columns; if the torque is a current in A, '
+        'set torque.quantity: current; if they are right, say so with '
         f'{motor.name}.initial_relative_std.resistance'
     )
     ratio = LOWEST_RESISTANCE_OHM / max(resistance_ohm, 1e-9)

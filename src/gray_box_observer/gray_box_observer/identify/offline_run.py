@@ -22,7 +22,7 @@ from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
-from gray_box_observer.settings.parameters import SIGNALS
+from gray_box_observer.settings.signal_sources import Feed
 
 PROGRESS_STEP = 512
 
@@ -183,6 +183,8 @@ def _feed_all(
             _feed(bag, path, configuration, outcome, ingest, progress)
             if bag.loss:
                 outcome.warnings.append(f'{path}: {bag.loss}')
+        for result in outcome.message_input.flush():
+            ingest(outcome.observer.results(result))
         ingest(outcome.observer.flush())
 
 
@@ -208,13 +210,13 @@ def _feed(
     for raw, message in _decode_messages(bag, signals, message_input.max_message_bytes):
         if message is None:
             oversized = len(raw.data) > message_input.max_message_bytes
-            for signal in signals[raw.topic]:
+            for signal, _ in signals[raw.topic]:
                 message_input.refuse(
                     signal, Rejection.OVERSIZED if oversized else Rejection.MALFORMED
                 )
             continue
-        for signal in signals[raw.topic]:
-            for result in message_input.ingest(signal, message, raw.publish_time_ns).groups:
+        for signal, topic in signals[raw.topic]:
+            for result in message_input.ingest(signal, message, raw.publish_time_ns, topic).groups:
                 ingest(outcome.observer.results(result))
         count += 1
         if count % PROGRESS_STEP == 0:
@@ -253,7 +255,7 @@ def require_signals(
 
 def _signals_of(
     bag: BagReader, path: Path, configuration: Configuration, warnings: list[str]
-) -> dict[str, list[str]]:
+) -> dict[str, list[tuple[str, str]]]:
     """Return the signals that every topic of interest carries; one message may hold several.
 
     Args:
@@ -262,37 +264,34 @@ def _signals_of(
         configuration: of the observer.
         warnings: a topic of another type than configured is added to them.
 
+    Returns:
+        By topic of the bag, signals and the topic as it is configured for each.
+
     Raises:
         BagError: a topic is missing, or there are several that it could be.
     """
-    signals: dict[str, list[str]] = {}
-    for name in SIGNALS:
-        configured_name = configuration[f'{name}.topic']
-        if not configured_name:
-            continue
-        matches = match_topics(configured_name, bag.topics)
+    signals: dict[str, list[tuple[str, str]]] = {}
+    for feed in configuration.feeds:
+        matches = match_topics(feed.topic, bag.topics)
         if len(matches) != 1:
             have = name_list(bag.topics)
             problem = 'has no topic' if not matches else f'has {len(matches)} topics that could be'
             raise BagError(
-                f'{path} {problem} {configured_name}; it has: {have}. Name it with the parameter '
-                f'{name}.topic'
+                f'{path} {problem} {feed.topic}; it has: {have}. Name it with the parameter '
+                f'{feed.group}.topic'
             )
-        signals.setdefault(matches[0], []).append(name)
-        warnings += _mismatch(
-            f'{path}: {matches[0]}', bag.topics[matches[0]].type_name, name, configuration
-        )
+        signals.setdefault(matches[0], []).extend((name, feed.topic) for name in feed.signals)
+        warnings += _mismatch(f'{path}: {matches[0]}', bag.topics[matches[0]].type_name, feed)
     return signals
 
 
-def _mismatch(where: str, type_name: str, name: str, configuration: Configuration) -> list[str]:
+def _mismatch(where: str, type_name: str, feed: Feed) -> list[str]:
     """Say where a topic's type is not the configured one: readable here, but not live."""
-    configured_type = configuration[f'{name}.type']
-    if type_name.replace('/msg/', '/') == configured_type.replace('/msg/', '/'):
+    if type_name.replace('/msg/', '/') == feed.type_name.replace('/msg/', '/'):
         return []
     return [
-        f'{where} is of type {type_name}, but {name}.type is {configured_type}: the node would '
-        'hear nothing'
+        f'{where} is of type {type_name}, but {feed.group}.type is {feed.type_name}: the node '
+        'would hear nothing'
     ]
 
 

@@ -24,7 +24,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
     motors = observer.configuration.motors
     gap_s = observer.configuration['gap_s']
     doubts = {
-        name: contradiction(motors[name], estimate)
+        name: contradiction(motors[name], estimate, observer.configuration['torque.quantity'])
         for name, estimate in observer.estimates().items()
     }
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]

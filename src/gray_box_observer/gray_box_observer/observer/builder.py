@@ -22,6 +22,7 @@ from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.scale_doubt import scale_doubt
 from gray_box_observer.predictor import (
     AlarmSettings,
     Predictor,
@@ -88,7 +89,9 @@ def motor_observer(
         if configuration['variant'] == Variant.PHYSICS.value:
             alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
-    return MotorObserver(white_box, nodes, predictor, delay, FitMonitor(motors, boxes), alarm)
+    scales = scale_doubt(configuration, motors, boxes)
+    fit = FitMonitor(motors, boxes)
+    return MotorObserver(white_box, nodes, predictor, delay, fit, alarm, scales)
 
 
 def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:
@@ -101,7 +104,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         configuration['context_update'] != 'recursive'
         or configuration['variant'] != Variant.PHYSICS.value
     )
-    alone = rules_alone or bool(configuration['speed.topic']) or motor.has_rotor
+    alone = rules_alone or configuration.has_own_speed or motor.has_rotor
     if alone or motor.estimates_delay:
         return None
     values = motor.values

@@ -193,7 +193,7 @@ class Grouping:
         self._parts.clear()
 
     def _new_pairing(self, names: Sequence[str]) -> Pairing:
-        own_speed = bool(self._configuration['speed.topic'])
+        own_speed = self._configuration.has_own_speed
         first = self._configuration.motors[names[0]]
         uses_speed = first.values['speed_source'] not in ('torque_constant', 'rotor')
         rules = pairing_rules(self._configuration)

@@ -14,6 +14,7 @@ from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.observer.scale_doubt import ScaleDoubt
 from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
@@ -58,6 +59,7 @@ class MotorObserver:
         fit: asks whether the white box explains the data, and lets estimates say no more than that.
         alarm: watches the prediction's residual; None where no prediction is good enough to judge
             by.
+        scales: what is not known of the scales of the signals; None where nothing is said of it.
 
     Attributes:
         motors: how many they are.
@@ -72,6 +74,7 @@ class MotorObserver:
         delay: DelayWatch | DelayRound,
         fit: FitMonitor,
         alarm: ResidualAlarm | None = None,
+        scales: ScaleDoubt | None = None,
     ) -> None:
         self.white_box = white_box
         self.context_nodes = context_nodes
@@ -81,6 +84,7 @@ class MotorObserver:
         self._tests: list[int] = []
         self._retested: dict[int, bool] = {}
         self._alarm = alarm
+        self._scales = scales
         self._deferred: DeferredUpdate | None = None
         self._is_frozen = False
         self._precomputed: tuple[bytes, Prediction] | None = None
@@ -91,7 +95,7 @@ class MotorObserver:
         self._is_identified = self._nobody
         self._known_parameters = np.zeros((self.motors, len(white_box.parameters)), dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
-        self._know(self.estimate(), slice(None))
+        self._know(self._believed(slice(None)), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
         """Forecast the torque at the end of an interval; changes nothing. Shapes (motor,)."""
@@ -222,13 +226,24 @@ class MotorObserver:
         )
         estimate = self._limit_by_fit(self.context_nodes.estimate(motors))
         self._know(estimate, motors)
-        return estimate
+        return self._published(estimate, self.changed_motors)
 
     def estimate(self, motors: Any = slice(None)) -> Estimate:
+        """Return the present values of all or some motors, as far as fit and scales allow."""
+        return self._published(self._believed(motors), self._places[motors])
+
+    def _believed(self, motors: Any) -> Estimate:
         """Return the present values of all or some motors, believed as far as the fit allows."""
         self.run_deferred()
         estimate = self.context_nodes.estimate(motors)
         return self._fit.judged(self.context_nodes, estimate, self._places[motors])
+
+    def _published(self, estimate: Estimate, motors: NDArray[np.intp]) -> Estimate:
+        """Add what is not known of the scales: it is told, and nothing leans on it."""
+        if self._scales is None:
+            return estimate
+        rules = self.context_nodes.verdict_rules
+        return self._scales.widened(self.context_nodes, estimate, motors, rules)
 
     def _limit_by_fit(self, estimate: Estimate) -> Estimate:
         """Test the fit of motors with changed estimates; return these as far as believable.
@@ -280,6 +295,11 @@ class MotorObserver:
                 [v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts
             ]
             self._is_identified[motors] = self._known_parameters[motors].all(axis=1)
+            if self._scales is not None:
+                published = self._published(estimate, self._places[motors])
+                self._known_parameters[motors] = [
+                    [v in COUNTS_AS_KNOWN for v in row] for row in published.verdicts
+                ]
         if estimate.value.shape[0] == self.motors:
             self._theta, self._covariance = estimate.value, estimate.covariance
         else:
@@ -297,11 +317,11 @@ class MotorObserver:
     @property
     def identified(self) -> bool:
         """Whether every parameter was identified when learning last went on, before a freeze."""
-        return bool(self._is_identified.all())
+        return bool(self._known_parameters.all())
 
     def identified_of(self, motor: int) -> bool:
         """The same of one motor."""
-        return bool(self._is_identified[motor])
+        return bool(self._known_parameters[motor].all())
 
     def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
         """The same of every parameter of one motor."""
@@ -325,7 +345,7 @@ class MotorObserver:
     ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
         self.context_nodes.verdict_rules = verdicts
-        self._know(self.estimate(), slice(None))
+        self._know(self._believed(slice(None)), slice(None))
         if self.alarm is not None:
             self.alarm.rules = alarm
         if self.predictor is not None:
@@ -360,7 +380,7 @@ class MotorObserver:
             self.alarm.relearn()
         self._fit.forget()
         self._retested.update(dict.fromkeys(range(self.motors), True))
-        self._know(self.estimate(), slice(None))
+        self._know(self._believed(slice(None)), slice(None))
         self._precomputed = None
 
     def white_box_of(self, motor: int) -> MotorWhiteBox:

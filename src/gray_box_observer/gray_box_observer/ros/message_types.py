@@ -7,6 +7,8 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+from gray_box_observer.bag.fields import NAME_FIELDS, ByName, Step
+
 _TYPE_NAME = re.compile(r'([a-z][a-z0-9_]*)/(?:msg/)?([A-Z][A-Za-z0-9]*)\Z')
 _ARRAY = re.compile(
     r'sequence<(?P<held>[^,>]+)(?:, *(?P<most>\d+))?>|(?P<kind>[^<\[]+)\[(?P<count>\d+)\]'
@@ -25,16 +27,25 @@ def message_class(type_name: str) -> Any | None:
         return None
 
 
-def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
+def missing_field(kind: Any, steps: Sequence[Step]) -> str:
     """Say where a path leaves a message type, without a message; empty where it leads to numbers.
 
     Args:
         kind: message class.
-        steps: names of fields, and indices.
+        steps: names of fields, indices, and names of entries.
     """
     walked, field_type = kind.__name__, kind
+    has_names = False
     for step in steps:
         array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None
+        if isinstance(step, ByName):
+            if array is None:
+                return f'{walked} is no array, so there is no [{step.name}]'
+            if not has_names:
+                return f'{walked} has no names beside it, so there is no [{step.name}]'
+            field_type = _field_type(array['held'] or array['kind'])
+            walked += f'[{step.name}]'
+            continue
         if isinstance(step, int):
             if array is None:
                 return f'{walked} is no array, so there is no [{step}]'
@@ -44,6 +55,9 @@ def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
             field_type = _field_type(array['held'] or array['kind'])
             walked += f'[{step}]'
             continue
+        if array is not None and has_names:  # every entry is meant
+            field_type = _field_type(array['held'] or array['kind'])
+            array = None
         if array is not None:
             return f'{walked} is an array, so there is no field {step!r}: add an index'
         if isinstance(field_type, str):
@@ -51,6 +65,7 @@ def missing_field(kind: Any, steps: Sequence[str | int]) -> str:
         fields = field_type.get_fields_and_field_types()
         if step not in fields:
             return f'{walked} has no field {step!r}; there are: {", ".join(fields)}'
+        has_names = has_names or any(name in fields for name in NAME_FIELDS)
         field_type = _field_type(fields[step])
         walked += f'.{step}'
     array = _ARRAY.fullmatch(field_type) if isinstance(field_type, str) else None

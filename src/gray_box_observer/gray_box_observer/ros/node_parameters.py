@@ -38,6 +38,9 @@ def declare(node: Node) -> Configuration:
     declarations = [
         (spec.name, configuration[spec.name], describe(spec)) for spec in OBSERVER_PARAMETERS
     ]
+    declarations += [
+        (name, configuration[name], describe(spec)) for name, spec in configuration.input_specs()
+    ]
     described = {spec.name: describe(spec) for spec in MOTOR_PARAMETERS}
     for name, motor in configuration.motors.items():
         declarations += [

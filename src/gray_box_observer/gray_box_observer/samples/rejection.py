@@ -16,4 +16,5 @@ class Rejection(str, Enum):
     ABSURD = 'absurd'
     MALFORMED = 'malformed'
     OVERSIZED = 'oversized'
+    STALE_INPUT = 'stale_input'
     STOPPED = 'stopped'

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from gray_box_observer.bag.fields import FieldPath
 from gray_box_observer.errors import ConfigurationError, InputError, brief
 from gray_box_observer.safe_io.bounded_yaml import read_yaml
 from gray_box_observer.settings.device import check_name
@@ -20,6 +19,14 @@ from gray_box_observer.settings.parameters import (
     ROTOR_NODES,
     SIGNALS,
     ParameterSpec,
+)
+from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
+from gray_box_observer.settings.signal_sources import (
+    Feed,
+    check_reading,
+    feeds_of,
+    input_names,
+    stated_inputs,
 )
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -35,10 +42,13 @@ MOST_MOTORS = 100_000
 """Of a whole list, ranges written out: more would take the node minutes and gigabytes before it
 hears anything."""
 
+DEFAULT_TOPICS = {
+    name: next(spec.default for spec in OBSERVER_PARAMETERS if spec.name == f'{name}.topic')
+    for name in SIGNALS
+}
+
 DEFAULTS = 'defaults'
 """Group of parameters for the motors that say nothing else in their own."""
-
-MESSAGE_TYPE = re.compile(r'[a-z][a-z0-9_]*/(?:msg/)?[A-Z][A-Za-z0-9]*')
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,11 @@ class MotorConfiguration:
         }
         measured = speed_measured and not self.has_rotor
         return MotorWhiteBox(nodes, self.values['torque_constant'], constants, measured)
+
+    @property
+    def joint(self) -> str:
+        """Its name in messages."""
+        return self.values['joint'] or self.name
 
     @property
     def has_rotor(self) -> bool:
@@ -108,7 +123,7 @@ class Configuration:
     """The whole configuration.
 
     Attributes:
-        values: by the names of OBSERVER_PARAMETERS.
+        values: by the names of OBSERVER_PARAMETERS; of INPUT_PARAMETERS below each input's name.
         motors: one entry a motor.
         unknown: names that were given but nobody declared, for the caller to warn of: a file with
             ``/**`` may hold parameters of other nodes.
@@ -128,6 +143,13 @@ class Configuration:
             for spec in OBSERVER_PARAMETERS
             if self.values[spec.name] != spec.default
         }
+        notable_values.update(
+            {
+                name: self.values[name]
+                for name, spec in self.input_specs()
+                if self.values[name] != spec.default
+            }
+        )
         for name, motor in self.motors.items():
             notable_values.update(
                 {
@@ -137,6 +159,24 @@ class Configuration:
                 }
             )
         return notable_values
+
+    def input_specs(self) -> list[tuple[str, ParameterSpec]]:
+        """Return the parameters of every input that an expression names, by dotted names."""
+        return [
+            (f'{name}.{spec.name}', spec)
+            for name in input_names(self.values)
+            for spec in INPUT_PARAMETERS
+        ]
+
+    @property
+    def feeds(self) -> tuple[Feed, ...]:
+        """Every topic to listen to."""
+        return feeds_of(self.values)
+
+    @property
+    def has_own_speed(self) -> bool:
+        """Whether speed comes from a topic or an expression of its own."""
+        return bool(self.values['speed.topic'] or self.values['speed.expression'].strip())
 
     def group(self, prefix: str) -> dict[str, Any]:
         """Return the values below a prefix, by the rest of their names."""
@@ -199,12 +239,15 @@ class Configuration:
         check_name(values['device'])
         for name in SIGNALS:
             _check_signal(name, values)
+        values |= stated_inputs(values, unread_values, {*names, *RESERVED, DEFAULTS})
+        feeds_of(values)
         shared = _stated_names(DEFAULTS, unread_values)
         common = {
             spec.name: unread_values.pop(f'{DEFAULTS}.{spec.name}', spec.default)
             for spec in MOTOR_PARAMETERS
         }
         motors = _motors(names, unread_values, common, shared)
+        _check_joints(motors)
         _check_rule(values['context_update'], motors)
         return cls(values, motors, tuple(sorted(unread_values)))
 
@@ -232,6 +275,7 @@ class Configuration:
         which nothing is stated, and of no other.
         """
         candidates = [spec.name for spec in OBSERVER_PARAMETERS]
+        candidates += [name for name, _ in self.input_specs()]
         group = name.partition('.')[0]
         if group in self.motors or group == DEFAULTS:
             groups = [group]
@@ -331,25 +375,18 @@ def flatten(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
 
 
 def _check_signal(name: str, values: Mapping[str, Any]) -> None:
-    """Refuse what no message could ever be read by, before any is waited for or read."""
-    if not values[f'{name}.topic'] and name != 'speed':
+    """Refuse a signal that comes from nowhere, or from two places."""
+    has_expression = bool(values[f'{name}.expression'].strip())
+    if not values[f'{name}.topic'] and name != 'speed' and not has_expression:
         raise ConfigurationError(
             f'parameter {name}.topic is empty: voltage and torque each need a topic'
         )
-    if not MESSAGE_TYPE.fullmatch(values[f'{name}.type']):
+    if has_expression and values[f'{name}.topic'] not in ('', DEFAULT_TOPICS[name]):
         raise ConfigurationError(
-            f'parameter {name}.type must be a message type such as sensor_msgs/msg/JointState, '
-            f'got {brief(values[f"{name}.type"])}'
+            f'parameter {name}.topic is given beside {name}.expression, whose inputs have topics '
+            'of their own: leave one of them out'
         )
-    scale = values[f'{name}.scale']
-    if not math.isfinite(scale) or scale == 0.0:
-        raise ConfigurationError(
-            f'parameter {name}.scale must be a finite number other than 0, got {scale!r}'
-        )
-    try:
-        FieldPath(values[f'{name}.field'])
-    except ConfigurationError as error:
-        raise ConfigurationError(f'parameter {name}.field: {error}') from error
+    check_reading(name, values)
 
 
 def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
@@ -456,6 +493,16 @@ def _motor(
     except ConfigurationError as error:
         raise ConfigurationError(f'motor {name}: {error}') from error
     return motor
+
+
+def _check_joints(motors: Mapping[str, MotorConfiguration]) -> None:
+    """Refuse a joint that two motors share."""
+    joints = [motor.joint for motor in motors.values()]
+    if len(set(joints)) < len(joints):
+        twice = next(joint for joint, count in Counter(joints).items() if count > 1)
+        raise ConfigurationError(
+            f'two motors have the joint {brief(twice)}: give each a joint of its own'
+        )
 
 
 def _check_rotor(motor: MotorConfiguration) -> None:

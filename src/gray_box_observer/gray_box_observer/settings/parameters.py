@@ -5,156 +5,20 @@ Names are those of ROS parameters; each motor has a group of its own.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
 
-from gray_box_observer.errors import ConfigurationError, brief
+from gray_box_observer.settings.parameter_spec import ParameterSpec
+from gray_box_observer.settings.signal_parameters import SIGNALS, signal_parameters
 from gray_box_observer.white_box import TERMS
 
-SIGNALS = ('voltage', 'torque', 'speed')
-"""What is measured; each has a group of parameters that say where it comes from."""
-
-LONGEST_TEXT = 4096
-"""Of a text; no path may be longer."""
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterSpec:
-    """One parameter as a user sees it.
-
-    Attributes:
-        name: dotted ROS parameter name; for a motor's parameters, below the motor's name.
-        default: value and, by its type, the type.
-        description: what it does, with its unit.
-        minimum, maximum: inclusive range of a number.
-        choices: allowed values of a string.
-        words: words that may stand in place of a number.
-        live: whether it may be changed while the node runs.
-    """
-
-    name: str
-    default: Any
-    description: str
-    minimum: float | None = None
-    maximum: float | None = None
-    choices: tuple[str, ...] = ()
-    words: tuple[str, ...] = ()
-    live: bool = False
-
-    def check(self, value: Any, where: str = '') -> Any:
-        """Return the value in the declared type.
-
-        Raises:
-            ConfigurationError: wrong type, outside the range, or not among the choices.
-        """
-        name = f'{where}{self.name}'
-        if isinstance(self.default, float):
-            value = _as_float(value)
-        if isinstance(self.default, list) and isinstance(value, tuple):
-            value = list(value)
-        if (
-            isinstance(self.default, list)
-            and isinstance(self.default[0], float)
-            and isinstance(value, list)
-        ):
-            value = [_as_float(entry) for entry in value]
-        if value in self.words:
-            return value
-        if self.words and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            raise ConfigurationError(
-                f'parameter {name} must be a number or {" or ".join(self.words)}, got '
-                f'{brief(value)}'
-            )
-        if type(value) is not type(self.default):
-            expected_type, actual_type = type(self.default).__name__, type(value).__name__
-            raise ConfigurationError(
-                f'parameter {name} must be of type {expected_type}, got {brief(value)} '
-                f'({actual_type})'
-            )
-        if isinstance(value, list) and any(
-            type(entry) is not type(self.default[0]) for entry in value
-        ):
-            expected_type = type(self.default[0]).__name__
-            raise ConfigurationError(
-                f'parameter {name} must be a list of {expected_type}, got {brief(value)}'
-            )
-        if self.choices and value not in self.choices:
-            raise ConfigurationError(
-                f'parameter {name} must be one of {", ".join(self.choices)}, got {brief(value)}'
-            )
-        entries = value if isinstance(value, list) else [value]
-        if any(isinstance(entry, str) and len(entry) > LONGEST_TEXT for entry in entries):
-            raise ConfigurationError(
-                f'parameter {name} must have at most {LONGEST_TEXT} characters, got {brief(value)}'
-            )
-        for number in entries:
-            if isinstance(number, (int, float)) and not isinstance(number, bool):
-                self._check_range(name, number)
-        return value
-
-    def _check_range(self, name: str, number: float) -> None:
-        if self.minimum is None and self.maximum is None:
-            return
-        above = self.minimum is None or number >= self.minimum
-        below = self.maximum is None or number <= self.maximum
-        is_finite = isinstance(number, int) or math.isfinite(number)
-        if not (above and below and is_finite):
-            low = '-inf' if self.minimum is None else f'{self.minimum:g}'
-            high = 'inf' if self.maximum is None else f'{self.maximum:g}'
-            raise ConfigurationError(
-                f'parameter {name} must be in [{low}, {high}], got {brief(number)}'
-            )
-
-
-def _as_float(value: Any) -> Any:
-    """A whole number as a float, infinite where none is so large; anything else as it is."""
-    if not isinstance(value, int) or isinstance(value, bool):
-        return value
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf if value > 0 else -math.inf
-
-
-def _signal(
-    name: str, topic: str, field_path: str, quantity_name: str, scale: str
-) -> list[ParameterSpec]:
-    """Parameters that say where a signal comes from.
-
-    Args:
-        name: of the signal.
-        topic: default of its topic.
-        field_path: default of its field.
-        quantity_name: it is, in words.
-        scale: its SI unit, and what the factor to it is in a usual case.
-    """
-    return [
-        ParameterSpec(
-            f'{name}.topic', topic, f'Topic that carries {quantity_name}; empty: none of its own.'
-        ),
-        ParameterSpec(
-            f'{name}.type', 'sensor_msgs/msg/JointState', f'Message type of {name}.topic.'
-        ),
-        ParameterSpec(
-            f'{name}.field',
-            field_path,
-            f'Field path of {quantity_name} in the message, such as data, data[0] or '
-            'wrench.torque.z.',
-        ),
-        ParameterSpec(
-            f'{name}.scale', 1.0, f'Factor from the field to {quantity_name} in {scale}.'
-        ),
-        ParameterSpec(
-            f'{name}.offset',
-            0.0,
-            f'Added to {quantity_name} after the scale, in SI units.',
-            -1e9,
-            1e9,
-        ),
-    ]
-
+__all__ = [
+    'KNOWN_PARAMETERS',
+    'MOTOR_PARAMETERS',
+    'OBSERVER_PARAMETERS',
+    'ROTOR_NODES',
+    'SIGNALS',
+    'ParameterSpec',
+]
 
 OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec(
@@ -247,9 +111,28 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         0.001,
         1e6,
     ),
-    *_signal('voltage', 'motor/voltage', 'effort', 'armature voltage', 'V; of mV: 0.001'),
-    *_signal('torque', 'motor/torque', 'effort', 'motor torque', 'N m; of a current in A: Kt'),
-    *_signal('speed', '', 'velocity', 'shaft speed', 'rad/s; of revolutions a minute: 0.10472'),
+    *signal_parameters('voltage', 'motor/voltage', 'effort', 'armature voltage', 'V; of mV: 0.001'),
+    ParameterSpec(
+        'voltage.gain_relative_std',
+        0.0,
+        'How well the scale of the voltage is known: standard deviation relative to it; widens '
+        'covariance and verdicts.',
+        0.0,
+        1.0,
+    ),
+    *signal_parameters(
+        'torque', 'motor/torque', 'effort', 'motor torque', 'N m; of a current in A: Kt'
+    ),
+    ParameterSpec(
+        'torque.quantity',
+        'torque',
+        'What torque.field and torque.expression give: a torque in N m, or a current in A, which '
+        'torque_constant makes a torque.',
+        choices=('torque', 'current'),
+    ),
+    *signal_parameters(
+        'speed', '', 'velocity', 'shaft speed', 'rad/s; of revolutions a minute: 0.10472'
+    ),
     ParameterSpec(
         'recursive.block', 32, 'Samples between two updates of the context nodes.', 4, 100000
     ),
@@ -437,6 +320,14 @@ ROTOR_NODES = (
 
 MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
     ParameterSpec('torque_constant', 0.01, 'Torque constant Kt in N m/A; known.', 1e-9, 1e6),
+    ParameterSpec(
+        'torque_constant_relative_std',
+        0.0,
+        'How well torque_constant is known: standard deviation relative to it; widens covariance '
+        'and verdicts.',
+        0.0,
+        1.0,
+    ),
     *_known_values(own=True),
     ParameterSpec(
         'context_nodes',
@@ -451,6 +342,11 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); rotor: a hidden state '
         '(recursive rule, no predictor); auto: measured where torque brings speed.',
         choices=('auto', 'measured', 'torque_constant', 'rotor'),
+    ),
+    ParameterSpec(
+        'joint',
+        '',
+        'Name of the motor in messages, such as that of its joint; empty: its own name.',
     ),
     ParameterSpec(
         'voltage_limits',

@@ -57,6 +57,7 @@ REJECTIONS = {
     Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
+    Rejection.STALE_INPUT: 'an input of the expression is silent: does its driver run?',
     Rejection.STOPPED: 'the observer of this motor has stopped: see the log, then call ~/reset',
     Rejection.MALFORMED: 'names and values differ in number, the array is too short, or the bytes '
     'are no such message',
@@ -290,7 +291,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     fit = now.observer.fit(motor)
     if fit.verdict is FitVerdict.WARNING:
         return DiagnosticStatus.WARN, fit.sentence
-    doubt = contradiction(now.observer.configuration.motors[motor], estimate)
+    configuration = now.observer.configuration
+    doubt = contradiction(configuration.motors[motor], estimate, configuration['torque.quantity'])
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
     change_count = now.traffic.motors[motor].changes

@@ -41,6 +41,7 @@ from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import NODE_NAME, Configuration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS, OBSERVER_PARAMETERS
+from gray_box_observer.settings.signal_parameters import INPUT_PARAMETERS
 
 DIAGNOSTICS_PERIOD_S = 1.0
 
@@ -59,6 +60,9 @@ OF_EACH_MOTOR = (
     'parameters of each motor, below its name (-p motor.delay:=0.05), or below defaults for all'
 )
 """What ``--help`` calls them."""
+
+OF_EACH_INPUT = 'parameters of each input that an expression names, below its name'
+"""What ``--help`` calls these."""
 
 Transition = TransitionCallbackReturn
 
@@ -100,7 +104,7 @@ class ObserverNode(LifecycleNode):
             lambda line: self.get_logger().info(printable(line)),
             lambda line: self.get_logger().warning(printable(line)),
             self._why_silent,
-            speed_has_topic=bool(self._configuration['speed.topic']),
+            speed_has_topic=self._configuration.has_own_speed,
         )
         self._tasks: dict[str, PeriodicTask] = {}
         self._time('diagnostics', DIAGNOSTICS_PERIOD_S, self._tell)
@@ -271,7 +275,7 @@ class ObserverNode(LifecycleNode):
         if self._outputs is not None:
             self._outputs.retract()
 
-    def _ingest(self, name: str, message: Any, arrival_ns: int) -> None:
+    def _ingest(self, name: str, message: Any, arrival_ns: int, topic: str = '') -> None:
         if (
             self._observer is None
             or self._message_input is None
@@ -281,7 +285,7 @@ class ObserverNode(LifecycleNode):
             return  # the end does not wait for messages that have queued up
         since_s = time.perf_counter()
         try:
-            input_result = self._message_input.ingest(name, message, arrival_ns)
+            input_result = self._message_input.ingest(name, message, arrival_ns, topic)
             self._outputs.results(input_result.groups)
             if name == 'voltage' and input_result.names:
                 for group in self._observer.groups(input_result.names):
@@ -564,7 +568,7 @@ def main(args: Sequence[str] | None = None) -> int:
         'predicts their torque.\nParameters: --ros-args --params-file FILE.yaml, or -p '
         'NAME:=VALUE.',
         epilog=f'{help_text(OBSERVER_PARAMETERS)}\n\n{help_text(MOTOR_PARAMETERS, OF_EACH_MOTOR)}'
-        '\n\n'
+        f'\n\n{help_text(INPUT_PARAMETERS, OF_EACH_INPUT)}\n\n'
         'share/gray_box_observer/config/observer.yaml holds them all, to begin with.',
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

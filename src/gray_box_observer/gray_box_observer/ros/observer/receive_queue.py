@@ -79,6 +79,7 @@ class ReceiveQueue:
         self._large_at_s = 0.0
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer: Timer | None = None
+        self._is_relaxed = False
         self._set_unchecked()
 
     def admit(self, size_bytes: int) -> bool:
@@ -103,6 +104,14 @@ class ReceiveQueue:
         self._large_at_s = time.monotonic()
         self._resize(min(self._depth, BUDGET_MESSAGES))
 
+    def relax(self) -> bool:
+        """Listen by best effort, which hears every publisher; tell whether that is new."""
+        if self._is_relaxed or self._profile.reliability == ReliabilityPolicy.BEST_EFFORT:
+            return False
+        self._is_relaxed = True
+        self._reopen_soon()
+        return True
+
     def close(self) -> None:
         """Stop listening."""
         self._end_timer()
@@ -123,6 +132,9 @@ class ReceiveQueue:
         self._tell(depth)
         self._depth = depth
         self._set_unchecked()
+        self._reopen_soon()
+
+    def _reopen_soon(self) -> None:
         executor = self._node.executor
         if self._timer is None and executor is not None:
             self._timer = self._node.create_timer(PAUSE_S, self._reopen, clock=self._steady)
@@ -135,9 +147,8 @@ class ReceiveQueue:
     def _reopen(self) -> None:
         self._end_timer()
         give_memory_back()
-        self.subscription = self._subscribe(
-            self._shortened() if self._depth < self._full_depth else None
-        )
+        as_configured = self._depth == self._full_depth and not self._is_relaxed
+        self.subscription = self._subscribe(None if as_configured else self._by_best_effort())
 
     def _end_timer(self) -> None:
         if self._timer is not None:
@@ -157,7 +168,7 @@ class ReceiveQueue:
             throttle_duration_sec=CALM_S,
         )
 
-    def _shortened(self) -> QoSProfile:
+    def _by_best_effort(self) -> QoSProfile:
         """Return the configured quality of service, by best effort, with the present depth."""
         return QoSProfile(
             history=HistoryPolicy.KEEP_LAST,

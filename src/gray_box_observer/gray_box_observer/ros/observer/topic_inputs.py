@@ -26,13 +26,13 @@ from gray_box_observer.ros import topics
 from gray_box_observer.ros.message_types import message_class, missing_field
 from gray_box_observer.ros.observer.receive_memory import ReceiveMemory
 from gray_box_observer.ros.observer.receive_queue import ReceiveQueue
-from gray_box_observer.ros.qos import subscribe
+from gray_box_observer.ros.qos import PREFIX, subscribe
 from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
-from gray_box_observer.settings.parameters import SIGNALS
+from gray_box_observer.settings.signal_sources import Feed
 
-Take = Callable[[str, Any, int], None]
-"""Takes the signal's name, the message, and the stamp in ns of one without header."""
+Take = Callable[[str, Any, int, str], None]
+"""Takes the signal's name, the message, the stamp in ns of one without header, and the topic."""
 
 Refuse = Callable[[str, Rejection], None]
 """Takes the signal's name of a message that is not read, and why."""
@@ -40,7 +40,7 @@ Refuse = Callable[[str, Rejection], None]
 Decode = Callable[[bytes], Any]
 """Makes a message of its bytes."""
 
-VIEWED = ('position', 'velocity', 'effort')
+VIEWED = frozenset(('position', 'velocity', 'effort'))
 """Fields of a JointState that are read from its bytes: that takes a third of the time of building
 the message."""
 
@@ -63,7 +63,7 @@ class Trouble:
 
 
 class Inputs:
-    """Subscriptions of the configured signals.
+    """Subscriptions of the topics that the configured signals come from.
 
     Args:
         node: the node that listens.
@@ -89,20 +89,15 @@ class Inputs:
         self._node = node
         self._ingest = take
         self._refuse = refuse
-        self._topics = {
-            name: configuration[f'{name}.topic']
-            for name in SIGNALS
-            if configuration[f'{name}.topic']
+        self._feeds = {feed.group: feed for feed in configuration.feeds}
+        self._types = {
+            name: _message_type(name, feed.type_name) for name, feed in self._feeds.items()
         }
-        self._types = {name: _message_type(name, configuration[f'{name}.type']) for name in SIGNALS}
-        self._fields = {
-            name: re.split(r'\W', configuration[f'{name}.field'])[0] for name in SIGNALS
-        }
-        for name, topic in self._topics.items():
-            path = FieldPath(configuration[f'{name}.field'])
-            complaint = missing_field(self._types[name], path.steps)
-            if complaint:  # said now, and not when the first message comes
-                raise ConfigurationError(f'{name}.field {path.text!r} on {topic}: {complaint}')
+        for name, feed in self._feeds.items():
+            for parameter, path in feed.fields.items():
+                complaint = missing_field(self._types[name], FieldPath(path).steps)
+                if complaint:  # said now, and not when the first message comes
+                    raise ConfigurationError(f'{parameter} {path!r} on {feed.topic}: {complaint}')
         self._max_message_bytes = round(configuration['max_message_mb'] * 1e6)
         self._queues: dict[str, ReceiveQueue] = {}
         self._memory = ReceiveMemory(writers)
@@ -115,13 +110,13 @@ class Inputs:
         Raises:
             ConfigurationError: a quality of service that cannot be had.
         """
-        for name, topic in self._topics.items():
+        for name, feed in self._feeds.items():
             if not self._has_header(name):
                 self._node.get_logger().info(
                     f'{self._type_name(name)} has no header: {name} is stamped by '
                     f'{self._clock_in_words}'
                 )
-            subscribing = partial(self._subscribe, name, topic)
+            subscribing = partial(self._subscribe, feed)
             self._queues[name] = ReceiveQueue(
                 self._node, subscribing, self._max_message_bytes, self._watch_queues
             )
@@ -148,22 +143,27 @@ class Inputs:
 
     @property
     def _subscriptions(self) -> dict[str, Subscription]:
-        """The present subscription of every signal."""
+        """The present subscription of every topic, by the group of its parameters."""
         return {name: queue.subscription for name, queue in self._queues.items()}
 
     @property
     def needs_source_time(self) -> bool:
         """Whether a signal's messages lack a header, so that middleware time stamps them."""
-        return not all(self._has_header(name) for name in self._topics)
+        return not all(self._has_header(name) for name in self._feeds)
 
     @property
     def in_words(self) -> str:
         """Every topic by its full name."""
-        return ', '.join(self._node.resolve_topic_name(topic) for topic in self._topics.values())
+        return ', '.join(self._node.resolve_topic_name(feed.topic) for feed in self._feeds.values())
 
     def trouble(self, names: Iterable[str]) -> Trouble | None:
         """Say why nothing comes for these signals, as the ROS graph shows; None: unknown."""
-        troubles = [trouble for name in names if (trouble := self._trouble(name)) is not None]
+        wanted = set(names)
+        troubles = [
+            trouble
+            for feed in self._feeds.values()
+            if wanted.intersection(feed.signals) and (trouble := self._trouble(feed)) is not None
+        ]
         troubles.sort(key=lambda trouble: not trouble.broken)
         same = [
             trouble.message
@@ -172,16 +172,17 @@ class Inputs:
         ]
         return Trouble('; '.join(same), troubles[0].broken) if troubles else None
 
-    def _subscribe(self, name: str, topic: str, qos: QoSProfile | None) -> Subscription:
+    def _subscribe(self, feed: Feed, qos: QoSProfile | None) -> Subscription:
         """Subscribe with a quality of service; None: the configured one."""
+        name = feed.group
         receive = self._receive if self._has_header(name) else self._receive_bare
-        callback = partial(receive, name, self._decoder(name))
+        callback = partial(receive, feed, self._decoder(feed))
         profile = qos or topics.SIGNAL_QOS
         listen = partial(
             subscribe,
             self._node,
             self._types[name],
-            topic,
+            feed.topic,
             callback,
             profile,
             raw=True,
@@ -196,42 +197,49 @@ class Inputs:
         except UnsupportedEventTypeError:  # not every middleware tells
             return listen()
 
-    def _decoder(self, name: str) -> Decode:
-        kind = self._types[name]
-        if kind is JointState and self._fields[name] in VIEWED:
+    def _decoder(self, feed: Feed) -> Decode:
+        kind = self._types[feed.group]
+        first_fields = {re.split(r'\W', path)[0] for path in feed.fields.values()}
+        if kind is JointState and first_fields <= VIEWED:
             return JointStateDecoder()
         return partial(_deserialized, kind)
 
-    def _receive(self, name: str, decode: Decode, data: bytes) -> None:
-        message = self._decode(name, decode, data)
-        if message is not None:
-            self._ingest(name, message, 0)
+    def _receive(self, feed: Feed, decode: Decode, data: bytes) -> None:
+        message = self._decode(feed, decode, data)
+        if message is None:
+            return
+        for name in feed.signals:
+            self._ingest(name, message, 0, feed.topic)
 
-    def _receive_bare(self, name: str, decode: Decode, data: bytes, info: dict[str, Any]) -> None:
-        message = self._decode(name, decode, data)
+    def _receive_bare(self, feed: Feed, decode: Decode, data: bytes, info: dict[str, Any]) -> None:
+        message = self._decode(feed, decode, data)
         if message is None:
             return
         clock = self._node.get_clock()
         # the middleware stamps by the wall clock, which tells nothing of simulated time
-        self._ingest(
-            name,
-            message,
-            clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp'],
+        arrival_ns = (
+            clock.now().nanoseconds if clock.ros_time_is_active else info['source_timestamp']
         )
+        for name in feed.signals:
+            self._ingest(name, message, arrival_ns, feed.topic)
 
-    def _decode(self, name: str, decode: Decode, data: bytes) -> Any:
+    def _decode(self, feed: Feed, decode: Decode, data: bytes) -> Any:
         """Return the message of some bytes; None, reported, if too many or malformed."""
-        queue = self._queues.get(name)
+        queue = self._queues.get(feed.group)
         if queue is None:  # it waited while listening ended
             return None
         if len(data) > queue.unchecked_bytes and not queue.admit(len(data)):
-            self._refuse(name, Rejection.OVERSIZED)
+            self._refuse_all(feed, Rejection.OVERSIZED)
             return None
         try:
             return decode(data)
         except SampleError:
-            self._refuse(name, Rejection.MALFORMED)
+            self._refuse_all(feed, Rejection.MALFORMED)
             return None
+
+    def _refuse_all(self, feed: Feed, reason: Rejection) -> None:
+        for name in feed.signals:
+            self._refuse(name, reason)
 
     @property
     def _clock_in_words(self) -> str:
@@ -249,19 +257,40 @@ class Inputs:
         return f'{kind.__module__.partition(".")[0]}/msg/{kind.__name__}'
 
     def _incompatible(self, name: str, event: Any) -> None:
-        self._refusals[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        """Hear a publisher by best effort where that is all it offers; else say what keeps it."""
+        policy = qos_policy_name_from_kind(event.last_policy_kind).lower()
+        if policy == 'reliability' and self._adapts(name):
+            return
+        self._refusals[name] = policy
         self._node.get_logger().warning(self._refusal(name, self._refusals[name]))
 
+    def _adapts(self, name: str) -> bool:
+        """Tell whether a topic is heard by best effort from now on, or is already about to be.
+
+        Who asks for reliability by an override gets nothing less.
+        """
+        queue = self._queues.get(name)
+        topic = self._node.resolve_topic_name(self._feeds[name].topic)
+        asked = f'{PREFIX}{topic}.subscription.reliability'
+        if queue is None or asked in getattr(self._node, '_parameter_overrides', {}):
+            return False
+        if queue.relax():
+            self._node.get_logger().info(
+                f'a publisher of {topic} offers best effort: heard by best effort from now on'
+            )
+        return True
+
     def _refusal(self, name: str, policy: str) -> str:
-        topic = self._node.resolve_topic_name(self._topics[name])
+        topic = self._node.resolve_topic_name(self._feeds[name].topic)
         return (
             f'a publisher of {topic} offers less {policy} than is asked for, so nothing comes '
             'from it: '
             f'change it, or start with qos_overrides.{topic}.subscription.{policy}'
         )
 
-    def _trouble(self, name: str) -> Trouble | None:
-        topic = self._node.resolve_topic_name(self._topics[name])
+    def _trouble(self, feed: Feed) -> Trouble | None:
+        name = feed.group
+        topic = self._node.resolve_topic_name(feed.topic)
         publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             return Trouble(

@@ -1,0 +1,1 @@
+"""Arithmetic on named quantities, for live topics, bags and logs; read `formula.py` first."""

@@ -1,0 +1,178 @@
+"""A signal that is an expression of inputs, which may come from several topics."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.expressions.formula import Formula, Name, Value
+from gray_box_observer.observer.input_alignment import Aligned, InputAlignment, stale_limits
+from gray_box_observer.observer.signal_reading import Reading, Signal
+from gray_box_observer.samples import Rejection
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
+from gray_box_observer.settings.signal_sources import inputs_of
+
+OF_EVERY_MOTOR = ('',)
+"""Stands for the names of an input that is one number."""
+
+
+class _Input(Signal):
+    """One input in the messages of its topic; one number without a name is that of every motor."""
+
+    def _only_motor(self) -> tuple[str, ...]:
+        return OF_EVERY_MOTOR
+
+
+class Stamped(NamedTuple):
+    """What an expression gives at one stamp.
+
+    Attributes:
+        stamp_ns: of the message that led.
+        reading: motors and values; None where there is none.
+        reason: why there is none; None too where there is none yet.
+        complaint: the same in words.
+    """
+
+    stamp_ns: int
+    reading: Reading | None
+    reason: Rejection | None = None
+    complaint: str = ''
+
+
+class CombinedSignal:
+    """One measured quantity that is an expression of inputs.
+
+    Args:
+        name: of the signal.
+        formula: the expression.
+        configuration: of the observer.
+    """
+
+    def __init__(self, name: str, formula: Formula, configuration: Configuration) -> None:
+        self.name = name
+        self._formula = formula
+        self._scale: float = configuration[f'{name}.scale']
+        self._offset: float = configuration[f'{name}.offset']
+        self._motors = tuple(configuration.motors)
+        self._torque_constants = {
+            motor.name: float(motor.values[TORQUE_CONSTANT])
+            for motor in configuration.motors.values()
+        }
+        self._is_current = name == 'torque' and configuration['torque.quantity'] == 'current'
+        self._inputs = {own: _Input(own, configuration) for own in inputs_of(formula)}
+        ages_s = [(one.topic, configuration[f'{own}.stale_s']) for own, one in self._inputs.items()]
+        self._alignment = InputAlignment(
+            stale_limits(ages_s), round(configuration['jump_back_s'] * 1e9)
+        )
+        self._gap_ns = round(configuration['gap_s'] * 1e9)
+        self._before: dict[int, tuple[int, tuple[str, ...], Value]] = {}
+
+    @property
+    def topic(self) -> str:
+        """Every topic that it needs."""
+        return ' and '.join(dict.fromkeys(one.topic for one in self._inputs.values()))
+
+    @property
+    def unknown_names(self) -> Counter[str]:
+        """Names in messages that no configured motor has, and how often they came."""
+        return sum((one.unknown_names for one in self._inputs.values()), Counter[str]())
+
+    def ingest(self, topic: str, message: Any, stamp_ns: int) -> list[Stamped]:
+        """Take a message of one topic; return the values that it leads to.
+
+        Raises:
+            SampleError: the message cannot be read.
+            ConfigurationError: the message has no such field.
+        """
+        content = {
+            own: one.read(message) for own, one in self._inputs.items() if one.topic == topic
+        }
+        return [self._evaluated(one) for one in self._alignment.add(topic, stamp_ns, content)]
+
+    def flush(self) -> list[Stamped]:
+        """Return the value that still waits for an input, at the end of a recording."""
+        return [self._evaluated(one) for one in self._alignment.flush()]
+
+    def _evaluated(self, aligned: Aligned) -> Stamped:
+        stamp_ns = aligned.stamp_ns
+        if aligned.complaint:
+            return Stamped(stamp_ns, None, Rejection.STALE_INPUT, aligned.complaint)
+        readings: dict[str, Reading] = {}
+        for content in aligned.contents.values():
+            readings |= content
+        names = self._names(readings)
+        is_new = [False]
+        values: dict[Name, Value] = {own: _by_name(one, names) for own, one in readings.items()}
+        constants = self._constants(names)
+        values[TORQUE_CONSTANT] = constants
+        result = self._formula(values, self._differentiator(stamp_ns, names, is_new))
+        result = self._scale * result + self._offset
+        if self._is_current:
+            result = result * constants
+        if is_new[0]:  # a rate of change needs two values
+            return Stamped(stamp_ns, None)
+        result = np.broadcast_to(np.asarray(result, dtype=float), len(names))
+        single = (float(result[0]),) if len(names) == 1 else result
+        has_our_motor = any(name in self._torque_constants for name in names)
+        return Stamped(stamp_ns, Reading(names, single, has_our_motor))
+
+    def _names(self, readings: Mapping[str, Reading]) -> tuple[str, ...]:
+        """Return the motors that every input with names speaks of.
+
+        Raises:
+            ConfigurationError: no input has names, and there are several motors.
+        """
+        lists = list(
+            dict.fromkeys(one.names for one in readings.values() if one.names is not OF_EVERY_MOTOR)
+        )
+        if not lists:
+            if len(self._motors) != 1:
+                raise ConfigurationError(
+                    f'{self.name}.expression is one number, but there are {len(self._motors)} '
+                    'motors: use an input with names, or one observer a motor'
+                )
+            return self._motors
+        if len(lists) == 1:
+            return lists[0]
+        others = [set(names) for names in lists[1:]]
+        return tuple(
+            name
+            for name in lists[0]
+            if name in self._torque_constants and all(name in other for other in others)
+        )
+
+    def _constants(self, names: tuple[str, ...]) -> Value:
+        """Return Kt of every motor; NaN of one that is not ours."""
+        return np.array([self._torque_constants.get(name, math.nan) for name in names])
+
+    def _differentiator(self, stamp_ns: int, names: tuple[str, ...], is_new: list[bool]) -> Any:
+        """Return the mean rate of change since the value before; a first value sets ``is_new``."""
+
+        def differentiate(number: int, value: Value) -> Value:
+            before = self._before.get(number)
+            if before is not None and before[0] == stamp_ns and before[1] == names:
+                return value * math.nan  # the same stamp again: pairing refuses it
+            self._before[number] = (stamp_ns, names, value)
+            if before is None or before[1] != names or not 0 < stamp_ns - before[0] <= self._gap_ns:
+                is_new[0] = True
+                return value * 0.0
+            return (value - before[2]) / ((stamp_ns - before[0]) * 1e-9)
+
+        return differentiate
+
+
+def _by_name(reading: Reading, names: tuple[str, ...]) -> Value:
+    """Return the values of these motors, or one number where it is that of every motor."""
+    if reading.names is OF_EVERY_MOTOR:
+        return reading.values[0]
+    values = np.asarray(reading.values, dtype=float)
+    if reading.names == names:
+        return values
+    places = [reading.names.index(name) for name in names]
+    return values[places]

@@ -1,0 +1,254 @@
+"""The parameter files of ``docs/ROBOTS.md``, each on a recording of the messages it is for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from mcap_ros2._dynamic import serialize_dynamic
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.bag.writer import BagWriter
+from gray_box_observer.identify.offline_run import Outcome, run
+from gray_box_observer.settings.configuration import Configuration, flatten
+
+PAGE = Path(__file__).resolve().parents[3] / 'docs' / 'ROBOTS.md'
+RATE_HZ = 200.0
+START_NS = 1_000_000_000
+KT = 0.035
+
+SEPARATOR = f'\n{"=" * 80}\n'
+HEADER = (
+    f'{SEPARATOR}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n'
+    f'{SEPARATOR[1:]}MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n'
+)
+LAYOUT = (
+    f'{SEPARATOR}MSG: std_msgs/MultiArrayLayout\nMultiArrayDimension[] dim\nuint32 data_offset\n'
+    f'{SEPARATOR[1:]}MSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\nuint32 stride\n'
+)
+DEFINITIONS = {
+    'sensor_msgs/msg/JointState': 'std_msgs/Header header\nstring[] name\nfloat64[] position\n'
+    f'float64[] velocity\nfloat64[] effort{HEADER}',
+    'sensor_msgs/msg/BatteryState': f'std_msgs/Header header\nfloat32 voltage{HEADER}',
+    'std_msgs/msg/Float64MultiArray': f'MultiArrayLayout layout\nfloat64[] data{LAYOUT}',
+    'std_msgs/msg/Float32MultiArray': f'MultiArrayLayout layout\nfloat32[] data{LAYOUT}',
+    'control_msgs/msg/DynamicJointState': 'std_msgs/Header header\nstring[] joint_names\n'
+    f'InterfaceValue[] interface_values{HEADER}{SEPARATOR[1:]}'
+    'MSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n',
+    'vesc_msgs/msg/VescStateStamped': f'std_msgs/Header header\nVescState state{HEADER}'
+    f'{SEPARATOR[1:]}MSG: vesc_msgs/VescState\nint32 FAULT_CODE_NONE=0\nfloat64 temp_motor\n'
+    'float64 current_motor\nfloat64 duty_cycle\nfloat64 speed\nfloat64 voltage_input\n',
+    'odrive_can/msg/ODriveStatusAdvanced': 'float32 bus_voltage\nfloat32 bus_current\n'
+    'float32 vel_estimate\nfloat32 iq_measured\nuint8 axis_state\n',
+    'roboclaw_driver/msg/Status': 'std_msgs/Header header\nint32 m1_speed\nint16 m1_duty\n'
+    f'int32 m1_current\nint32 main_battery{HEADER}',
+}
+
+Row = tuple[str, str, dict[str, Any]]
+"""Topic, type and content of one message."""
+
+
+def parameters(robot: str) -> dict[str, Any]:
+    """The parameter file of a robot, as it stands on the page."""
+    block = PAGE.read_text(encoding='utf-8').partition(f'<!-- robot: {robot} -->')[2]
+    lines = []
+    for line in block.strip('\n').splitlines():
+        if line and not line.startswith('    '):
+            break
+        lines.append(line[4:])
+    return flatten(yaml.safe_load('\n'.join(lines))['/**']['ros__parameters'])
+
+
+def header(stamp_ns: int) -> dict[str, Any]:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return {'stamp': {'sec': seconds, 'nanosec': nanoseconds}, 'frame_id': ''}
+
+
+class Moment:
+    """What is true of the motor at one stamp."""
+
+    def __init__(self, recording: Recording, k: int) -> None:
+        self.k = k
+        self.stamp_ns = START_NS + int(recording.stamp_ns[k])
+        self.voltage_v = float(recording.voltage_v[0, k])
+        self.current_a = float(recording.torque_nm[0, k]) / KT
+        self.speed_rad_s = float(recording.speed_rad_s[0, k])
+        self.angle_rad = float(recording.speed_rad_s[0, : k + 1].sum()) / RATE_HZ
+        self.battery_v = 24.0 - 0.05 * int(k / RATE_HZ)
+
+    @property
+    def header(self) -> dict[str, Any]:
+        """A header with this stamp."""
+        return header(self.stamp_ns)
+
+
+def joint_states(now: Moment) -> list[Row]:
+    command = {'layout': {'dim': [], 'data_offset': 0}, 'data': [now.voltage_v]}
+    state = {
+        'header': now.header,
+        'name': ['arm_joint', 'left_wheel_joint', 'right_wheel_joint'],
+        'position': [0.0, now.angle_rad, 0.0],
+        'velocity': [1.0, now.speed_rad_s, 0.0],
+        'effort': [9.0, now.current_a, 0.0],
+    }
+    return [
+        ('/wheel_controller/commands', 'std_msgs/msg/Float64MultiArray', command),
+        ('/joint_states', 'sensor_msgs/msg/JointState', state),
+    ]
+
+
+def dynamic_joint_states(now: Moment) -> list[Row]:
+    gripper = {'interface_names': ['position'], 'values': [0.5]}
+    wheel = {
+        'interface_names': ['velocity', 'current', 'voltage'],
+        'values': [now.speed_rad_s, now.current_a, now.voltage_v],
+    }
+    state = {
+        'header': now.header,
+        'joint_names': ['gripper_joint', 'left_wheel_joint'],
+        'interface_values': [gripper, wheel],
+    }
+    return [('/dynamic_joint_states', 'control_msgs/msg/DynamicJointState', state)]
+
+
+def joint_state(now: Moment, effort: float, speed: list[float]) -> dict[str, Any]:
+    return {
+        'header': now.header,
+        'name': ['wheel'],
+        'position': [],
+        'velocity': speed,
+        'effort': [effort],
+    }
+
+
+def duty_and_battery(now: Moment) -> list[Row]:
+    battery = {'header': now.header, 'voltage': now.battery_v}
+    rows: list[Row] = []
+    if now.k % RATE_HZ == 0:
+        rows.append(('/battery_state', 'sensor_msgs/msg/BatteryState', battery))
+    kind = 'sensor_msgs/msg/JointState'
+    duty = float(np.float32(now.battery_v))
+    rows.append(('/duty', kind, joint_state(now, now.voltage_v / duty, [])))
+    rows.append(('/joint_states', kind, joint_state(now, now.current_a, [now.speed_rad_s])))
+    return rows
+
+
+def vesc(now: Moment) -> list[Row]:
+    state = {
+        'temp_motor': 40.0,
+        'current_motor': now.current_a,
+        'duty_cycle': now.voltage_v / now.battery_v,
+        'speed': now.speed_rad_s * 60.0 / (2.0 * np.pi) * 7.0,
+        'voltage_input': now.battery_v,
+    }
+    content = {'header': now.header, 'state': state}
+    return [('/sensors/core', 'vesc_msgs/msg/VescStateStamped', content)]
+
+
+def odrive(now: Moment) -> list[Row]:
+    content = {
+        'bus_voltage': now.battery_v,
+        'bus_current': 1.5 * now.voltage_v * now.current_a / now.battery_v,
+        'vel_estimate': now.speed_rad_s / (2.0 * np.pi),
+        'iq_measured': now.current_a,
+        'axis_state': 8,
+    }
+    return [('/odrive_status', 'odrive_can/msg/ODriveStatusAdvanced', content)]
+
+
+def roboclaw(now: Moment) -> list[Row]:
+    content = {
+        'header': now.header,
+        'm1_speed': round(now.speed_rad_s / (2.0 * np.pi) * 2048),
+        'm1_duty': round(now.voltage_v / 24.0 * 32767),
+        'm1_current': round(now.current_a * 1000.0),
+        'main_battery': 240,
+    }
+    return [('/roboclaw/status', 'roboclaw_driver/msg/Status', content)]
+
+
+def micro_ros(now: Moment) -> list[Row]:
+    data = [now.voltage_v * 1e3, now.current_a * 1e3, now.angle_rad]
+    content = {'layout': {'dim': [], 'data_offset': 0}, 'data': data}
+    return [('/motor_raw', 'std_msgs/msg/Float32MultiArray', content)]
+
+
+ROBOTS: list[Callable[[Moment], list[Row]]] = [
+    joint_states,
+    dynamic_joint_states,
+    duty_and_battery,
+    vesc,
+    odrive,
+    roboclaw,
+    micro_ros,
+]
+
+
+@pytest.fixture(scope='module')
+def recording() -> Recording:
+    plant = PlantParameters(
+        inductance=0.05,
+        resistance=1.0,
+        hysteresis=0.0,
+        torque_constant=KT,
+        back_emf_constant=KT,
+        inertia=1e-4,
+        viscous_friction=1e-5,
+    )
+    simulation = Simulation(
+        {'wheel': plant},
+        'R[5,15]D[0.05,0.5]',
+        seed=3,
+        sample_rate_hz=RATE_HZ,
+        solver_step_s=0.0005,
+        speed_mode='rotor',
+    )
+    return simulation.record(15.0)
+
+
+def record(folder: Path, rows_at: Callable[[Moment], list[Row]], recording: Recording) -> Path:
+    encoders: dict[str, Callable[[Any], bytes]] = {}
+    topics: set[str] = set()
+    with BagWriter(folder) as bag:
+        for k in range(recording.stamp_ns.size):
+            now = Moment(recording, k)
+            for topic, kind, content in rows_at(now):
+                if kind not in encoders:
+                    encoders[kind] = serialize_dynamic(kind, DEFINITIONS[kind])[kind]
+                if topic not in topics:
+                    topics.add(topic)
+                    bag.add_topic(topic, kind, DEFINITIONS[kind])
+                bag.write(topic, encoders[kind](content), now.stamp_ns, now.stamp_ns)
+    return folder
+
+
+def observe(bag: Path, robot: str) -> Outcome:
+    return run([bag], Configuration.from_flat(parameters(robot)), None)
+
+
+@pytest.mark.parametrize('rows_at', ROBOTS, ids=lambda rows_at: rows_at.__name__)
+def test_a_robot_is_identified_by_parameters_alone(
+    tmp_path: Path, rows_at: Callable[[Moment], list[Row]], recording: Recording
+) -> None:
+    outcome = observe(record(tmp_path / 'bag', rows_at, recording), rows_at.__name__)
+    assert outcome.warnings == []
+    (motor,) = outcome.observer.configuration.motors
+    assert outcome.observer.counts(motor).used >= 0.99 * recording.stamp_ns.size
+    estimate = outcome.observer.estimates()[motor]
+    values = dict(
+        zip([p.name for p in estimate.parameters], estimate.value[0].tolist(), strict=True)
+    )
+    assert values['resistance'] == pytest.approx(1.0, rel=0.02)
+    assert values['inductance'] == pytest.approx(0.05, rel=0.02)
+
+
+def test_every_file_of_the_page_is_tried() -> None:
+    robots = re.findall(r'<!-- robot: (\w+) -->', PAGE.read_text(encoding='utf-8'))
+    assert robots == [rows_at.__name__ for rows_at in ROBOTS]
+    assert all(Configuration.from_flat(parameters(robot)).unknown == () for robot in robots)
