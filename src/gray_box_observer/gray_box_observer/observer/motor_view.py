@@ -13,6 +13,7 @@ from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.samples import ReplayBuffer
+from gray_box_observer.settings.configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -67,6 +68,16 @@ class MotorView:
     def white_box(self) -> MotorWhiteBox:
         """Its physics."""
         return self.observer.white_box_of(self.place)
+
+    @property
+    def configuration(self) -> MotorConfiguration:
+        """What is known of it beforehand, in the form that it has now."""
+        return self.observer.configuration_of(self.place)
+
+    @property
+    def speed_reason(self) -> str:
+        """Why its speed is taken from where it is; ``white_box.speed_source`` says from where."""
+        return self.observer.speed_choice.reason
 
     @property
     def estimate(self) -> Estimate:

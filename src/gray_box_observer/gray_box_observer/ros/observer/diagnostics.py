@@ -290,7 +290,7 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     fit = now.observer.fit(motor)
     if fit.verdict is FitVerdict.WARNING:
         return DiagnosticStatus.WARN, fit.sentence
-    doubt = contradiction(now.observer.configuration.motors[motor], estimate)
+    doubt = contradiction(now.observer.motors[motor].configuration, estimate)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
     change_count = now.traffic.motors[motor].changes
@@ -332,9 +332,8 @@ def _small_print(motor: str, now: Situation) -> str:
     ]
     if names:
         note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
-    assumed = assumptions(
-        now.observer.configuration.motors[motor], now.observer.motors[motor].white_box
-    )
+    view = now.observer.motors[motor]
+    assumed = assumptions(view.configuration, view.white_box)
     if assumed:
         note += f'; assumed: {", ".join(assumed)}, see assumptions'
     return note
