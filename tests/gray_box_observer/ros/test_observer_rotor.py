@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from std_msgs.msg import Bool, Float64
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import Trigger
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
@@ -54,3 +55,32 @@ def test_the_nodes_of_a_rotor_are_published_and_survive_a_restart(rig, tmp_path)
     rig.send(recording, range(2000, 2300))
     rig.wait_for(samples_used=300)
     assert rig.values()['resistance verdict'] == 'identified'
+
+
+def test_the_topics_follow_the_form_that_is_chosen(rig):
+    simulation = Simulation(
+        {'motor': PLANT}, 'R[-12,12]D[0.05,0.5]', seed=1, speed_mode='rotor',
+        sample_rate_hz=1000.0, torque_noise_std=2e-4,
+    )  # fmt: skip
+    recording = simulation.record(2.0)
+    rig.start(motor__torque_constant=0.02, motor__back_emf_constant=0.02)
+    rig.send(recording, range(10))
+    rig.wait_for(samples_used=10)
+    assert rig.latched(Float64, 'motor/hysteresis').data > 0.0
+    rig.send(recording, range(10, 2000))
+    rig.wait_for(samples_used=2000)
+    rig.wait_for(resistance_verdict='identified')
+    assert rig.values()['speed source'].startswith('rotor: a rotor explains the data')
+    for name in NODES:
+        value = rig.latched(Float64, f'motor/{name}').data
+        assert value == pytest.approx(getattr(PLANT, name), rel=0.05), name
+        assert rig.latched(Bool, f'motor/{name}/identified').data is True
+    assert rig.latched(Bool, 'motor/identified').data is True
+    assert len(rig.latched(Float64MultiArray, 'motor/covariance').data) == len(NODES) ** 2
+    for name in ('motor/hysteresis', 'motor/hysteresis/identified'):
+        topic = f'/gray_box_observer/{name}'
+        rig.peer.wait(lambda topic=topic: not rig.peer.node.count_publishers(topic), f'no {topic}')
+    assert rig.call(Trigger, 'reset').success
+    assert rig.latched(Float64, 'motor/hysteresis').data == 1.0
+    gone = '/gray_box_observer/motor/inertia'
+    rig.peer.wait(lambda: not rig.peer.node.count_publishers(gone), 'the end of the inertia')

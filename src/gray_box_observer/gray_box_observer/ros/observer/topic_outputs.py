@@ -24,6 +24,7 @@ from gray_box_observer.ros.observer.message_templates import (
     value_template,
     yes_and_no,
 )
+from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.settings.configuration import Configuration
@@ -56,17 +57,7 @@ class Outputs:
         self._covariances: dict[str, MessageTemplate] = {}
         self._value, self._is = value_template(), yes_and_no()
         self._parameters = {
-            m: {
-                p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p)
-                for p in motor.values['context_nodes']
-            }
-            for m, motor in motors.items()
-        }
-        self._parameter_identified = {
-            m: {
-                p: LatchedTopic(node, topics.PARAMETER_IDENTIFIED, motor=m, parameter=p)
-                for p in motor.values['context_nodes']
-            }
+            m: ParameterTopics(node, m, motor.values['context_nodes'])
             for m, motor in motors.items()
         }
         self._published_fit: dict[str, float] = {}
@@ -201,9 +192,11 @@ class Outputs:
         """Publish values, covariance and whether all is identified; None: by the verdicts."""
         if motor not in self._covariance:
             return
+        self._follow_form(motor, estimate)
+        values = self._parameters[motor].values
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             if math.isfinite(value):
-                self._parameters[motor][parameter.name](self._value.render(value))
+                values[parameter.name](self._value.render(value))
         template = self._covariances.get(motor)
         if template is None:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
@@ -212,6 +205,13 @@ class Outputs:
         self._identified[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
+
+    def _follow_form(self, motor: str, estimate: Estimate) -> None:
+        """Let the topics of a motor follow its parameters: those of a rotor come and go."""
+        names = tuple(parameter.name for parameter in estimate.parameters)
+        if self._parameters[motor].follow(names, is_active=self._identified[motor].is_active):
+            self._covariances.pop(motor, None)
+            self._published_identified.pop(motor, None)
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
         """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
@@ -242,7 +242,7 @@ class Outputs:
         self._published_identified[motor] = flags
         for j, (parameter, is_identified) in enumerate(zip(parameters, flags, strict=True)):
             if before is None or before[j] != is_identified:
-                self._parameter_identified[motor][parameter.name](self._is[is_identified])
+                self._parameters[motor].identified[parameter.name](self._is[is_identified])
 
     def forget_published(self) -> None:
         """Publish again, at the next chance, what goes out only on change and may be unheard."""
@@ -274,9 +274,9 @@ class Outputs:
         self._alarm_states[motor] = False
         self._identified[motor].correct(self._is[False])
         self._alarm[motor].correct(self._is[False])
-        for latched in self._parameter_identified[motor].values():
+        for latched in self._parameters[motor].identified.values():
             latched.correct(self._is[False])
         self._published_identified.pop(motor, None)
         self._forget_fit(motor)
-        for latched in (*self._parameters[motor].values(), self._covariance[motor]):
+        for latched in (*self._parameters[motor].values.values(), self._covariance[motor]):
             latched.retract()
