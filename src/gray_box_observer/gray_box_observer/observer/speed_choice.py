@@ -68,17 +68,22 @@ class SpeedChoice:
 
     Attributes:
         source: where the speed comes from now.
-        reason: why.
     """
 
     def __init__(
         self, source: str, reason: str, make: Callable[[str], MotorForm] | None = None
     ) -> None:
         self.source = source
-        self.reason = reason
+        self._reason = printable(reason, LONGEST_REASON)
+        self._refusal = ''
         self._make = make
         self._due = self._wait = FEWEST
         self._trials = 0
+
+    @property
+    def reason(self) -> str:
+        """Why the speed comes from there; in doubt, why it does not come from elsewhere."""
+        return self._refusal or self._reason
 
     @property
     def is_open(self) -> bool:
@@ -92,7 +97,10 @@ class SpeedChoice:
             nodes: the rule in force.
             fit: what is known of its fit.
         """
-        if self._make is None or not self._is_doubted(fit):
+        if self._make is None:
+            return False
+        if not self._is_doubted(fit):
+            self._refusal = ''
             return False
         return int(nodes.replay.received[0]) >= self._due
 
@@ -119,7 +127,7 @@ class SpeedChoice:
         content = replay.newest(count).copy()
         if Window.from_samples(white_box, content[:, 0]).moves < FEWEST_MOVES:
             self._due = received + FEWEST
-            self.reason = (
+            self._refusal = (
                 f'{IN_WORDS[self.source]} does not explain the data, but the voltage has hardly '
                 f'moved: {IN_WORDS[OTHER[self.source]]} cannot be told'
             )
@@ -151,16 +159,17 @@ class SpeedChoice:
             before_a = min(before_a, same.residual(content))
             gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
         if not (_explains(fit, left_a, before_a) and _is_told(estimate) and gain > EVIDENCE):
-            self.reason = self._refusal(fit, estimate)
+            self._refusal = self._why_not(fit, estimate)
             return None
-        self.reason = (
+        self._refusal = ''
+        self._reason = (
             f'{IN_WORDS[OTHER[self.source]]} explains the data: the residual of its free run is '
             f'{fit.ratio:.3g} times the noise, that of {IN_WORDS[self.source]} '
             f'{fit.ratio * before_a / left_a:.3g} times (log-likelihood {gain:.3g})'
         )
         return other
 
-    def _refusal(self, fit: FitAssessment, estimate: Estimate) -> str:
+    def _why_not(self, fit: FitAssessment, estimate: Estimate) -> str:
         """Say why the other form was not taken."""
         here, there = IN_WORDS[self.source], IN_WORDS[OTHER[self.source]]
         times = f'tried {self._trials} times' if self._trials > 1 else 'tried once'
@@ -175,7 +184,8 @@ class SpeedChoice:
         """Everything, as plain values; places count back from the newest sample."""
         return {
             'source': self.source,
-            'reason': self.reason,
+            'reason': self._reason,
+            'refusal': self._refusal,
             'is_open': self.is_open,
             'due': self._due - received,
             'wait': self._wait,
@@ -188,8 +198,8 @@ class SpeedChoice:
         Raises:
             CheckpointError: it is no state that a choice could have been in.
         """
-        reason = entry(plain, 'reason')
-        if not isinstance(reason, str) or reason != printable(reason, LONGEST_REASON):
+        reasons = [entry(plain, name) for name in ('reason', 'refusal')]
+        if not all(isinstance(r, str) and r == printable(r, LONGEST_REASON) for r in reasons):
             raise CheckpointError('speed.reason is none that could have been given')
         due, wait = whole(plain, 'due', -MOST, MOST), whole(plain, 'wait', FEWEST, LONGEST_WAIT)
         trials, was_open = whole(plain, 'trials'), flag(plain, 'is_open')
@@ -197,7 +207,7 @@ class SpeedChoice:
             raise CheckpointError('speed.source is none of those that there are')
         if not (self.is_open and was_open):
             return
-        self.reason = reason
+        self._reason, self._refusal = reasons
         self._due, self._wait, self._trials = received + due, wait, trials
 
 
