@@ -154,3 +154,23 @@ def test_stated_context_nodes_of_the_voltage_balance_stay() -> None:
     assert motor.values['context_nodes'] == [
         *nodes, 'inertia', 'viscous_friction', 'coulomb_friction'
     ]  # fmt: skip
+
+
+def test_the_speed_of_a_chosen_rotor_is_told_with_every_sample() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 6)
+    observer = Observer(Configuration.from_flat(CONSTANTS))
+    errors = []
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        for result in observer.torque('motor', stamp, float(record.torque_nm[0, k])):
+            if result.speed is not None:
+                truth = record.speed_rad_s[0, k]
+                errors.append((result.speed.speed_rad_s - truth, result.speed.std_rad_s))
+    error, std = np.array(errors[200:]).T
+    assert len(errors) > 1000
+    assert np.sqrt(np.mean(error**2)) < 0.01 * record.speed_rad_s[0].std()
+    assert np.mean(np.abs(error) < 3.0 * std) > 0.9
+
+
+def test_a_motor_of_the_thesis_has_no_speed_to_tell() -> None:
+    assert observed(recorded(THESIS_MOTOR, LIVELY, 1.0, 1)).motors['motor'].speed is None

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
+from gray_box_observer.ros.topics import SIGNAL_QOS
 
 pytestmark = pytest.mark.system
 
@@ -62,7 +65,7 @@ def test_the_topics_follow_the_form_that_is_chosen(rig):
         {'motor': PLANT}, 'R[-12,12]D[0.05,0.5]', seed=1, speed_mode='rotor',
         sample_rate_hz=1000.0, torque_noise_std=2e-4,
     )  # fmt: skip
-    recording = simulation.record(2.0)
+    recording = simulation.record(2.2)
     rig.start(motor__torque_constant=0.02, motor__back_emf_constant=0.02)
     rig.send(recording, range(10))
     rig.wait_for(samples_used=10)
@@ -80,7 +83,23 @@ def test_the_topics_follow_the_form_that_is_chosen(rig):
     for name in ('motor/hysteresis', 'motor/hysteresis/identified'):
         topic = f'/gray_box_observer/{name}'
         rig.peer.wait(lambda topic=topic: not rig.peer.node.count_publishers(topic), f'no {topic}')
+    speeds = rig.peer.listen(JointState, '/gray_box_observer/speed', SIGNAL_QOS)
+    rig.peer.wait(
+        lambda: rig.peer.node.count_subscribers('/gray_box_observer/speed'), 'the subscription'
+    )
+    rig.signals()
+    rig.send(recording, range(2000, 2200))
+    rig.wait_for(samples_used=2200)
+    rig.peer.wait(lambda: len(speeds) > 100, 'speeds')
+    assert speeds[-1].name == ['motor']
+    stamp_ns = speeds[-1].header.stamp.sec * 10**9 + speeds[-1].header.stamp.nanosec
+    k = int(np.flatnonzero(recording.stamp_ns == stamp_ns - 1_000_000_000)[0])
+    spread = recording.speed_rad_s[0].std()
+    assert speeds[-1].velocity[0] == pytest.approx(recording.speed_rad_s[0, k], abs=0.03 * spread)
+    assert 0.0 < rig.latched(Float64, 'motor/speed_std').data < 0.05 * spread
     assert rig.call(Trigger, 'reset').success
+    std = '/gray_box_observer/motor/speed_std'
+    rig.peer.wait(lambda: not rig.peer.node.count_publishers(std), 'the end of its deviation')
     assert rig.latched(Float64, 'motor/hysteresis').data == 1.0
     gone = '/gray_box_observer/motor/inertia'
     rig.peer.wait(lambda: not rig.peer.node.count_publishers(gone), 'the end of the inertia')

@@ -8,13 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    RotorUpdate,
+    VerdictSettings,
+)
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.speed_choice import SpeedChoice
+from gray_box_observer.observer.speed_tracking import SpeedTracking
+from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
@@ -32,6 +40,7 @@ class DeferredUpdate:
         prediction: what had been predicted of it; None without predictor.
         theta, covariance, identified: what was believed before it was learnt.
         followed: whether the predictor has gone on from it.
+        speed: of a motor with a rotor, at the sample; None where none may be believed.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
             sample; None: to be done.
     """
@@ -41,6 +50,7 @@ class DeferredUpdate:
     theta: Array
     covariance: Array
     identified: NDArray[np.bool_]
+    speed: SpeedEstimate | None = None
     is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
@@ -83,6 +93,9 @@ class MotorObserver:
         self.delay = form.delay
         self._fit = form.fit
         self._predictor, self._alarm = form.forecasting()
+        self._speed: SpeedTracking | None = None
+        if isinstance(form.context_nodes, RotorUpdate):
+            self._speed = SpeedTracking(form.white_box, form.context_nodes)
         self._precomputed: tuple[bytes, Prediction] | None = None
         self._is_identified = self._nobody
         shape = (self.motors, len(self.white_box.parameters))
@@ -151,6 +164,8 @@ class MotorObserver:
             sample, prediction, self._theta, self._covariance, self._is_identified
         )
         estimate = self.update_parameters(sample)
+        if self._speed is not None:
+            deferred.speed = self._speed.step(sample, self._theta[0])
         self._deferred = deferred
         return deferred, estimate
 
@@ -293,6 +308,8 @@ class MotorObserver:
         else:
             self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
             self._theta[motors], self._covariance[motors] = estimate.value, estimate.covariance
+        if self._speed is not None:
+            self._speed.believe(self._theta[0], self._covariance[0], self._fit.assessment(0))
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
@@ -314,6 +331,16 @@ class MotorObserver:
     def parameters_identified_of(self, motor: int) -> tuple[bool, ...]:
         """The same of every parameter of one motor."""
         return tuple(self._known_parameters[motor].tolist())
+
+    @property
+    def speed(self) -> SpeedEstimate | None:
+        """Speed at the newest sample of a motor with a rotor; None where none may be believed."""
+        return None if self._speed is None else self._speed.newest
+
+    @property
+    def stall(self) -> StallWatch | None:
+        """Whether a rotor stands still though it is driven; None of a motor without rotor."""
+        return None if self._speed is None else self._speed.stall
 
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""

@@ -257,6 +257,9 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
             else ''
         )
         return DiagnosticStatus.WARN, REMEDY + change_note
+    stall = observer.motors[motor].stall
+    if stall is not None and stall.sentence is not None:
+        return DiagnosticStatus.WARN, stall.sentence
     undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared

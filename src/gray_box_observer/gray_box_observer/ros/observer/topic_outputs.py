@@ -13,13 +13,14 @@ from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
+    JointMessages,
     MessageTemplate,
-    TorqueMessages,
     covariance_template,
     value_template,
     yes_and_no,
@@ -62,7 +63,14 @@ class Outputs:
         }
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
-        self._torques = TorqueMessages()
+        self._torques, self._speeds = JointMessages(), JointMessages('velocity')
+        self._speed = self._create(node, topics.SPEED)
+        alone = len(configuration.motors) < configuration['group_from']
+        self._speed_std = {
+            m: LatchedTopic(node, topics.SPEED_STD, motor=m)
+            for m, motor in motors.items()
+            if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto')
+        }
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
@@ -87,8 +95,22 @@ class Outputs:
                 awaited.clear()
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
+            self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
             if self._alarm and result.estimate is not None:
                 self._publish_changed(result.group, result.changed.tolist(), result.estimate)
+
+    def _publish_speed(self, motor: str, stamp_ns: int, speed: SpeedEstimate | None) -> None:
+        """Publish the speed of a motor with a rotor; of others, and in doubt, none is left."""
+        std = self._speed_std.get(motor)
+        if speed is None:
+            if std is not None:
+                std.retract()
+            return
+        data = self._speeds.render((motor,), stamp_ns, np.array([speed.speed_rad_s]))
+        if data is not None:
+            self._speed(data)
+        if std is not None:
+            std(self._value.render(np.array([speed.std_rad_s])))
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""
@@ -248,6 +270,8 @@ class Outputs:
         """Publish again, at the next chance, what goes out only on change and may be unheard."""
         self._published_identified.clear()
         self._published_fit.clear()
+        for std in self._speed_std.values():  # with the next sample it is told again
+            std.retract()
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the residual alarm stands, whatever was published before."""
@@ -280,3 +304,5 @@ class Outputs:
         self._forget_fit(motor)
         for latched in (*self._parameters[motor].values.values(), self._covariance[motor]):
             latched.retract()
+        if motor in self._speed_std:
+            self._speed_std[motor].retract()
