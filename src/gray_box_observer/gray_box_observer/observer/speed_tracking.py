@@ -66,19 +66,14 @@ class SpeedTracking:
             theta: shape (parameter,): what is known of the motor now.
         """
         self.newest = None
-        if not self._is_credible:
-            self.stall.forget()
-            return None
         torque_constant = float(self._white_box.torque_constant)
         noise_a = float(self._nodes.noise_std_nm[0]) / torque_constant
         interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
         current_a = float(sample.torque_nm[0]) / torque_constant
-        self.newest = self._filter.step(
-            theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
-        )
-        if self.newest is None:
-            self.stall.forget()
-        else:
-            speed_rad_s = self.newest.speed_rad_s
-            self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
+        if self._is_credible:
+            self.newest = self._filter.step(
+                theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
+            )
+        speed_rad_s = None if self.newest is None else self.newest.speed_rad_s
+        self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
         return self.newest

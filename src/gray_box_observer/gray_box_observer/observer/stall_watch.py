@@ -30,6 +30,7 @@ class StallWatch:
         self.current_a = 0.0
         self.count = 0
         self._largest_v = 0.0
+        self._constants = 0.0, 0.0
 
     @property
     def is_stalled(self) -> bool:
@@ -51,7 +52,7 @@ class StallWatch:
         interval_s: float,
         voltage_v: float,
         current_a: float,
-        speed_rad_s: float,
+        speed_rad_s: float | None,
         constants: tuple[float, float],
     ) -> None:
         """Go on by one sample.
@@ -60,24 +61,25 @@ class StallWatch:
             interval_s: time since the sample before; 0 where a signal history begins.
             voltage_v: mean voltage of that interval.
             current_a: at the sample.
-            speed_rad_s: likewise.
-            constants: R in ohm and Kb in V s/rad.
+            speed_rad_s: likewise; None where none may be believed: a stall then lasts as long as
+                voltage and current are what they were in it.
+            constants: R in ohm and Kb in V s/rad, which count with a speed.
         """
-        resistance, back_emf = constants
+        if speed_rad_s is not None:
+            self._constants = constants
+        resistance, back_emf = self._constants
         self.voltage_v, self.current_a = voltage_v, current_a
         self._largest_v = max(self._largest_v, abs(voltage_v))
         is_driven = (
             abs(voltage_v) >= LEAST_V * self._largest_v
             and resistance * current_a * voltage_v >= LEAST_DROP * voltage_v**2 > 0.0
         )
-        is_still = back_emf * abs(speed_rad_s) < STILL * abs(voltage_v)
+        is_still = self.is_stalled
+        if speed_rad_s is not None:
+            is_still = back_emf * abs(speed_rad_s) < STILL * abs(voltage_v)
         if interval_s <= 0.0 or not (is_driven and is_still):
             self.still_s = 0.0
             return
         was_stalled = self.is_stalled
         self.still_s += interval_s
         self.count += self.is_stalled and not was_stalled
-
-    def forget(self) -> None:
-        """Begin anew: nothing is known of the speed."""
-        self.still_s = 0.0
