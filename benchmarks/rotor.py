@@ -17,9 +17,10 @@ from pathlib import Path
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
+from common.rotor.choices import Choice, run_choice
 from common.rotor.records import NODES, draw
 from common.rotor.runs import Trial, run_trial
-from common.trust.motors import gear_motor, sticky_motor
+from common.trust.motors import gear_motor, sticky_motor, thesis_like_motor
 from real_motors import DEAD_CURRENT_SENSOR, DEFAULT_DATA, Case, cases, identify
 from scipy.stats import chi2
 
@@ -51,6 +52,7 @@ def main() -> int:
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
         *slow_figures(seeds, 100.0, 2.0 * length_s, 5e-3, counts=counts),
         *sticky_figures(seeds, length_s, counts=counts),
+        *choice_figures(seeds, length_s, counts=counts),
     ]
     try:
         figures += robot_figures(options.data or DEFAULT_DATA)
@@ -132,6 +134,54 @@ def sticky_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]
         Figure('strong friction: share beyond 3 std', 1.0 - float(within), 0.03, counts),
         Figure('strong friction: false of all identified', share_false(trials), 0.0, counts),
     ]
+
+
+def choice_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Let ``speed_source: auto`` choose, of gear motors and of motors without rotor."""
+    gears = [run_choice(draw(gear_motor, seed, 1000.0, length_s)) for seed in range(seeds)]
+    still = [
+        run_choice(draw(thesis_like_motor, seed, 100.0, 3.0 * length_s))
+        for seed in range(max(1, seeds // 2))
+    ]
+    show_choices('auto: gear motors', gears)
+    show_choices('auto: motors without rotor', still)
+    claims = sum(choice.claims for choice in gears)
+    return [
+        Figure('auto: gear motors without rotor, share', share_of(gears, 'torque_constant'), 0.01),
+        Figure('auto: other motors with a rotor, share', share_of(still, 'rotor'), 0.01),
+        Figure(
+            'auto: L and R of gear motors not identified and right, share',
+            1.0 - float(np.mean([choice.is_right for choice in gears])),
+            0.05,
+            counts,
+        ),
+        Figure(
+            'auto: false of all that was called identified, gear motors',
+            sum(choice.false for choice in gears) / max(1, claims),
+            0.02,
+            counts,
+        ),
+    ]
+
+
+def share_of(choices: Sequence[Choice], source: str) -> float:
+    """Return how many motors end with a source of their speed, as a share."""
+    return float(np.mean([choice.source == source for choice in choices]))
+
+
+def show_choices(title: str, choices: Sequence[Choice]) -> None:
+    """Print what was chosen for every motor, and when."""
+    rows = [
+        [
+            str(seed),
+            choice.source,
+            f'{choice.since_s:.2f}',
+            'yes' if choice.is_right else 'no',
+            f'{choice.false}/{choice.claims}',
+        ]
+        for seed, choice in enumerate(choices)
+    ]
+    print(f'\n{table([title, "chosen", "at s", "L, R right", "false"], rows)}')
 
 
 def robot_figures(data: Path) -> list[Figure]:

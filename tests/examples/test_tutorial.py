@@ -85,9 +85,8 @@ def test_the_log_of_the_tutorial_is_identified(run):
         ({'speed': '-1*speed_rpm*30*0.104719755'}, 'speed_sign', r'speed=-1\*NAME'),
         ({'voltage': 'duty'}, 'back_emf_constant', r'back_emf_constant: 0\.001[78]\d* '),
         ({'speed': 'speed_rpm*0.104719755'}, 'back_emf_constant', r'back_emf_constant: 0\.6[56]'),
-        ({'speed': ''}, 'rotor', r"publish the speed in motor/torque's velocity"),
     ],
-    ids=['mA for A', 'speed sign', 'duty for volts', 'no gear ratio', 'no speed'],
+    ids=['mA for A', 'speed sign', 'duty for volts', 'no gear ratio'],
 )
 def test_a_mistake_makes_a_misfit_that_the_tutorial_names(
     run,
@@ -99,13 +98,24 @@ def test_a_mistake_makes_a_misfit_that_the_tutorial_names(
     assert code == 0
     assert motor['fit']['verdict'] == 'misfit'
     suspects = {suspect['effect']: suspect['remedy'] for suspect in motor['fit']['suspects']}
-    if named != 'rotor':  # which is not always the likeliest
-        assert next(iter(suspects)) == named
+    assert next(iter(suspects)) == named
     assert re.search(remedy, suspects[named])
     believed = {'identified', 'negligible'} & {p['verdict'] for p in motor['parameters'].values()}
     assert not believed
     assert 'Believe none of the parameters' in said
     assert f'likely left out: {named}' in TUTORIAL.read_text(encoding='utf-8')
+
+
+def test_without_speed_the_rotor_is_found(run):
+    _, motor, said = run(speed='')
+    assert 'warning' not in said
+    assert motor['speed_source'] == 'rotor'
+    assert motor['speed_source_reason'].startswith('a rotor explains the data')
+    for name, truth in {**TRUTH, 'inertia': 1.2e-5}.items():
+        entry = motor['parameters'][name]
+        assert entry['verdict'] == 'identified', name
+        assert entry['value'] == pytest.approx(truth, rel=0.01), name
+    assert 'rotor: a rotor explains the data' in TUTORIAL.read_text(encoding='utf-8')
 
 
 def test_milliseconds_for_seconds_are_refused_with_the_remedy(run, tmp_path: Path):

@@ -48,7 +48,7 @@ def test_a_motor_that_the_white_box_explains_is_identified_and_its_fit_is_ok() -
 
 
 def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> None:
-    motor = _free_rotor().observed().motors['motor']
+    motor = _free_rotor().observed(speed_source='torque_constant').motors['motor']
     assert motor.fit.verdict is FitVerdict.MISFIT
     assert Verdict.IDENTIFIED not in motor.estimate.verdicts[0]
     assert motor.fit.suspects[0].effect == 'rotor'
@@ -85,7 +85,9 @@ def test_a_wrong_unit_leaves_no_residual_and_is_a_misfit_all_the_same() -> None:
 
 def test_the_fit_survives_a_checkpoint(tmp_path: Path) -> None:
     record = _free_rotor(samples=2000)
-    first = Record(record.voltage_v[:1500], record.current_a[:1500]).observed()
+    first = Record(record.voltage_v[:1500], record.current_a[:1500]).observed(
+        speed_source='torque_constant'
+    )
     path = tmp_path / 'motor.safetensors'
     checkpoint.write(checkpoint.capture(first), path)
     restored = Observer(first.configuration)
@@ -108,7 +110,7 @@ def _feed(observer: Observer, record: Record, begin: int) -> None:
 
 def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
     record = _free_rotor()
-    observer = record.observed()
+    observer = record.observed(speed_source='torque_constant')
     level = np.full(2000, record.voltage_v[-1])
     held = Record(
         np.concatenate([record.voltage_v, level]),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-from std_msgs.msg import Bool, Float64
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_srvs.srv import Trigger
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
+from gray_box_observer.ros.topics import SIGNAL_QOS
 
 pytestmark = pytest.mark.system
 
@@ -54,3 +58,48 @@ def test_the_nodes_of_a_rotor_are_published_and_survive_a_restart(rig, tmp_path)
     rig.send(recording, range(2000, 2300))
     rig.wait_for(samples_used=300)
     assert rig.values()['resistance verdict'] == 'identified'
+
+
+def test_the_topics_follow_the_form_that_is_chosen(rig):
+    simulation = Simulation(
+        {'motor': PLANT}, 'R[-12,12]D[0.05,0.5]', seed=1, speed_mode='rotor',
+        sample_rate_hz=1000.0, torque_noise_std=2e-4,
+    )  # fmt: skip
+    recording = simulation.record(2.2)
+    rig.start(motor__torque_constant=0.02, motor__back_emf_constant=0.02)
+    rig.send(recording, range(10))
+    rig.wait_for(samples_used=10)
+    assert rig.latched(Float64, 'motor/hysteresis').data > 0.0
+    rig.send(recording, range(10, 2000))
+    rig.wait_for(samples_used=2000)
+    rig.wait_for(resistance_verdict='identified')
+    assert rig.values()['speed source'].startswith('rotor: a rotor explains the data')
+    for name in NODES:
+        value = rig.latched(Float64, f'motor/{name}').data
+        assert value == pytest.approx(getattr(PLANT, name), rel=0.05), name
+        assert rig.latched(Bool, f'motor/{name}/identified').data is True
+    assert rig.latched(Bool, 'motor/identified').data is True
+    assert len(rig.latched(Float64MultiArray, 'motor/covariance').data) == len(NODES) ** 2
+    for name in ('motor/hysteresis', 'motor/hysteresis/identified'):
+        topic = f'/gray_box_observer/{name}'
+        rig.peer.wait(lambda topic=topic: not rig.peer.node.count_publishers(topic), f'no {topic}')
+    speeds = rig.peer.listen(JointState, '/gray_box_observer/speed', SIGNAL_QOS)
+    rig.peer.wait(
+        lambda: rig.peer.node.count_subscribers('/gray_box_observer/speed'), 'the subscription'
+    )
+    rig.signals()
+    rig.send(recording, range(2000, 2200))
+    rig.wait_for(samples_used=2200)
+    rig.peer.wait(lambda: len(speeds) > 100, 'speeds')
+    assert speeds[-1].name == ['motor']
+    stamp_ns = speeds[-1].header.stamp.sec * 10**9 + speeds[-1].header.stamp.nanosec
+    k = int(np.flatnonzero(recording.stamp_ns == stamp_ns - 1_000_000_000)[0])
+    spread = recording.speed_rad_s[0].std()
+    assert speeds[-1].velocity[0] == pytest.approx(recording.speed_rad_s[0, k], abs=0.03 * spread)
+    assert 0.0 < rig.latched(Float64, 'motor/speed_std').data < 0.05 * spread
+    assert rig.call(Trigger, 'reset').success
+    std = '/gray_box_observer/motor/speed_std'
+    rig.peer.wait(lambda: not rig.peer.node.count_publishers(std), 'the end of its deviation')
+    assert rig.latched(Float64, 'motor/hysteresis').data == 1.0
+    gone = '/gray_box_observer/motor/inertia'
+    rig.peer.wait(lambda: not rig.peer.node.count_publishers(gone), 'the end of the inertia')

@@ -16,8 +16,8 @@ from gray_box_observer.context_nodes import Estimate, Verdict
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_group import GroupResult
 from gray_box_observer.ros.observer.message_templates import (
+    JointMessages,
     MessageTemplate,
-    TorqueMessages,
     value_template,
 )
 from gray_box_observer.ros.observer.topic_outputs import Outputs
@@ -62,7 +62,7 @@ def result(stamp_ns: int, torque_nm: float, interval_s: float = 0.01):
     sample = SimpleNamespace(stamp_ns=stamp_ns, interval_s=np.array([interval_s]))
     prediction = SimpleNamespace(torque_nm=np.array([torque_nm]))
     group = SimpleNamespace(names=('motor',), observer=None)
-    done = SimpleNamespace(alarm=np.array([False]))
+    done = SimpleNamespace(alarm=np.array([False]), speed=None)
     return GroupResult(group, sample, prediction, np.array([], dtype=int), None, done)
 
 
@@ -108,7 +108,7 @@ def test_what_is_not_finite_is_no_prediction():
 
 
 def test_bytes_that_are_used_again_are_the_message_that_would_be_built() -> None:
-    torques = TorqueMessages()
+    torques = JointMessages()
     for names, stamp_ns, values in (
         (('motor',), 1_234_567_890_123, [0.25]),
         (('motor',), 7, [-1e-9]),
@@ -140,7 +140,7 @@ def test_numbers_that_do_not_fit_a_form_leave_it_what_it_was(numbers: np.ndarray
 
 
 def test_what_was_given_out_stays_what_it_was_when_the_form_is_used_again() -> None:
-    template, torques = value_template(), TorqueMessages()
+    template, torques = value_template(), JointMessages()
     values = [template.render(np.array([value])) for value in (1.0, 2.0)]
     assert [deserialize_message(data, Float64).data for data in values] == [1.0, 2.0]
     messages = [
@@ -246,7 +246,7 @@ def test_what_is_not_finite_of_an_estimate_does_not_go_out() -> None:
 
 
 def test_motors_of_which_nothing_is_predicted_are_left_out_of_the_message() -> None:
-    torques = TorqueMessages()
+    torques = JointMessages()
     message = deserialize_message(
         torques.render(('a', 'b', 'c'), 1, np.array([0.1, np.nan, 0.3])), JointState
     )

@@ -10,7 +10,7 @@ import pytest
 from gray_box_observer.bag.joint_state import JointStateDecoder, encode_joint_state
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
-from gray_box_observer.ros.observer.message_templates import TorqueMessages
+from gray_box_observer.ros.observer.message_templates import JointMessages
 from gray_box_observer.safe_io.bounded_cache import BoundedCache
 from gray_box_observer.settings.configuration import Configuration
 
@@ -61,7 +61,7 @@ def test_ever_other_names_and_frames_fill_no_memory(kind, count):
 
 def test_ever_other_motors_of_many_fill_no_memory():
     messages, names = (
-        TorqueMessages(),
+        JointMessages(),
         tuple(f'motor with a name of its own {k}' for k in range(5000)),
     )
     torque_nm = np.ones(len(names))

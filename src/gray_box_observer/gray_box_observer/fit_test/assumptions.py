@@ -11,6 +11,8 @@ UNSEEN_ROTOR = 'w = Kt i'
 
 DEFAULT_KB = 'Kb by default'
 
+KB_LIKE_KT = 'Kb = Kt'
+
 
 def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str, str]:
     """Return the assumptions about a motor by short name, each one sentence with its remedy.
@@ -34,8 +36,15 @@ def assumptions(motor: MotorConfiguration, white_box: MotorWhiteBox) -> dict[str
             f'{motor.name}.initial_relative_std.resistance, '
             f'or say that it is so by {motor.name}.speed_source: torque_constant'
         )
-    if KB not in motor.stated and KB not in white_box.context_nodes:
-        kt = float(motor.values['torque_constant'])
+    kt = float(motor.values['torque_constant'])
+    is_settled = KB in motor.stated or KB in white_box.context_nodes
+    if not is_settled and white_box.has_rotor:
+        findings[KB_LIKE_KT] = (
+            f'Kb is not stated, so it is taken for the torque constant ({kt:g}), which it nearly '
+            'is in SI units: an error of it goes into inertia, frictions and speed, not into R '
+            f'or L; state {motor.name}.{KB}'
+        )
+    elif not is_settled:
         findings[DEFAULT_KB] = (
             f'Kb is left at its default of {motor.values[KB]:g} V s/rad, which says nothing of '
             'this motor: '

@@ -147,6 +147,10 @@ class FitMonitor:
         self._begin = np.full(len(motors), NEVER)
         self._limits = np.ones(len(motors), dtype=bool)
 
+    def configuration(self, motor: int) -> MotorConfiguration:
+        """Return the configuration of one motor."""
+        return self._motors[motor]
+
     def assessment(self, motor: int) -> FitAssessment:
         """Return what is known of the fit of one motor."""
         result = self._results[motor]

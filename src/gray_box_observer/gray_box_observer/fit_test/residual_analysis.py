@@ -326,7 +326,7 @@ def _scores(
 def _least_squares(matrix: Array, right: Array) -> Array:
     """Solve normal equations, whose columns may depend on each other."""
     if right.size == 1:
-        return right / matrix[0]
+        return np.asarray(right / matrix[0], dtype=float)
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-10)[0], dtype=float)
 
 

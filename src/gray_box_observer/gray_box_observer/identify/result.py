@@ -21,10 +21,12 @@ def warnings_of(outcome: Outcome) -> list[str]:
     observer = outcome.observer
     seen_motors = {*observer.motors, *observer.incidents}
     unseen_motors = [name for name in observer.configuration.motors if name not in seen_motors]
-    motors = observer.configuration.motors
+    motors = observer.motors
     gap_s = observer.configuration['gap_s']
     doubts = {
-        name: contradiction(motors[name], estimate, observer.configuration['torque.quantity'])
+        name: contradiction(
+            motors[name].configuration, estimate, observer.configuration['torque.quantity']
+        )
         for name, estimate in observer.estimates().items()
     }
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
@@ -62,11 +64,10 @@ def warnings_of(outcome: Outcome) -> list[str]:
 
 def assumptions_of(outcome: Outcome) -> list[str]:
     """Return what is assumed of every motor for want of a statement, one sentence each."""
-    motors = outcome.observer.configuration.motors
     return [
         f'motor {name}: {text}'
         for name, motor in outcome.observer.motors.items()
-        for text in assumptions(motors[name], motor.white_box).values()
+        for text in assumptions(motor.configuration, motor.white_box).values()
     ]
 
 
@@ -128,6 +129,7 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
         'fit': motor.fit.to_dict(),
         'fit_percent': motor.fit_percent(),
         'speed_source': motor.white_box.speed_source,
+        'speed_source_reason': motor.speed_reason,
         'predictor': None if skill is None else skill.to_dict(),
         'alarms': None,
         'changes_s': [round(time_s, 6) for time_s in course.changes_s],

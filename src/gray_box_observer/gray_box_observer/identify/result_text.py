@@ -67,6 +67,7 @@ def _lines(motor: Mapping[str, Any]) -> list[str]:
         value = words_of(entry['value'])
         std = words_of(entry['std'], '.2g')
         lines.append(f'{parameter:<18} {value} +- {std} {entry["unit"]:<14} {entry["verdict"]}')
+    lines.append(f'{"speed from":<18} {motor["speed_source"]}: {motor["speed_source_reason"]}')
     if 'delay_s' in motor:
         lines.append(_delay_line(motor['delay_s']))
     if motor['alarms'] and motor['alarms']['raised']:

@@ -18,11 +18,14 @@ from gray_box_observer.context_nodes import (
     RotorUpdate,
     VerdictSettings,
 )
+from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.fit_test.monitor import FitMonitor
+from gray_box_observer.observer.motor_form import Forecasting, MotorForm
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.scale_doubt import scale_doubt
+from gray_box_observer.observer.speed_choice import MEASURED, ROTOR, THESIS, SpeedChoice
 from gray_box_observer.predictor import (
     AlarmSettings,
     Predictor,
@@ -46,6 +49,7 @@ def motor_observer(
     training: TrainingFactory | None,
     *,
     speed_measured: bool,
+    has_rotor: bool = False,
 ) -> MotorObserver:
     """Build the observer at the first sample, when it is known whether speed is measured.
 
@@ -54,21 +58,43 @@ def motor_observer(
         motors: of the motors, alike in :func:`kind`.
         training: makes the predictor's trainer; None: no predictor.
         speed_measured: whether the first sample came with speed.
+        has_rotor: whether data have led to a rotor before, where the choice is open.
 
     Raises:
         ConfigurationError: speed has to be measured, and is not.
     """
     first = motors[0]
     source = first.values['speed_source']
-    if source == 'measured' and not speed_measured:
+    if source == MEASURED and not speed_measured:
         raise ConfigurationError(
             f'motor {first.name}: speed_source is measured, but its first torque sample came '
             'without speed'
         )
-    boxes = [
-        motor.white_box(speed_measured=speed_measured and source != 'torque_constant')
-        for motor in motors
-    ]
+    measured = speed_measured and source != THESIS
+
+    def make(source: str) -> MotorForm:
+        motor = first.with_rotor() if source == ROTOR else first
+        return _form(configuration, [motor], training, speed_measured=False)
+
+    choice = _speed_choice(configuration, motors, make, speed_measured=measured)
+    if has_rotor and choice.is_open:
+        choice.source = ROTOR
+        form = make(ROTOR)
+    else:
+        form = _form(configuration, motors, training, speed_measured=measured)
+    return MotorObserver(form, choice)
+
+
+def _form(
+    configuration: Configuration,
+    motors: Sequence[MotorConfiguration],
+    training: TrainingFactory | None,
+    *,
+    speed_measured: bool,
+) -> MotorForm:
+    """Make everything that motors are observed by."""
+    first = motors[0]
+    boxes = [motor.white_box(speed_measured=speed_measured) for motor in motors]
     white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
     nodes = context_nodes(configuration, motors, white_box)
 
@@ -83,15 +109,57 @@ def motor_observer(
             gap_s=configuration['gap_s'],
         )
 
-    predictor = alarm = None
-    if training is not None and not white_box.has_rotor:  # the network knows no hidden speed
+    def forecasting() -> Forecasting:
+        if training is None or white_box.has_rotor:  # the network knows no hidden speed
+            return None, None
         predictor = _predictor(configuration, motors, white_box, training)
-        if configuration['variant'] == Variant.PHYSICS.value:
-            alarm = ResidualAlarm(len(motors), alarm_rules(configuration))
+        if configuration['variant'] != Variant.PHYSICS.value:
+            return predictor, None
+        return predictor, ResidualAlarm(len(motors), alarm_rules(configuration))
+
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
-    fit = FitMonitor(motors, boxes)
-    return MotorObserver(white_box, nodes, predictor, delay, fit, alarm, scales)
+    return MotorForm(white_box, nodes, delay, FitMonitor(motors, boxes), forecasting, scales)
+
+
+def _speed_choice(
+    configuration: Configuration,
+    motors: Sequence[MotorConfiguration],
+    make: Callable[[str], MotorForm],
+    *,
+    speed_measured: bool,
+) -> SpeedChoice:
+    """Say where the speed of motors comes from, and whether data may lead to another source."""
+    source = motors[0].values['speed_source']
+    if source != 'auto':
+        return SpeedChoice(source, 'as configured')
+    if speed_measured:
+        return SpeedChoice(MEASURED, 'the first torque sample brought a speed')
+    obstacle = _obstacle(configuration, motors)
+    if obstacle is not None:
+        return SpeedChoice(THESIS, f'a rotor is not tried: {obstacle}')
+    return SpeedChoice(THESIS, 'nothing in the data speaks against a speed of Kt i', make)
+
+
+def _obstacle(configuration: Configuration, motors: Sequence[MotorConfiguration]) -> str | None:
+    """Say why a rotor cannot be tried; None where it can."""
+    name = motors[0].name
+    if len(motors) > 1:
+        return (
+            'the motor is computed together with others; set its speed_source to rotor, or '
+            'group_from above the number of motors'
+        )
+    if configuration['context_update'] != 'recursive':
+        return f'context_update is {configuration["context_update"]}, and a rotor needs recursive'
+    if motors[0].estimates_delay:
+        return f'its delay is estimated; declare it with {name}.delay in s'
+    if whole_motor.library() is None:
+        return 'the package was built without a C compiler'
+    try:
+        motors[0].with_rotor()
+    except ConfigurationError as error:
+        return str(error)
+    return None
 
 
 def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.observer.motor_observer import DeferredUpdate, MotorObserver
 from gray_box_observer.predictor import Prediction
 from gray_box_observer.samples import Pairing, Sample
@@ -57,6 +58,7 @@ class Result(NamedTuple):
         prediction: what had been predicted of it; None without predictor.
         estimate: the new estimate; None where the sample did not change it.
         alarm: whether the alarm on the prediction's residual stands after the sample.
+        speed: of a motor with a rotor, at the sample; None where none may be believed.
     """
 
     motor: str
@@ -64,6 +66,7 @@ class Result(NamedTuple):
     prediction: Prediction | None
     estimate: Estimate | None
     alarm: bool = False
+    speed: SpeedEstimate | None = None
 
 
 @dataclass(slots=True)
@@ -98,10 +101,16 @@ class GroupResult:
         assert deferred.alarm is not None
         return deferred.alarm
 
+    @property
+    def speed(self) -> SpeedEstimate | None:
+        """Speed at the sample, of a motor with a rotor, which comes alone."""
+        return self.deferred.speed
+
     def __iter__(self) -> Iterator[Result]:
         names, sample, prediction = self.group.names, self.sample, self.prediction
         if len(names) == 1:
-            yield Result(names[0], sample, prediction, self.estimate, bool(self.alarm[0]))
+            alarm = bool(self.alarm[0])
+            yield Result(names[0], sample, prediction, self.estimate, alarm, self.speed)
             return
         row = dict(zip(self.changed.tolist(), range(self.changed.size), strict=True))
         for motor, name in enumerate(names):

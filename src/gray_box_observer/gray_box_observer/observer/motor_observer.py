@@ -8,16 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes import ContextUpdate, Estimate, VerdictSettings
+from gray_box_observer.context_nodes import (
+    ContextUpdate,
+    Estimate,
+    RotorUpdate,
+    VerdictSettings,
+)
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
-from gray_box_observer.delay import DelayEstimate, DelayRound, DelayWatch
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
+from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.fit_test import FitAssessment
-from gray_box_observer.fit_test.monitor import FitMonitor
-from gray_box_observer.observer.scale_doubt import ScaleDoubt
+from gray_box_observer.observer.motor_form import MotorForm
+from gray_box_observer.observer.speed_choice import SpeedChoice
+from gray_box_observer.observer.speed_tracking import SpeedTracking
+from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
+from gray_box_observer.settings.configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -31,6 +40,7 @@ class DeferredUpdate:
         prediction: what had been predicted of it; None without predictor.
         theta, covariance, identified: what was believed before it was learnt.
         followed: whether the predictor has gone on from it.
+        speed: of a motor with a rotor, at the sample; None where none may be believed.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
             sample; None: to be done.
     """
@@ -40,6 +50,7 @@ class DeferredUpdate:
     theta: Array
     covariance: Array
     identified: NDArray[np.bool_]
+    speed: SpeedEstimate | None = None
     is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
@@ -52,49 +63,44 @@ class MotorObserver:
     :meth:`run_deferred`, or before the next sample. What comes of it is the same whenever that is.
 
     Args:
-        white_box: the physics.
-        context_nodes: the rule that learns the parameters.
-        predictor: forecasts torque; None where there is none.
-        delay: asks whether voltage and torque are shifted against each other.
-        fit: asks whether the white box explains the data, and lets estimates say no more than that.
-        alarm: watches the prediction's residual; None where no prediction is good enough to judge
-            by.
-        scales: what is not known of the scales of the signals; None where nothing is said of it.
+        form: what the motors are observed by.
+        speed_choice: says where their speed comes from, and tries another form where that of one
+            motor does not explain its data.
 
     Attributes:
         motors: how many they are.
         changed: whose estimates the last sample has changed, by their places on the motor axis.
     """
 
-    def __init__(
-        self,
-        white_box: MotorWhiteBox,
-        context_nodes: ContextUpdate,
-        predictor: Predictor | None,
-        delay: DelayWatch | DelayRound,
-        fit: FitMonitor,
-        alarm: ResidualAlarm | None = None,
-        scales: ScaleDoubt | None = None,
-    ) -> None:
-        self.white_box = white_box
-        self.context_nodes = context_nodes
-        self._predictor = predictor
-        self.delay = delay
-        self._fit = fit
+    def __init__(self, form: MotorForm, speed_choice: SpeedChoice) -> None:
+        self.speed_choice = speed_choice
         self._tests: list[int] = []
         self._retested: dict[int, bool] = {}
-        self._alarm = alarm
-        self._scales = scales
         self._deferred: DeferredUpdate | None = None
         self._is_frozen = False
-        self._precomputed: tuple[bytes, Prediction] | None = None
+        self._live_settings: tuple[VerdictSettings, AlarmSettings, float] | None = None
         self._interval_s, self._evenly = np.empty(0), False
-        self.motors = context_nodes.theta.shape[0]
+        self.motors = form.context_nodes.theta.shape[0]
         self._places = np.arange(self.motors)
         self._nobody = np.zeros(self.motors, dtype=bool)
-        self._is_identified = self._nobody
-        self._known_parameters = np.zeros((self.motors, len(white_box.parameters)), dtype=bool)
         self.changed_motors: NDArray[np.intp] = _NOBODY
+        self._use(form)
+
+    def _use(self, form: MotorForm) -> None:
+        """Observe the motors by a form from now on."""
+        self.white_box = form.white_box
+        self.context_nodes = form.context_nodes
+        self.delay = form.delay
+        self._fit = form.fit
+        self._scales = form.scales
+        self._predictor, self._alarm = form.forecasting()
+        self._speed: SpeedTracking | None = None
+        if isinstance(form.context_nodes, RotorUpdate):
+            self._speed = SpeedTracking(form.white_box, form.context_nodes)
+        self._precomputed: tuple[bytes, Prediction] | None = None
+        self._is_identified = self._nobody
+        shape = (self.motors, len(self.white_box.parameters))
+        self._known_parameters = np.zeros(shape, dtype=bool)
         self._know(self._believed(slice(None)), slice(None))
 
     def predict(self, interval_s: Array, voltage_v: Array) -> Prediction | None:
@@ -159,6 +165,8 @@ class MotorObserver:
             sample, prediction, self._theta, self._covariance, self._is_identified
         )
         estimate = self.update_parameters(sample)
+        if self._speed is not None:
+            deferred.speed = self._speed.step(sample, self._theta[0])
         self._deferred = deferred
         return deferred, estimate
 
@@ -170,6 +178,12 @@ class MotorObserver:
         deferred = self._deferred
         if deferred is None:
             return
+        self._judge_prediction(deferred)
+        if self.speed_choice.is_open and not self._is_frozen:
+            self._try_other_form(deferred.sample.stamp_ns)
+
+    def _judge_prediction(self, deferred: DeferredUpdate) -> None:
+        """Judge and learn the prediction of a sample."""
         self._follow()
         self._deferred = None
         sample, prediction = deferred.sample, deferred.prediction
@@ -180,6 +194,21 @@ class MotorObserver:
         deferred.alarm = self.alarmed
         if self._predictor is not None and prediction is not None:
             self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
+
+    def _try_other_form(self, stamp_ns: int) -> None:
+        """Go over to another form of the physics where the choice of the speed asks for it."""
+        nodes = self.context_nodes
+        if not self.speed_choice.is_due(nodes, self._fit.assessment(0)):
+            return
+        form = self.speed_choice.try_other(self.white_box, nodes, stamp_ns)
+        if form is None:
+            return
+        if self._predictor is not None:
+            self._predictor.training.close()
+        self._use(form)
+        self._retested[0] = True
+        if self._live_settings is not None:
+            self.reconfigure(*self._live_settings)
 
     def _follow(self) -> None:
         """Let the predictor go on from the last sample, where that is still to be done."""
@@ -305,6 +334,8 @@ class MotorObserver:
         else:
             self._theta, self._covariance = self._theta.copy(), self._covariance.copy()
             self._theta[motors], self._covariance[motors] = estimate.value, estimate.covariance
+        if self._speed is not None:
+            self._speed.believe(self._theta[0], self._covariance[0], self._fit.assessment(0))
 
     def freeze(self, is_frozen: bool) -> None:
         """Stop or resume learning of nodes and predictor; predictions and the alarm go on."""
@@ -327,10 +358,24 @@ class MotorObserver:
         """The same of every parameter of one motor."""
         return tuple(self._known_parameters[motor].tolist())
 
+    @property
+    def speed(self) -> SpeedEstimate | None:
+        """Speed at the newest sample of a motor with a rotor; None where none may be believed."""
+        return None if self._speed is None else self._speed.newest
+
+    @property
+    def stall(self) -> StallWatch | None:
+        """Whether a rotor stands still though it is driven; None of a motor without rotor."""
+        return None if self._speed is None else self._speed.stall
+
     def fit_of(self, motor: int) -> FitAssessment:
         """How well the white box explains the data of one motor."""
         self.run_deferred()
         return self._fit.assessment(motor)
+
+    def configuration_of(self, motor: int) -> MotorConfiguration:
+        """Return what is known of one motor beforehand, in the form that it has now."""
+        return self._fit.configuration(motor)
 
     def delay_of(self, motor: int) -> DelayEstimate:
         """What is known of the delay of one motor."""
@@ -344,6 +389,7 @@ class MotorObserver:
         self, verdicts: VerdictSettings, alarm: AlarmSettings, core_share: float
     ) -> None:
         """Take over settings that may change at any time; what was learnt stays."""
+        self._live_settings = verdicts, alarm, core_share
         self.context_nodes.verdict_rules = verdicts
         self._know(self._believed(slice(None)), slice(None))
         if self.alarm is not None:
@@ -402,11 +448,13 @@ class MotorObserver:
         delay = (
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
+        received = int(self.context_nodes.replay.received[motor])
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
             'delay': delay,
-            'fit': self._fit.state(motor, int(self.context_nodes.replay.received[motor])),
+            'fit': self._fit.state(motor, received),
+            'speed': self.speed_choice.state(received),
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
@@ -443,9 +491,10 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(motor_slice)
         if not (np.isfinite(estimate.value).all() and np.isfinite(estimate.std).all()):
             raise CheckpointError('what is believed is no estimate: it is not finite')
-        self._fit.restore(
-            dict(group(plain, 'fit')), motor, int(self.context_nodes.replay.received[motor])
-        )
+        received = int(self.context_nodes.replay.received[motor])
+        self._fit.restore(dict(group(plain, 'fit')), motor, received)
+        if 'speed' in plain:  # not in files of releases that knew no choice
+            self.speed_choice.restore(group(plain, 'speed'), received)
         self._know(self.estimate(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.fit_test.whole_run import fit_percent, white_box_torque
 from gray_box_observer.observer.motor_observer import MotorObserver
+from gray_box_observer.observer.stall_watch import StallWatch
 from gray_box_observer.samples import ReplayBuffer
+from gray_box_observer.settings.configuration import MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -67,6 +70,26 @@ class MotorView:
     def white_box(self) -> MotorWhiteBox:
         """Its physics."""
         return self.observer.white_box_of(self.place)
+
+    @property
+    def configuration(self) -> MotorConfiguration:
+        """What is known of it beforehand, in the form that it has now."""
+        return self.observer.configuration_of(self.place)
+
+    @property
+    def speed_reason(self) -> str:
+        """Why its speed is taken from where it is; ``white_box.speed_source`` says from where."""
+        return self.observer.speed_choice.reason
+
+    @property
+    def speed(self) -> SpeedEstimate | None:
+        """Speed at the newest sample of a motor with a rotor; None where none may be believed."""
+        return self.observer.speed
+
+    @property
+    def stall(self) -> StallWatch | None:
+        """Whether its rotor stands still though it is driven; None where it has none."""
+        return self.observer.stall
 
     @property
     def estimate(self) -> Estimate:

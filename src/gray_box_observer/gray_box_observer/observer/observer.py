@@ -40,7 +40,9 @@ from gray_box_observer.samples.sample import nanoseconds
 from gray_box_observer.samples.stopped import StoppedPairing
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.settings.device import torch_device
+from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import STORAGES
 
 __all__ = ['Forecast', 'GroupResult', 'Observer', 'Result']
 
@@ -467,7 +469,8 @@ class Observer:
             for name in group.names
             if name in states
         }
-        observer = self._make(group, any(measured_flags))
+        rotors = [_has_rotor(states[name][0]) for name in group.names if name in states]
+        observer = self._make(group, any(measured_flags), has_rotor=any(rotors))
         try:
             for motor, name in enumerate(group.names):
                 if name not in states:
@@ -568,14 +571,23 @@ class Observer:
             {name: MotorView(observer, place) for place, name in enumerate(group.names)}
         )
 
-    def _make(self, group: Group, speed_measured: bool) -> MotorObserver:
+    def _make(
+        self, group: Group, speed_measured: bool, *, has_rotor: bool = False
+    ) -> MotorObserver:
         motors = [self.configuration.motors[name] for name in group.names]
         observer = motor_observer(
-            self.configuration, motors, self._training, speed_measured=speed_measured
-        )
+            self.configuration, motors, self._training, speed_measured=speed_measured,
+            has_rotor=has_rotor,
+        )  # fmt: skip
         observer.freeze(self._is_frozen)
         return observer
 
     def _flat(self, results: Iterable[GroupResult]) -> list[Result]:
         """Results of groups, motor by motor."""
         return [one for result in results for one in self.results(result)]
+
+
+def _has_rotor(plain: dict[str, Any]) -> bool:
+    """Tell whether a saved motor had a rotor as a state."""
+    nodes = plain['white_box'].get('context_nodes')
+    return isinstance(nodes, list) and STORAGES[State.SPEED] in nodes

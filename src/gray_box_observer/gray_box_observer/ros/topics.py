@@ -105,6 +105,19 @@ FORECAST_TORQUE = Topic(
     SIGNAL_QOS,
     'With `horizon_s` above 0: torque in N m that long after the newest voltage, if it is held.',
 )
+SPEED = Topic(
+    '~/speed',
+    JointState,
+    SIGNAL_QOS,
+    'Speed in rad/s as `velocity` of a motor with a rotor, which nobody has to measure; with the '
+    'stamp of the torque.',
+)
+SPEED_STD = Topic(
+    '~/{motor}/speed_std',
+    Float64,
+    LATCHED_QOS,
+    'Standard deviation of that speed in rad/s; nothing where no speed may be believed.',
+)
 DIAGNOSTICS = Topic(
     '/diagnostics',
     DiagnosticArray,

@@ -47,6 +47,11 @@ DEFAULT_TOPICS = {
     for name in SIGNALS
 }
 
+BACK_EMF = 'back_emf_constant'
+
+DEFAULT_NODES = next(spec.default for spec in MOTOR_PARAMETERS if spec.name == 'context_nodes')
+"""What is identified of a motor that states nothing."""
+
 DEFAULTS = 'defaults'
 """Group of parameters for the motors that say nothing else in their own."""
 
@@ -74,6 +79,8 @@ class MotorConfiguration:
             for name, parameter in KNOWN_PARAMETERS.items()
             if name not in nodes and self.values[parameter] > 0.0
         }
+        if self.has_rotor and not self.states_back_emf:
+            constants[BACK_EMF] = self.values['torque_constant']
         measured = speed_measured and not self.has_rotor
         return MotorWhiteBox(nodes, self.values['torque_constant'], constants, measured)
 
@@ -86,6 +93,34 @@ class MotorConfiguration:
     def has_rotor(self) -> bool:
         """Whether its speed is a hidden state."""
         return bool(self.values['speed_source'] == 'rotor')
+
+    @property
+    def states_back_emf(self) -> bool:
+        """Whether Kb is stated; else a rotor takes it for Kt, which it nearly is in SI units."""
+        return BACK_EMF in self.stated
+
+    def with_rotor(self) -> MotorConfiguration:
+        """Return the same motor with its speed a hidden state.
+
+        What is identified of its voltage balance stays, where it was stated: a list that is the
+        default says nothing.
+
+        Raises:
+            ConfigurationError: the motor lacks what a rotor needs.
+        """
+        nodes = list(self.values['context_nodes'])
+        if nodes == DEFAULT_NODES:
+            nodes = []
+        nodes += [name for name in ROTOR_NODES if name not in nodes and not self._is_known(name)]
+        values = {**self.values, 'speed_source': 'rotor', 'context_nodes': nodes}
+        motor = replace(self, values=values)
+        _check_rotor(motor)
+        motor.white_box(speed_measured=False)
+        return motor
+
+    def _is_known(self, name: str) -> bool:
+        parameter = KNOWN_PARAMETERS.get(name)
+        return parameter is not None and self.values[parameter] > 0.0
 
     def is_notable(self, spec: ParameterSpec) -> bool:
         """Tell whether a value must be known to repeat a run: constant, stated or no default."""

@@ -340,7 +340,8 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'speed_source',
         'auto',
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); rotor: a hidden state '
-        '(recursive rule, no predictor); auto: measured where torque brings speed.',
+        '(recursive rule, no predictor); auto: measured where torque brings speed, '
+        'else torque_constant until the data tell a rotor.',
         choices=('auto', 'measured', 'torque_constant', 'rotor'),
     ),
     ParameterSpec(

@@ -193,6 +193,21 @@ class RotorUpdate:
         with np.errstate(all='ignore'):  # absurd samples; results are checked
             return self._fit(self._place)
 
+    def learn_remembered(self, content: Array, stamp_ns: int) -> None:
+        """Learn samples of the past with few fits; nothing may have been learnt before.
+
+        Args:
+            content: shape (signal, 1, n), as a replay buffer gives it.
+            stamp_ns: of the newest of them.
+        """
+        self._stamp_ns = stamp_ns
+        for count in sorted({min(WINDOW, content.shape[2]), content.shape[2]}):
+            self.replay.refill(content[:, :, :count])
+            self._place = count
+            if count >= self._due:
+                with np.errstate(all='ignore'):  # absurd samples; results are checked
+                    self._fit(count)
+
     def _fit(self, place: int) -> bool:
         """Fit what the window holds so far; tell whether that has changed the estimate."""
         count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))

@@ -129,7 +129,7 @@ class Collector:
             torque_nm=columns[2],
             predicted_torque_nm=columns[3],
             white_box_torque_nm=columns[4],
-            parameters=self._parameters(name, course),
+            parameters=self._parameters(name, course, motor.estimate),
             speed_rad_s=columns[5] if np.any(np.isfinite(columns[5])) else None,
             rejected=dict(rejections),
             scores={
@@ -143,12 +143,17 @@ class Collector:
             fit=_fit(motor, columns[2], run_nm),
         )
 
-    def _parameters(self, name: str, course: _Course) -> tuple[ParameterHistory, ...]:
+    def _parameters(
+        self, name: str, course: _Course, last: Estimate
+    ) -> tuple[ParameterHistory, ...]:
+        """Return the course of the parameters that the motor has at the end."""
         if not course.estimates:
             return ()
-        time_s = np.array([t for t, _ in course.estimates])
-        value = np.array([e.value[0] for _, e in course.estimates])
-        std = np.array([e.std[0] for _, e in course.estimates])
+        estimates = [(t, e) for t, e in course.estimates if e.parameters == last.parameters]
+        estimates = estimates or [(course.samples[-1][0], last)]
+        time_s = np.array([t for t, _ in estimates])
+        value = np.array([e.value[0] for _, e in estimates])
+        std = np.array([e.std[0] for _, e in estimates])
         return tuple(
             ParameterHistory(
                 p.name,
@@ -156,10 +161,10 @@ class Collector:
                 time_s,
                 value[:, j],
                 std[:, j],
-                [e.verdicts[0][j].value for _, e in course.estimates],
+                [e.verdicts[0][j].value for _, e in estimates],
                 self._truth.get(name, {}).get(p.name),
             )
-            for j, p in enumerate(course.estimates[-1][1].parameters)
+            for j, p in enumerate(last.parameters)
         )
 
 
@@ -212,8 +217,8 @@ def _alarm_notes(times_s: list[float]) -> list[str]:
 
 def notes(name: str, observer: Observer) -> list[str]:
     """Say in plain words what a reader of one motor's result has to keep in mind."""
-    values = observer.configuration.motors[name].values
     motor = observer.motors[name]
+    values = motor.configuration.values
     other_constants = [term for term in motor.white_box.known if term != 'back_emf_constant']
     scaling = (
         ''
@@ -226,9 +231,10 @@ def notes(name: str, observer: Observer) -> list[str]:
         where = 'R' if 'resistance' in values['context_nodes'] else 'the estimates'
         if motor.white_box.has_rotor:
             kind, where = 'the speed a hidden state', 'inertia and frictions'
+        back_emf = float(motor.white_box.known.get('back_emf_constant', 0.0))
         sentences.append(
-            f'Kb = {values["back_emf_constant"]:g} V s/rad is taken as known, with {kind}: its '
-            f'error goes into {where}.'
+            f'Kb = {back_emf:g} V s/rad is taken as known, with {kind}: its error goes into '
+            f'{where}.'
         )
     for term in other_constants:
         constant_text = (
@@ -236,7 +242,8 @@ def notes(name: str, observer: Observer) -> list[str]:
             f'{TERMS[term].parameter.unit}'
         )
         sentences.append(f'{constant_text} is taken as known: its error goes into the estimates.')
-    assumed = assumptions(observer.configuration.motors[name], motor.white_box)
+    sentences.append(f'Speed from {motor.white_box.speed_source}: {motor.speed_reason}.')
+    assumed = assumptions(motor.configuration, motor.white_box)
     sentences += [f'{text[0].upper()}{text[1:]}.' for text in assumed.values()]
     delay = motor.delay
     complaint = delay.complaint(name)

@@ -85,6 +85,7 @@ class Commentary:
         self._seen_motors: set[str] = set()
         self._found_motors: set[str] = set()
         self._verdicts: dict[str, Verdicts] = {}
+        self._speed_sources: dict[str, str] = {}
 
     def look(self, observer: Observer, traffic: Traffic) -> None:
         """Take in what has come since the last look, and tell what there is to tell.
@@ -108,7 +109,7 @@ class Commentary:
         arrivals = self._newly_found()
         absences = self._newly_missing(now_s, observer)
         verdict_news, is_doubtful = self._verdict_changes(observer)
-        news = [*arrivals, *back, *absences, *verdict_news]
+        news = [*arrivals, *back, *absences, *self._choices(observer), *verdict_news]
         if news:
             self._told_s = now_s
             line = '; '.join(news)
@@ -151,6 +152,19 @@ class Commentary:
         motors = [motor for motor in self._motors if motor in new]
         self._found_motors |= new
         return [f'found {_motors_in_words(motors)}: samples come'] if motors else []
+
+    def _choices(self, observer: Observer) -> list[str]:
+        """Motors whose speed is taken from somewhere else than before, and why."""
+        phrases = []
+        for name, motor in observer.motors.items():
+            if not motor.observer.speed_choice.is_open:
+                continue
+            source = motor.white_box.speed_source
+            before = self._speed_sources.setdefault(name, 'torque_constant')
+            if source != before:
+                self._speed_sources[name] = source
+                phrases.append(f'{name}: speed from {source}: {motor.speed_reason}')
+        return phrases
 
     def _verdict_changes(self, observer: Observer) -> tuple[list[str], bool]:
         """Motors whose verdicts are others than were told, and whether one is in doubt now."""

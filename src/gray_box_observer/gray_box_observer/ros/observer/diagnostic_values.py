@@ -22,7 +22,13 @@ def values_of(motor: str, now: Situation) -> dict[str, str]:
         return values
     values.update(_estimates(view.estimate))
     values.update(_fit(view.fit))
-    assumed = assumptions(now.observer.configuration.motors[motor], view.white_box)
+    values['speed source'] = f'{view.white_box.speed_source}: {view.speed_reason}'
+    if view.speed is not None:
+        values['speed [rad/s]'] = _text(view.speed.speed_rad_s)
+        values['speed std [rad/s]'] = _text(view.speed.std_rad_s)
+    if view.stall is not None:
+        values['stalls'] = str(view.stall.count)
+    assumed = assumptions(view.configuration, view.white_box)
     values['assumptions'] = '; '.join(assumed.values()) or 'none'
     delay = view.delay
     values['delay in words'] = delay.words

@@ -258,6 +258,9 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
             else ''
         )
         return DiagnosticStatus.WARN, REMEDY + change_note
+    stall = observer.motors[motor].stall
+    if stall is not None and stall.sentence is not None:
+        return DiagnosticStatus.WARN, stall.sentence
     undeclared = observer.motors[motor].delay.complaint(motor)
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
@@ -291,8 +294,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
     fit = now.observer.fit(motor)
     if fit.verdict is FitVerdict.WARNING:
         return DiagnosticStatus.WARN, fit.sentence
-    configuration = now.observer.configuration
-    doubt = contradiction(configuration.motors[motor], estimate, configuration['torque.quantity'])
+    quantity = now.observer.configuration['torque.quantity']
+    doubt = contradiction(now.observer.motors[motor].configuration, estimate, quantity)
     if doubt is not None:
         return DiagnosticStatus.WARN, doubt
     change_count = now.traffic.motors[motor].changes
@@ -334,9 +337,8 @@ def _small_print(motor: str, now: Situation) -> str:
     ]
     if names:
         note += f'; {", ".join(names)} negligible: too small to matter, and known to be'
-    assumed = assumptions(
-        now.observer.configuration.motors[motor], now.observer.motors[motor].white_box
-    )
+    view = now.observer.motors[motor]
+    assumed = assumptions(view.configuration, view.white_box)
     if assumed:
         note += f'; assumed: {", ".join(assumed)}, see assumptions'
     return note

@@ -60,6 +60,21 @@ class LatchedTopic:
             self._node.destroy_lifecycle_publisher(self._publisher)
             self._publisher, self._holds_value = None, False
 
+    def close(self) -> None:
+        """Take the topic away for good."""
+        if self._publisher is not None:
+            self._node.destroy_lifecycle_publisher(self._publisher)
+            self._publisher, self._holds_value = None, False
+
+    @property
+    def is_active(self) -> bool:
+        """Whether what is published goes out."""
+        return self._publisher is not None and bool(self._publisher.is_activated)
+
+    def activate(self) -> None:
+        """Publish from now on: of a topic that came while the node was active."""
+        self._publisher.on_activate(None)
+
     def _create(self) -> Any:
         topic = self._topic
         return advertise(self._node.create_lifecycle_publisher, topic.type, self._name, topic.qos)

@@ -62,39 +62,44 @@ class MessageTemplate:
         return bytes(self.data)
 
 
-class TorqueMessages:
-    """Torques in N m at their stamp as serialised JointState; a template per list of names."""
+class JointMessages:
+    """Numbers at their stamp as serialised JointState; a template per list of names.
 
-    def __init__(self) -> None:
+    Args:
+        field: where the numbers stand: ``effort`` or ``velocity``.
+    """
+
+    def __init__(self, field: str = 'effort') -> None:
+        self._field = field
         self._templates: BoundedCache[tuple[str, ...], MessageTemplate] = BoundedCache(
             MAX_FORMS, MAX_FORM_BYTES
         )
 
-    def render(self, names: tuple[str, ...], stamp_ns: int, torque_nm: Array) -> bytes | None:
-        """Return the message of the motors with a torque; None without one or a valid stamp.
+    def render(self, names: tuple[str, ...], stamp_ns: int, numbers: Array) -> bytes | None:
+        """Return the message of the motors with a number; None without one or a valid stamp.
 
         Args:
             names: of the motors.
             stamp_ns: the stamp.
-            torque_nm: shape (motor,).
+            numbers: shape (motor,).
         """
-        is_finite = np.isfinite(torque_nm)
+        is_finite = np.isfinite(numbers)
         if not is_finite.all():
             names = tuple(
                 name for name, is_known in zip(names, is_finite.tolist(), strict=True) if is_known
             )
-            torque_nm = torque_nm[is_finite]
+            numbers = numbers[is_finite]
         seconds, nanoseconds = divmod(stamp_ns, NANOSECONDS_PER_SECOND)
         if not names or seconds not in _SECONDS:
             return None
         template = self._templates.get(names)
         if template is None:
             template = MessageTemplate(
-                lambda effort: JointState(name=names, effort=effort), len(names)
+                lambda marks: JointState(name=names, **{self._field: marks}), len(names)
             )
             self._templates.remember(names, template, len(template.data) + size_of_names(names))
         _STAMP.pack_into(template.data, _STAMP_AT, seconds, nanoseconds)
-        return template.render(torque_nm)
+        return template.render(numbers)
 
 
 def value_template() -> MessageTemplate:

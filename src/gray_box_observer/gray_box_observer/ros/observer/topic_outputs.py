@@ -13,17 +13,19 @@ from rclpy.lifecycle import LifecycleNode
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.fit_test import FitAssessment
 from gray_box_observer.observer.motor_group import Group, GroupResult
 from gray_box_observer.ros import topics
 from gray_box_observer.ros.observer.latched import LatchedTopic
 from gray_box_observer.ros.observer.message_templates import (
+    JointMessages,
     MessageTemplate,
-    TorqueMessages,
     covariance_template,
     value_template,
     yes_and_no,
 )
+from gray_box_observer.ros.observer.parameter_topics import ParameterTopics
 from gray_box_observer.ros.qos import advertise
 from gray_box_observer.samples.held_voltage import MAX_WAITING_VOLTAGES
 from gray_box_observer.settings.configuration import Configuration
@@ -56,22 +58,19 @@ class Outputs:
         self._covariances: dict[str, MessageTemplate] = {}
         self._value, self._is = value_template(), yes_and_no()
         self._parameters = {
-            m: {
-                p: LatchedTopic(node, topics.PARAMETER, motor=m, parameter=p)
-                for p in motor.values['context_nodes']
-            }
-            for m, motor in motors.items()
-        }
-        self._parameter_identified = {
-            m: {
-                p: LatchedTopic(node, topics.PARAMETER_IDENTIFIED, motor=m, parameter=p)
-                for p in motor.values['context_nodes']
-            }
+            m: ParameterTopics(node, m, motor.values['context_nodes'])
             for m, motor in motors.items()
         }
         self._published_fit: dict[str, float] = {}
         self._published_identified: dict[str, tuple[bool, ...]] = {}
-        self._torques = TorqueMessages()
+        self._torques, self._speeds = JointMessages(), JointMessages('velocity')
+        self._speed = self._create(node, topics.SPEED)
+        alone = len(configuration.motors) < configuration['group_from']
+        self._speed_std = {
+            m: LatchedTopic(node, topics.SPEED_STD, motor=m)
+            for m, motor in motors.items()
+            if motor.has_rotor or (alone and motor.values['speed_source'] == 'auto')
+        }
         self._awaited: dict[tuple[str, ...], dict[int, bool]] = {}
         self._foretold: dict[tuple[str, ...], int] = {}
         self._alarmed: dict[tuple[str, ...], NDArray[np.bool_]] = {}
@@ -96,8 +95,22 @@ class Outputs:
                 awaited.clear()
             if result.prediction is not None and not foretold:
                 self._predict(names, result.sample.stamp_ns, result.prediction.torque_nm)
+            self._publish_speed(names[0], result.sample.stamp_ns, result.speed)
             if self._alarm and result.estimate is not None:
                 self._publish_changed(result.group, result.changed.tolist(), result.estimate)
+
+    def _publish_speed(self, motor: str, stamp_ns: int, speed: SpeedEstimate | None) -> None:
+        """Publish the speed of a motor with a rotor; of others, and in doubt, none is left."""
+        std = self._speed_std.get(motor)
+        if speed is None:
+            if std is not None:
+                std.retract()
+            return
+        data = self._speeds.render((motor,), stamp_ns, np.array([speed.speed_rad_s]))
+        if data is not None:
+            self._speed(data)
+        if std is not None:
+            std(self._value.render(np.array([speed.std_rad_s])))
 
     def alarms(self, results: Iterable[GroupResult]) -> None:
         """Publish every changed alarm, and finish all that these samples have left to do."""
@@ -108,7 +121,7 @@ class Outputs:
                 self.publish_tested(result.group)
 
     def publish_tested(self, group: Group) -> None:
-        """Publish the fit of a group's motors that were tested since, and beliefs it has changed."""
+        """Publish the fit of motors that were tested since, and the beliefs that it has changed."""
         observer = group.observer
         if observer is None or not self._fit:
             return
@@ -204,9 +217,11 @@ class Outputs:
         """Publish values, covariance and whether all is identified; None: by the verdicts."""
         if motor not in self._covariance:
             return
+        self._follow_form(motor, estimate)
+        values = self._parameters[motor].values
         for parameter, value in zip(estimate.parameters, estimate.value[0], strict=True):
             if math.isfinite(value):
-                self._parameters[motor][parameter.name](self._value.render(value))
+                values[parameter.name](self._value.render(value))
         template = self._covariances.get(motor)
         if template is None:
             template = self._covariances[motor] = covariance_template(estimate.parameters)
@@ -215,6 +230,13 @@ class Outputs:
         self._identified[motor](
             self._is[estimate.identified(0) if is_identified is None else is_identified]
         )
+
+    def _follow_form(self, motor: str, estimate: Estimate) -> None:
+        """Let the topics of a motor follow its parameters: those of a rotor come and go."""
+        names = tuple(parameter.name for parameter in estimate.parameters)
+        if self._parameters[motor].follow(names, is_active=self._identified[motor].is_active):
+            self._covariances.pop(motor, None)
+            self._published_identified.pop(motor, None)
 
     def fit(self, motor: str, fit: FitAssessment) -> None:
         """Publish a residual ratio that has changed; UNTESTED where there is none any more."""
@@ -245,12 +267,14 @@ class Outputs:
         self._published_identified[motor] = flags
         for j, (parameter, is_identified) in enumerate(zip(parameters, flags, strict=True)):
             if before is None or before[j] != is_identified:
-                self._parameter_identified[motor][parameter.name](self._is[is_identified])
+                self._parameters[motor].identified[parameter.name](self._is[is_identified])
 
     def forget_published(self) -> None:
         """Publish again, at the next chance, what goes out only on change and may be unheard."""
         self._published_identified.clear()
         self._published_fit.clear()
+        for std in self._speed_std.values():  # with the next sample it is told again
+            std.retract()
 
     def alarm(self, motor: str, raised: bool) -> None:
         """Publish whether the residual alarm stands, whatever was published before."""
@@ -277,9 +301,11 @@ class Outputs:
         self._alarm_states[motor] = False
         self._identified[motor].correct(self._is[False])
         self._alarm[motor].correct(self._is[False])
-        for latched in self._parameter_identified[motor].values():
+        for latched in self._parameters[motor].identified.values():
             latched.correct(self._is[False])
         self._published_identified.pop(motor, None)
         self._forget_fit(motor)
-        for latched in (*self._parameters[motor].values(), self._covariance[motor]):
+        for latched in (*self._parameters[motor].values.values(), self._covariance[motor]):
             latched.retract()
+        if motor in self._speed_std:
+            self._speed_std[motor].retract()

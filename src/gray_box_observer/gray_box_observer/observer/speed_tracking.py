@@ -1,0 +1,79 @@
+"""The speed of a motor with a rotor, from sample to sample, as far as it may be believed."""
+
+from __future__ import annotations
+
+import math
+
+from gray_box_observer.context_nodes import RotorUpdate
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate, SpeedFilter
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
+from gray_box_observer.observer.stall_watch import StallWatch
+from gray_box_observer.samples import Sample
+from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.interface import Array
+
+LARGEST_STD = 0.3
+"""Relative standard deviation of R and L up to which they tell a speed."""
+
+
+class SpeedTracking:
+    """Follows the speed of one motor that has a rotor.
+
+    Args:
+        white_box: its physics.
+        context_nodes: the rule that learns it.
+
+    Attributes:
+        newest: the speed at the newest sample; None where none may be believed.
+        stall: whether the rotor stands still though it is driven.
+    """
+
+    def __init__(self, white_box: MotorWhiteBox, context_nodes: RotorUpdate) -> None:
+        self._white_box = white_box
+        self._nodes = context_nodes
+        self._filter = SpeedFilter(white_box)
+        self._is_credible = False
+        self._resistance_std = 0.0
+        self._constants = 0.0, 0.0
+        self.newest: SpeedEstimate | None = None
+        self.stall = StallWatch()
+
+    def believe(self, theta: Array, covariance: Array, fit: FitAssessment) -> None:
+        """Take note of what is known of the motor.
+
+        Args:
+            theta: shape (parameter,).
+            covariance: shape (parameter, parameter).
+            fit: whether the white box explains the data.
+        """
+        places = [
+            place
+            for place, name in enumerate(self._white_box.context_nodes)
+            if name in ('inductance', 'resistance')
+        ]
+        stds = {place: math.sqrt(max(float(covariance[place, place]), 0.0)) for place in places}
+        is_known = all(std < LARGEST_STD * float(theta[place]) for place, std in stds.items())
+        resistance = self._white_box.known.get('resistance', theta[places[-1]])
+        self._constants = float(resistance), float(self._white_box.known['back_emf_constant'])
+        self._resistance_std = stds[places[-1]] if len(places) > 1 else 0.0
+        self._is_credible = is_known and fit.verdict is not FitVerdict.MISFIT
+
+    def step(self, sample: Sample, theta: Array) -> SpeedEstimate | None:
+        """Go on by one sample; return its speed where that may be believed.
+
+        Args:
+            sample: the newest.
+            theta: shape (parameter,): what is known of the motor now.
+        """
+        self.newest = None
+        torque_constant = float(self._white_box.torque_constant)
+        noise_a = float(self._nodes.noise_std_nm[0]) / torque_constant
+        interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
+        current_a = float(sample.torque_nm[0]) / torque_constant
+        if self._is_credible:
+            self.newest = self._filter.step(
+                theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
+            )
+        speed_rad_s = None if self.newest is None else self.newest.speed_rad_s
+        self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
+        return self.newest

@@ -1,0 +1,176 @@
+"""Whether the speed is Kt i or that of a rotor: chosen by evidence, and only by that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dc_motor_sim.plant import PlantParameters
+from dc_motor_sim.simulation import Recording, Simulation
+from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.settings.configuration import Configuration
+
+GEAR_MOTOR = PlantParameters(
+    inductance=4e-3, resistance=2.0, hysteresis=0.0, torque_constant=0.02, back_emf_constant=0.02,
+    inertia=1e-5, viscous_friction=1e-5, coulomb_friction=8.4e-3,
+)  # fmt: skip
+THESIS_MOTOR = PlantParameters(
+    inductance=8e-3, resistance=2.0, hysteresis=5.0, torque_constant=0.02, back_emf_constant=0.02
+)
+CONSTANTS = {'motor.torque_constant': 0.02, 'motor.back_emf_constant': 0.02}
+LIVELY = 'R[-12,12]D[0.05,0.5]'
+
+
+@cache
+def recorded(plant: PlantParameters, excitation: str, duration_s: float, seed: int) -> Recording:
+    """Record a motor at 1 kHz with 1 % noise, its speed unknown."""
+    simulation = Simulation(
+        {'motor': plant}, excitation, seed=seed, sample_rate_hz=1000.0, torque_noise_std=3e-4,
+        speed_mode='rotor' if plant.hysteresis == 0.0 else 'thesis',
+    )  # fmt: skip
+    return simulation.record(duration_s)
+
+
+def feed(observer: Observer, recordings: Sequence[Recording], begin_ns: int = 0) -> int:
+    """Feed recordings one after another; return the stamp behind them."""
+    for recording in recordings:
+        for k, stamp in enumerate(recording.stamp_ns.tolist()):
+            observer.voltage('motor', begin_ns + stamp, float(recording.voltage_v[0, k]))
+            observer.torque('motor', begin_ns + stamp, float(recording.torque_nm[0, k]))
+        begin_ns += int(recording.stamp_ns[-1]) + 1_000_000
+    return begin_ns
+
+
+def observed(*recordings: Recording, **values: object) -> Observer:
+    """Return an observer that has learnt recordings."""
+    observer = Observer(Configuration.from_flat({**CONSTANTS, **values}))
+    feed(observer, recordings)
+    return observer
+
+
+def test_a_free_rotor_is_chosen_and_identified() -> None:
+    motor = observed(recorded(GEAR_MOTOR, LIVELY, 4.0, 1)).motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.speed_reason.startswith('a rotor explains the data')
+    assert motor.fit.verdict.value == 'ok'
+    for parameter, value in zip(motor.estimate.parameters, motor.estimate.value[0], strict=True):
+        assert value == pytest.approx(getattr(GEAR_MOTOR, parameter.name), rel=0.03), parameter
+    assert motor.estimate.identified(0)
+
+
+def test_a_motor_of_the_thesis_keeps_its_form_bit_for_bit() -> None:
+    record = recorded(THESIS_MOTOR, LIVELY, 4.0, 1)
+    chosen = observed(record).motors['motor']
+    stated = observed(record, **{'motor.speed_source': 'torque_constant'}).motors['motor']
+    assert chosen.white_box.speed_source == 'torque_constant'
+    assert chosen.estimate.identified(0)
+    assert np.array_equal(chosen.estimate.value, stated.estimate.value)
+    assert np.array_equal(chosen.estimate.covariance, stated.estimate.covariance)
+
+
+@pytest.mark.parametrize(
+    ('excitation', 'why'), [('R[6,6]D[9,9]', 'nothing in the data'), ('R[3,9]D[1.5,1.5]', 'hardly')]
+)
+def test_what_the_voltage_cannot_tell_is_not_chosen(excitation: str, why: str) -> None:
+    motor = observed(recorded(GEAR_MOTOR, excitation, 3.0, 4)).motors['motor']
+    assert motor.white_box.speed_source == 'torque_constant'
+    assert why in motor.speed_reason
+    assert not motor.estimate.identified(0)
+
+
+def test_a_motor_that_becomes_one_of_the_thesis_goes_back() -> None:
+    free = recorded(GEAR_MOTOR, LIVELY, 2.0, 1)
+    locked = recorded(THESIS_MOTOR, LIVELY, 9.0, 2)
+    observer = observed(free)
+    assert observer.motors['motor'].white_box.speed_source == 'rotor'
+    feed(observer, [locked], int(free.stamp_ns[-1]) + 1_000_000)
+    motor = observer.motors['motor']
+    assert motor.white_box.speed_source == 'torque_constant'
+    assert motor.speed_reason.startswith('a speed of Kt i explains the data')
+    assert motor.estimate.value[0, 2] == pytest.approx(5.0, rel=0.05)
+
+
+def test_a_restored_motor_has_the_form_that_it_had(tmp_path: Path) -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 2.0, 1)
+    before = observed(record)
+    path = tmp_path / 'motor.safetensors'
+    checkpoint.save(before, path)
+    after = Observer(Configuration.from_flat(CONSTANTS))
+    checkpoint.load(after, path)
+    motor = after.motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.speed_reason == before.motors['motor'].speed_reason
+    assert np.array_equal(motor.estimate.value, before.motors['motor'].estimate.value)
+    assert motor.state()[0]['speed'] == before.motors['motor'].state()[0]['speed']
+
+
+def test_the_choice_does_not_depend_on_when_deferred_work_is_done() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 2.0, 1)
+    lazy = observed(record)
+    eager = Observer(Configuration.from_flat(CONSTANTS))
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        eager.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        eager.torque('motor', stamp, float(record.torque_nm[0, k]))
+        if 'motor' in eager.motors:
+            eager.motors['motor'].observer.run_deferred()
+    for name in ('value', 'covariance'):
+        one, other = (getattr(each.motors['motor'].estimate, name) for each in (lazy, eager))
+        assert np.array_equal(one, other), name
+
+
+@pytest.mark.parametrize(
+    ('values', 'why'),
+    [
+        ({'motor.back_emf_constant': 0.0}, 'must be positive'),
+        ({'motor.delay': 'estimate'}, 'declare it'),
+        ({'context_update': 'gradient'}, 'needs recursive'),
+        ({'motor.speed_source': 'torque_constant'}, 'as configured'),
+    ],
+)
+def test_where_no_rotor_can_be_tried_the_reason_is_given(
+    values: dict[str, object], why: str
+) -> None:
+    motor = observed(recorded(GEAR_MOTOR, LIVELY, 0.4, 1), **values).motors['motor']
+    assert motor.white_box.speed_source == 'torque_constant'
+    assert why in motor.speed_reason
+
+
+def test_an_unstated_kb_is_taken_for_kt() -> None:
+    observer = Observer(Configuration.from_flat({'motor.torque_constant': 0.02}))
+    feed(observer, [recorded(GEAR_MOTOR, LIVELY, 2.0, 1)])
+    motor = observer.motors['motor']
+    assert motor.white_box.speed_source == 'rotor'
+    assert motor.white_box.known['back_emf_constant'] == 0.02
+
+
+def test_stated_context_nodes_of_the_voltage_balance_stay() -> None:
+    nodes = ['inductance', 'resistance', 'brush_drop']
+    motor = Configuration.from_flat({'motor.context_nodes': nodes}).motors['motor'].with_rotor()
+    assert motor.values['context_nodes'] == [
+        *nodes, 'inertia', 'viscous_friction', 'coulomb_friction'
+    ]  # fmt: skip
+
+
+def test_the_speed_of_a_chosen_rotor_is_told_with_every_sample() -> None:
+    record = recorded(GEAR_MOTOR, LIVELY, 3.0, 6)
+    observer = Observer(Configuration.from_flat(CONSTANTS))
+    errors = []
+    for k, stamp in enumerate(record.stamp_ns.tolist()):
+        observer.voltage('motor', stamp, float(record.voltage_v[0, k]))
+        for result in observer.torque('motor', stamp, float(record.torque_nm[0, k])):
+            if result.speed is not None:
+                truth = record.speed_rad_s[0, k]
+                errors.append((result.speed.speed_rad_s - truth, result.speed.std_rad_s))
+    error, std = np.array(errors[200:]).T
+    assert len(errors) > 1000
+    assert np.sqrt(np.mean(error**2)) < 0.01 * record.speed_rad_s[0].std()
+    assert np.mean(np.abs(error) < 3.0 * std) > 0.9
+
+
+def test_a_motor_of_the_thesis_has_no_speed_to_tell() -> None:
+    assert observed(recorded(THESIS_MOTOR, LIVELY, 1.0, 1)).motors['motor'].speed is None
