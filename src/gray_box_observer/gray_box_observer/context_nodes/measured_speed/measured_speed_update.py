@@ -54,11 +54,9 @@ a lag for resistance, and its residual stays white."""
 APART = 25.0
 """Squared distance of both rules in their standard deviations from which a lag matters."""
 
-SURE = 1024
-"""Samples of a white residual after which the lag is asked for all the same."""
-
 RAREST = 32768
-"""Samples between two such questions at last: each answer doubles them."""
+"""Samples, at most, after which the lag is asked for though the residual is white: first with the
+first samples, then each time they have doubled."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
@@ -114,7 +112,7 @@ class MeasuredSpeedUpdate:
         self._is_noisy = False
         self._failures = 0
         self._evidence = 0.0
-        self._ask_at = SURE
+        self._ask_at = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
         self._changed = np.zeros(1, dtype=bool)
 
@@ -253,7 +251,7 @@ class MeasuredSpeedUpdate:
         place = int(self._outputs.replay.received[0])
         if place < self._ask_at:
             return False
-        self._ask_at = place + min(max(place, SURE), RAREST)
+        self._ask_at = place + min(place, RAREST)
         return True
 
     def _is_late(self, fit: OutputFit) -> bool:

@@ -78,6 +78,10 @@ class OutputUpdate(RotorUpdate):
         self.output_fit = fit_outputs(self._white_box, window, prior, starts)
         return None if self.output_fit is None else self.output_fit.fit
 
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
+        return window.moves == 0
+
     def _is_poor(self, fit: Fit) -> bool:
         return self.output_fit is None or not self.output_fit.explains
 
