@@ -45,7 +45,8 @@ COLOURED = 3.0
 1,000 samples passes 2.2 once in 10,000."""
 
 EVIDENCE = 30.0
-"""Log-likelihood by which the current must be likelier with the speed of the whole motor."""
+"""Log-likelihood by which the current must be likelier with the speed of the whole motor, beside
+what as many unknowns explain of mere noise."""
 
 LATE, LATE_STDS = 0.1, 5.0
 """Sample intervals, and standard deviations, from which the speed is late: the recursive rule takes
@@ -277,7 +278,7 @@ class MeasuredSpeedUpdate:
             log_likelihood_ratio(exact_residual(self._white_box, theta, samples), std)
             for theta in (self._exact.theta[0], self._outputs.theta[0, self._nodes])
         )
-        return self._evidence > EVIDENCE
+        return self._evidence > EVIDENCE + 0.5 * fit.unknowns
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""

@@ -75,7 +75,8 @@ class OutputUpdate(RotorUpdate):
         return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
 
     def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
-        self.output_fit = fit_outputs(self._white_box, window, prior, starts)
+        walk = 0.0 if self.output_fit is None else self.output_fit.walk
+        self.output_fit = fit_outputs(self._white_box, window, prior, starts, walk)
         return None if self.output_fit is None else self.output_fit.fit
 
     def _is_ambiguous(self, window: Window) -> bool:

@@ -167,6 +167,17 @@ def _size(fit: Fit) -> float:
     return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
 
 
+def search_from(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, start: Array
+) -> Fit | None:
+    """Fit a window from one start alone; None where it cannot be run. See :func:`fit_window`."""
+    search = _Search(white_box, window, prior, np.log(start))
+    if not search.is_valid:
+        return None
+    search.run()
+    return search.result()
+
+
 def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> FreeRuns | None:
     """Run freely at given values, the first states where they fit best; None where it cannot.
 
