@@ -30,7 +30,16 @@ from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimat
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
-from gray_box_observer.safe_io.saved_state import LARGEST, MOST, flag, group, number, whole
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    MOST,
+    ArrayRule,
+    check_arrays,
+    flag,
+    group,
+    number,
+    whole,
+)
 from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import TERMS
@@ -62,7 +71,8 @@ first samples, then each time they have doubled."""
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
 
-_PREFIX, _SAMPLES = 'outputs.', 'measured_speed.samples'
+_PREFIX = 'outputs.'
+_SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
 
 
 def can_be_output(white_box: MotorWhiteBox) -> bool:
@@ -109,6 +119,7 @@ class MeasuredSpeedUpdate:
             np.concatenate([initial_relative_std, np.zeros((1, len(MECHANICAL)))], axis=1),
         )
         self._samples = ReplayBuffer(1, 1)
+        self._shares = np.zeros((2, len(white_box.context_nodes)))
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
         self._failures = 0
@@ -175,18 +186,18 @@ class MeasuredSpeedUpdate:
 
     def voltage_shares(self, motor: int) -> tuple[Array, Array]:
         """Return the voltage shares per unit of parameter, and their 3-sigma bound."""
-        fit = self._outputs.output_fit
         if not self._is_noisy:
             return self._exact.voltage_shares(motor)
-        if fit is None:
-            nothing = np.zeros(len(self._white_box.context_nodes))
-            return nothing, nothing
-        samples = self._samples.newest(self._samples.stored(0))
-        share = voltage_shares(self._white_box, SampleWindow.of_content(self._white_box, samples))
-        information = fit.fit.information
-        covariance = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+        share, reach = self._shares
+        return share, reach
+
+    def _measured_shares(self, samples: Array, fit: OutputFit) -> Array:
+        """Return the voltage shares and their 3-sigma bound by a fit, shape (2, parameter)."""
+        stretch = SampleWindow.of_content(self._white_box, samples[:, None])
+        share = voltage_shares(self._white_box, stretch)[0]
+        covariance = np.linalg.pinv(fit.fit.information, rcond=1e-12, hermitian=True)
         std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) * fit.fit.theta
-        return share[0], SIGMAS * std[self._nodes] * share[0]
+        return np.stack([share, SIGMAS * std[self._nodes] * share])
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""
@@ -241,7 +252,9 @@ class MeasuredSpeedUpdate:
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
-        self._samples = remembering(with_motor_speed(samples, fit), place, begin)
+        samples = with_motor_speed(samples, fit)
+        self._samples = remembering(samples, place, begin)
+        self._shares = self._measured_shares(samples, fit)
         return True
 
     def _is_worth_asking(self, samples: Array) -> bool:
@@ -297,6 +310,7 @@ class MeasuredSpeedUpdate:
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
         if self._is_noisy:
             arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
+            arrays[_SHARES] = self._shares.copy()
         return plain, arrays
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
@@ -325,6 +339,8 @@ class MeasuredSpeedUpdate:
         if not self._is_noisy:
             return
         check_signals(_SAMPLES, arrays.get(_SAMPLES))
+        check_arrays(arrays, {_SHARES: ArrayRule(self._shares.shape, 0.0, endless=True)})
+        self._shares = arrays[_SHARES]
         samples = arrays[_SAMPLES][:, 0]
         place = received + whole(own, 'place', samples.shape[1] - received, 0)
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))

@@ -19,6 +19,8 @@ from gray_box_observer.context_nodes.rotor.rotor_estimator import (
 )
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior
+from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
+from gray_box_observer.samples.replay_buffer import SPEED
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -51,6 +53,7 @@ class OutputUpdate(RotorUpdate):
             white_box, initial, rules, verdict_rules, initial_relative_std, speed_measured=True
         )
         self.output_fit: OutputFit | None = None
+        self._walk = 0.0  # of the load
         self._speed = np.zeros(1)
 
     def remember(self, sample: Sample) -> None:
@@ -75,9 +78,11 @@ class OutputUpdate(RotorUpdate):
         return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
 
     def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
-        walk = 0.0 if self.output_fit is None else self.output_fit.walk
-        self.output_fit = fit_outputs(self._white_box, window, prior, starts, walk)
-        return None if self.output_fit is None else self.output_fit.fit
+        self.output_fit = fit_outputs(self._white_box, window, prior, starts, self._walk)
+        if self.output_fit is None:
+            return None
+        self._walk = self.output_fit.walk
+        return self.output_fit.fit
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
@@ -86,9 +91,16 @@ class OutputUpdate(RotorUpdate):
     def _is_poor(self, fit: Fit) -> bool:
         return self.output_fit is None or not self.output_fit.explains
 
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        plain, arrays = super().state(motor)
+        return plain, arrays | {'walk': np.array([self._walk])}
+
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
+        check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
         super().restore(plain, arrays, motor)
         self.output_fit = None
-        if self.replay.remembered()[0]:
-            self._speed = self.replay.newest(1)[3, :, 0].copy()
+        self._walk = float(arrays['walk'][0])
+        if self.replay.stored(0):
+            self._speed = self.replay.newest(1)[SPEED, :, 0].copy()
