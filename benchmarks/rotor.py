@@ -1,6 +1,7 @@
-"""A rotor whose speed nobody measures: what the observer finds, against the Cramer-Rao bound.
+"""A rotor whose speed nobody measures, or badly: what the observer finds, against the bound.
 
-It has voltage and torque alone. The bound is that of the whole motor.
+It has voltage and torque alone, and with ``--speed`` a speed with noise, of an encoder, or late.
+The Cramer-Rao bound is that of the whole motor, with one output or two.
 
 Gear motors are drawn at random and simulated by a plant of the benchmarks' own, with dry friction
 that holds. Robots' motors come last, where their logs are (``../shared/data`` beside the
@@ -10,16 +11,21 @@ repository, or ``--data FOLDER``).
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+
+os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when numpy is imported
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
 from common.rotor.records import NODES, draw
 from common.rotor.runs import Trial, run_trial
+from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
+from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor, sticky_motor, thesis_like_motor
 from real_motors import DEAD_CURRENT_SENSOR, DEFAULT_DATA, Case, cases, identify
 from scipy.stats import chi2
@@ -32,6 +38,16 @@ LONG_S, QUICK_S = 20.0, 4.0
 ROBOT_OHM, ROBOT_REACH_OHM = 4.25, 0.3
 CONFIDENCE = 0.95
 WITHIN_STDS = 3.0
+SPEED_SENSORS = (
+    (SpeedSensor('speed with 0.5 % noise', noise=0.005), 1000.0),
+    (SpeedSensor('speed with 1 % noise', noise=0.01), 1000.0),
+    (SpeedSensor('speed with 3 % noise', noise=0.03), 1000.0),
+    (SpeedSensor('encoder of 64 counts', counts=64), 1000.0),
+    (SpeedSensor('encoder of 500 counts', counts=500), 1000.0),
+    (SpeedSensor('encoder of 64 counts', counts=64), 500.0),
+    (SpeedSensor('encoder of 500 counts', counts=500), 500.0),
+    (SpeedSensor('speed 2 samples late', late=2), 1000.0),
+)
 ELECTRICAL = slice(0, 2)
 
 
@@ -42,11 +58,19 @@ def main() -> int:
     )
     parser.add_argument('--quick', action='store_true', help='fewer and shorter records')
     parser.add_argument('--seeds', type=int, help='motors drawn, 20 unless quick')
+    parser.add_argument(
+        '--speed', action='store_true', help='only motors whose speed is measured, badly'
+    )
     parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
     options = parser.parse_args()
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     length_s = QUICK_S if options.quick else LONG_S
     counts = not options.quick
+    if options.speed:
+        figures = speed_figures(seeds, length_s, counts=counts)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', seeds, figures))
+        return 0
     figures = [
         *fast_figures(seeds, length_s, counts=counts),
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
@@ -184,6 +208,33 @@ def show_choices(title: str, choices: Sequence[Choice]) -> None:
     print(f'\n{table([title, "chosen", "at s", "L, R right", "false"], rows)}')
 
 
+def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Run gear motors whose speed is measured with noise, by an encoder, or late."""
+    figures = []
+    for sensor, rate_hz in SPEED_SENSORS:
+        name = f'{sensor.name}, {rate_hz:g} Hz'
+        trials = [
+            run_trial(draw_with_speed(sensor, seed, rate_hz, length_s)) for seed in range(seeds)
+        ]
+        show(name, trials, MEASURED_NODES)
+        over = over_bound(trials)
+        freedom = seeds * len(MEASURED_NODES)
+        band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+        nees = float(np.mean([trial.nees for trial in trials]))
+        figures += [
+            Figure(f'{name}: RMSE of inductance over the bound', float(over[0]), 1.5, counts),
+            Figure(f'{name}: RMSE of resistance over the bound', float(over[1]), 1.5, counts),
+            Figure(f'{name}: NEES', nees, (band[0], band[1]), counts),
+            Figure(f'{name}: false of all identified', share_false(trials), 0.0, counts),
+            Figure(f'{name}: misfit, share', _share_misfit(trials), 0.0, counts),
+        ]
+    return figures
+
+
+def _share_misfit(trials: Sequence[Trial]) -> float:
+    return float(np.mean([trial.fit == 'misfit' for trial in trials]))
+
+
 def robot_figures(data: Path) -> list[Figure]:
     """Identify the robots' motors from voltage and current alone."""
     present = [
@@ -236,7 +287,7 @@ def share_false(trials: Sequence[Trial]) -> float:
     return sum(trial.false for trial in trials) / max(1, sum(trial.claims for trial in trials))
 
 
-def show(title: str, trials: Sequence[Trial]) -> None:
+def show(title: str, trials: Sequence[Trial], nodes: Sequence[str] = NODES) -> None:
     """Print every motor's errors in per cent and in standard deviations."""
     rows = [
         [
@@ -248,7 +299,8 @@ def show(title: str, trials: Sequence[Trial]) -> None:
         ]
         for seed, trial in enumerate(trials)
     ]
-    header = [title, *(f'{name[:9]} %' for name in NODES), *('z' for _ in NODES), 's to R', 'false']
+    errors = [f'{name[:9]} %' for name in nodes]
+    header = [title, *errors, *('z' for _ in nodes), 's to R', 'false']
     print(f'\n{table(header, rows)}')
 
 

@@ -33,6 +33,7 @@ class Trial:
         claims, false: identified parameters over all estimates, and those of them that were false.
         near_s: seconds from which R stayed within NEAR; infinite where it never did.
         sample_us: processor time a sample.
+        fit: verdict of the residual analysis at the end.
     """
 
     error: FloatArray
@@ -44,27 +45,24 @@ class Trial:
     false: int
     near_s: float
     sample_us: float
+    fit: str
 
 
 def run_trial(record: Record) -> Trial:
     """Run the observer without predictor over a record."""
     motor = record.motor
-    parameters = {
-        f'{MOTOR}.torque_constant': motor.torque_constant,
-        f'{MOTOR}.back_emf_constant': motor.back_emf_constant,
-        f'{MOTOR}.speed_source': 'rotor',
-        f'{MOTOR}.stamps_exact': True,
-    }
+    parameters = {f'{MOTOR}.{name}': value for name, value in record.parameters.items()}
     observer = Observer(Configuration.from_flat(parameters), None)
     stamps = np.round(np.arange(record.measured_a.size) * record.interval_s * 1e9).astype(int)
     torque = record.measured_a * motor.torque_constant
     estimates: list[tuple[float, Estimate]] = []
     begun = time.process_time()
-    for stamp, volt, reading in zip(
-        stamps.tolist(), [*record.voltage_v.tolist(), 0.0], torque.tolist(), strict=True
+    volts = [*record.voltage_v.tolist(), 0.0]
+    for stamp, volt, reading, speed in zip(
+        stamps.tolist(), volts, torque.tolist(), record.readings_rad_s, strict=True
     ):
         observer.voltage(MOTOR, stamp, volt)
-        results = observer.torque(MOTOR, stamp, reading)
+        results = observer.torque(MOTOR, stamp, reading, speed)
         estimates += [(stamp * 1e-9, one.estimate) for one in results if one.estimate is not None]
     cpu_s = time.process_time() - begun
     last = observer.estimates()[MOTOR]
@@ -88,6 +86,7 @@ def run_trial(record: Record) -> Trial:
         false,
         near_s,
         1e6 * cpu_s / stamps.size,
+        observer.fit(MOTOR).verdict.value,
     )
 
 

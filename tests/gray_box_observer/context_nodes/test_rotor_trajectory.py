@@ -11,7 +11,7 @@ from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, by_knot, run
 from gray_box_observer.white_box import MotorWhiteBox, forms
 
 NODES = ('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
@@ -133,3 +133,39 @@ def test_a_rotor_at_rest_under_dry_friction_does_not_chatter() -> None:
     speed = followed.states[100:, 1]
     assert np.ptp(speed) < 1e-3
     assert abs(speed).max() < 0.2
+
+
+def test_compiled_code_and_python_carry_the_same_load() -> None:
+    if whole_motor.library() is None:
+        pytest.skip('no compiled code')
+    volts = steps(120, hold=20)
+    places = np.linspace(0.0, 3.0, volts.size)
+    load = np.interp(places, np.arange(4), [0.0, 900.0, -400.0, 200.0])
+    p, start = coordinates(BOX, THETA), np.array([0.1, 3.0])
+    both = [
+        run(KT, p, start, volts, np.full(volts.size, 1e-3), LIMITS, load, compiled=compiled)
+        for compiled in (True, False)
+    ]
+    np.testing.assert_allclose(both[0].states, both[1].states, rtol=1e-10, atol=1e-11)
+    fast, slow = (by_knot(both[0], places, 4, compiled=compiled) for compiled in (True, False))
+    np.testing.assert_allclose(fast, slow, rtol=1e-10, atol=1e-12 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize('knot', range(4))
+def test_derivatives_by_the_knots_of_a_load_are_finite_differences(knot: int) -> None:
+    volts = steps(300)
+    places = np.linspace(0.0, 3.0, volts.size)
+    p, start = coordinates(BOX, THETA), np.array([0.1, 50.0])
+
+    def loaded(knots: np.ndarray) -> Run:
+        load = np.interp(places, np.arange(4), knots)
+        return run(KT, p, start, volts, np.full(volts.size, 1e-3), LIMITS, load)
+
+    knots = np.array([100.0, 300.0, -200.0, 50.0])
+    bump = 0.1 * np.eye(4)[knot]
+    by_difference = (loaded(knots + bump).states - loaded(knots - bump).states) / 0.2
+    slope = by_knot(loaded(knots), places, 4)[:, :, knot]
+    for state in range(2):
+        assert np.std(slope[:, state] - by_difference[:, state]) < 1e-3 * np.std(
+            by_difference[:, state]
+        )

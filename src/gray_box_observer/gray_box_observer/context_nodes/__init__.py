@@ -2,6 +2,10 @@
 
 from gray_box_observer.context_nodes.estimate import Estimate, Verdict, VerdictSettings
 from gray_box_observer.context_nodes.gradient import GradientSettings, GradientUpdate
+from gray_box_observer.context_nodes.measured_speed.measured_speed_update import (
+    MeasuredSpeedUpdate,
+    can_be_output,
+)
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
@@ -12,9 +16,11 @@ __all__ = [
     'Estimate',
     'GradientSettings',
     'GradientUpdate',
+    'MeasuredSpeedUpdate',
     'RecursiveEstimator',
     'RecursiveSettings',
     'RotorUpdate',
     'Verdict',
     'VerdictSettings',
+    'can_be_output',
 ]

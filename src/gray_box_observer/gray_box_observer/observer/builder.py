@@ -13,10 +13,12 @@ from gray_box_observer.context_nodes import (
     Estimate,
     GradientSettings,
     GradientUpdate,
+    MeasuredSpeedUpdate,
     RecursiveEstimator,
     RecursiveSettings,
     RotorUpdate,
     VerdictSettings,
+    can_be_output,
 )
 from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.delay import DeclaredDelay, DelayRound, DelayWatch
@@ -211,6 +213,8 @@ def context_nodes(
     rules = RecursiveSettings(**configuration.group('recursive'))
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
+    if len(motors) == 1 and can_be_output(white_box):
+        return MeasuredSpeedUpdate(white_box, initial, seed, rules, verdicts, relative_std)
     return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
 
 

@@ -67,22 +67,26 @@ static Linear interval_moved(const double *p, double torque_constant, const doub
 
 int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
 
-/* Follow `count` intervals from a start. `states` has room for [count + 1][STATES], `slopes` for
+/* Follow `count` intervals from a start. `load`, where there is one, is what it takes of the
+ * acceleration over every interval. `states` has room for [count + 1][STATES], `slopes` for
  * [count + 1][STATES][COLUMNS], derivatives by both first states and every coordinate, and
  * `transitions` for [count][STATES][STATES]. Returns how many intervals were followed before a
  * state was beyond its limit. */
-int64_t whole_motor_run(const double *p, double torque_constant, const double *start, int64_t count,
-                        const double *voltage, const double *length, const double *limits,
-                        double largest_step,
-                        int64_t most_steps, double *states, double *slopes, double *transitions)
+int64_t whole_motor_follow(const double *p, double torque_constant, const double *start,
+                           int64_t count, const double *voltage, const double *length,
+                           const double *load, const double *limits, double largest_step,
+                           int64_t most_steps, double *states, double *slopes, double *transitions)
 {
+    double loaded[COORDINATES];
+    for (int j = 0; j < COORDINATES; j++) loaded[j] = p[j];
     for (int s = 0; s < STATES; s++) {
         states[s] = start[s];
         for (int j = 0; j < COLUMNS; j++) slopes[s * COLUMNS + j] = j == s;
     }
     for (int64_t k = 0; k < count; k++) {
+        if (load) loaded[LOAD_TORQUE] = p[LOAD_TORQUE] + load[k];
         const Linear moved =
-            interval_moved(p, torque_constant, states + k * STATES, voltage[k], length[k],
+            interval_moved(loaded, torque_constant, states + k * STATES, voltage[k], length[k],
                            largest_step, most_steps);
         const double *before = slopes + k * STATES * COLUMNS;
         double *after = slopes + (k + 1) * STATES * COLUMNS;
@@ -99,4 +103,30 @@ int64_t whole_motor_run(const double *p, double torque_constant, const double *s
         }
     }
     return count;
+}
+
+/* Derivatives of a followed motion by the knots of a load that runs straight between them.
+ * `place` is that of every interval among the knots, at most `knots - 1`; `by_knot` has room for
+ * [count + 1][STATES][knots]. */
+void whole_motor_by_knot(int64_t count, int64_t knots, const double *place, const double *slopes,
+                         const double *transitions, double *by_knot)
+{
+    for (int64_t j = 0; j < STATES * knots; j++) by_knot[j] = 0.0;
+    for (int64_t k = 0; k < count; k++) {
+        const double *before = by_knot + k * STATES * knots;
+        double *after = by_knot + (k + 1) * STATES * knots;
+        const double *here = slopes + k * STATES * COLUMNS + STATES + LOAD_TORQUE;
+        const int64_t left = place[k] >= knots - 1 ? knots - 2 : (int64_t)place[k];
+        const double share = place[k] - (double)left;
+        for (int s = 0; s < STATES; s++) {
+            const double a = transitions[(k * STATES + s) * STATES + CURRENT];
+            const double b = transitions[(k * STATES + s) * STATES + SPEED];
+            const double pushed =
+                here[(STATES + s) * COLUMNS] - a * here[0] - b * here[COLUMNS];
+            for (int64_t j = 0; j < knots; j++)
+                after[s * knots + j] = a * before[j] + b * before[knots + j];
+            after[s * knots + left] += (1.0 - share) * pushed;
+            after[s * knots + left + 1] += share * pushed;
+        }
+    }
 }

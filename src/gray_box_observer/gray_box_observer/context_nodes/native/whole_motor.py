@@ -19,14 +19,17 @@ _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
     handle = compiled.load()
-    if handle is None or not hasattr(handle, 'whole_motor_fingerprint'):
+    if handle is None or not hasattr(handle, 'whole_motor_follow'):
         return None
-    fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_run
+    fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_follow
     fingerprint.restype = run.restype = _COUNT
     run.argtypes = (
-        *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _NUMBER, _COUNT),
-        *(_POINTER, _POINTER, _POINTER),
+        *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
+        *(_NUMBER, _COUNT, _POINTER, _POINTER, _POINTER),
     )
+    by_knot = handle.whole_motor_by_knot
+    by_knot.restype = None
+    by_knot.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
     return handle if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
 
 

@@ -9,6 +9,7 @@ was known, the motor has changed, and that is forgotten (docs/METHOD.md, The who
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -94,6 +95,7 @@ class RotorUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
             nothing is stated. None: of none of them.
+        speed_measured: whether speed is remembered, for a rule that fits it too.
     """
 
     def __init__(
@@ -103,6 +105,8 @@ class RotorUpdate:
         rules: RecursiveSettings | None = None,
         verdict_rules: VerdictSettings | None = None,
         initial_relative_std: Array | None = None,
+        *,
+        speed_measured: bool = False,
     ) -> None:
         if not white_box.has_rotor or initial.shape[0] != 1:
             raise ConfigurationError('the rotor rule is for one motor whose inertia is unknown')
@@ -118,7 +122,7 @@ class RotorUpdate:
         std = np.where(self._is_stated, stated_std, VAGUE)
         self._data_sheet = LogPrior(np.log(theta), np.diag(std**-2.0))
         self.replay = ReplayBuffer(
-            1, max(self._rules.replay_capacity, WINDOW), speed_measured=False
+            1, max(self._rules.replay_capacity, WINDOW), speed_measured=speed_measured
         )
         self._memory: LogPrior | None = None
         self._logarithms = np.log(theta)
@@ -182,14 +186,30 @@ class RotorUpdate:
 
     def learn(self, sample: Sample) -> bool:
         """Take one sample and fit where a fit is due. Tell whether the estimate has changed."""
+        self.remember(sample)
+        return self.is_due and self.fit()
+
+    def remember(self, sample: Sample) -> None:
+        """Take one sample without a fit."""
         self._stamp_ns = sample.stamp_ns
         if self._frozen:
-            return False
+            return
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
         self._place += 1
-        if self._place < self._due:
-            return False
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether nothing is learnt."""
+        return self._frozen
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the samples since the last fit are worth another one."""
+        return self._place >= self._due and not self._frozen
+
+    def fit(self) -> bool:
+        """Fit what is remembered; tell whether that has changed the estimate."""
         with np.errstate(all='ignore'):  # absurd samples; results are checked
             return self._fit(self._place)
 
@@ -217,7 +237,7 @@ class RotorUpdate:
             self._mark = place - 1 if self._is_settled else max(self._mark, place - FIRST_FIT)
             self._due = place + STILL
             return False
-        window = Window.from_samples(self._white_box, samples)
+        window = self._window(samples)
         fit = self._searched(window) if window.spread_a > 0.0 else None
         if fit is None:
             self._counts['windows without fit'] += 1
@@ -240,6 +260,14 @@ class RotorUpdate:
             self._mark = place
         self._schedule(place, count)
         return True
+
+    def _window(self, samples: Array) -> Window:
+        """Cut samples, shape (signal, n), into signal histories."""
+        return Window.from_samples(self._white_box, samples)
+
+    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
+        """Search from some starts for what explains a window."""
+        return fit_window(self._white_box, window, prior, starts)
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.
@@ -276,7 +304,7 @@ class RotorUpdate:
         """Fit a window from where the motor stands, or from anywhere where that does not fit."""
         fit = None
         if self._is_settled:
-            fit = fit_window(self._white_box, window, self._prior(), [self.theta[0]])
+            fit = self._fitted(window, self._prior(), [self.theta[0]])
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
                 return fit
         other = self._searched_anywhere(window)
@@ -291,13 +319,12 @@ class RotorUpdate:
         """Fit without regard to what was known, from every start there is."""
         newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
         starts = [self.theta[0], *weak_starts(self._white_box, newest)]
-        fit = fit_window(self._white_box, newest, self._data_sheet, starts)
+        fit = self._fitted(newest, self._data_sheet, starts)
         if fit is None or newest is window:
             return fit
-        return fit_window(self._white_box, window, self._data_sheet, [fit.theta])
+        return self._fitted(window, self._data_sheet, [fit.theta])
 
-    @staticmethod
-    def _is_poor(fit: Fit) -> bool:
+    def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
         return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
 

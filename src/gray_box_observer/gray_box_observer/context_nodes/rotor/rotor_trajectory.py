@@ -15,7 +15,7 @@ import numpy as np
 
 from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.rotor.coordinates import COORDINATES, WholeMotor
-from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.flow import (
     Interval,
     Linear,
@@ -27,6 +27,9 @@ from gray_box_observer.white_box.flow import (
 from gray_box_observer.white_box.interface import Array
 
 STATES = len(State)
+
+LOAD = tuple(TERMS).index('load_torque')
+"""Place of the load's acceleration among the coordinates."""
 
 LARGEST_STEP = 0.5
 """Largest product of step and fastest rate: a Runge-Kutta step is then right to 3e-4 of a decay."""
@@ -60,6 +63,7 @@ def run(
     voltage_v: Array,
     interval_s: Array,
     limits: Array,
+    load_rad_s2: Array | None = None,
     *,
     compiled: bool = True,
 ) -> Run:
@@ -72,6 +76,8 @@ def run(
         voltage_v: shape (k,): voltage held over every interval.
         interval_s: shape (k,): how long each lasts.
         limits: shape (state,): absolute values at which the run is given up.
+        load_rad_s2: shape (k,): what a load takes of the acceleration over every interval, beside
+            that of the coordinates; None: nothing.
         compiled: whether compiled code is used where there is any.
     """
     count = voltage_v.size
@@ -80,8 +86,9 @@ def run(
     transitions = np.empty((count, STATES, STATES))
     library = native.library() if compiled else None
     if library is None:
+        held = np.zeros(count) if load_rad_s2 is None else load_rad_s2
         path = _run(
-            torque_constant, p, start, (voltage_v, interval_s), limits,
+            torque_constant, p, start, (voltage_v, interval_s, held), limits,
             (states, derivatives, transitions),
         )  # fmt: skip
         return Run(states, derivatives, transitions, path == count)
@@ -90,13 +97,15 @@ def run(
         for array in (p, start, voltage_v, interval_s, limits)
     ]
     to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, arguments)
-    path = library.whole_motor_run(
+    load = None if load_rad_s2 is None else np.ascontiguousarray(load_rad_s2, dtype=float)
+    path = library.whole_motor_follow(
         to_p,
         torque_constant,
         to_start,
         count,
         to_voltage,
         to_interval,
+        None if load is None else native.pointer(load),
         to_limits,
         LARGEST_STEP,
         MOST_STEPS,
@@ -105,11 +114,41 @@ def run(
     return Run(states, derivatives, transitions, path == count)
 
 
+def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Array:
+    """Differentiate a run by the knots of a load that runs straight between them.
+
+    Args:
+        path: the run.
+        place: shape (k,): where every interval lies among the knots, 0 ... knots - 1.
+        knots: how many there are, two at least.
+        compiled: whether compiled code is used where there is any.
+
+    Returns:
+        Shape (k + 1, state, knot).
+    """
+    count = place.size
+    result = np.zeros((count + 1, STATES, knots))
+    library = native.library() if compiled else None
+    if library is not None:
+        arrays = [np.ascontiguousarray(array) for array in (place, path.slopes, path.transitions)]
+        library.whole_motor_by_knot(count, knots, *map(native.pointer, (*arrays, result)))
+        return result
+    pushed = path.slopes[:, :, STATES + LOAD]
+    left = np.minimum(place.astype(int), knots - 2)
+    for k in range(count):
+        push = pushed[k + 1] - path.transitions[k] @ pushed[k]
+        share = place[k] - left[k]
+        result[k + 1] = path.transitions[k] @ result[k]
+        result[k + 1, :, left[k]] += (1.0 - share) * push
+        result[k + 1, :, left[k] + 1] += share * push
+    return result
+
+
 def _run(
     torque_constant: float,
     p: Array,
     start: Array,
-    signals: tuple[Array, Array],
+    signals: tuple[Array, Array, Array],
     limits: Array,
     room: tuple[Array, Array, Array],
 ) -> int:
@@ -120,7 +159,9 @@ def _run(
     motor: Any = WholeMotor(torque_constant)
     coefficients = dict(enumerate(p.tolist()))
     with np.errstate(all='ignore'):
-        for k, (volt, length) in enumerate(zip(*(s.tolist() for s in signals), strict=True)):
+        signals_at = zip(*(signal.tolist() for signal in signals), strict=True)
+        for k, (volt, length, load) in enumerate(signals_at):
+            coefficients[LOAD] = float(p[LOAD]) + load
             motion = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
             if not all(abs(x) <= most for x, most in zip(motion.value, limits, strict=True)):
                 return k

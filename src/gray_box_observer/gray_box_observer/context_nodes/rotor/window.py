@@ -5,13 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
+from gray_box_observer.context_nodes.rotor.history_unknowns import (
+    SpeedOutput,
+    current_by_unknown,
+    load_over_intervals,
+    load_slopes,
+    speed_readings,
+)
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
-from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
 from gray_box_observer.white_box.declaration import State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -43,11 +51,15 @@ class History:
         current_a: shape (k + 1,): measured.
         voltage_v: shape (k,): mean over every interval.
         interval_s: shape (k,).
+        speed_rad_s: shape (k + 1,): measured; None where it is not looked at.
+        place: of its first sample among those that the window was made of.
     """
 
     current_a: Array
     voltage_v: Array
     interval_s: Array
+    speed_rad_s: Array | None = None
+    place: int = 0
 
 
 @dataclass(frozen=True)
@@ -56,19 +68,26 @@ class Window:
 
     Attributes:
         histories: in the order of time.
+        speed_output: how the measured speed is fitted as an output; None: it is not looked at.
     """
 
     histories: tuple[History, ...]
+    speed_output: SpeedOutput | None = None
 
     @classmethod
-    def from_samples(cls, white_box: MotorWhiteBox, samples: Array) -> Window:
+    def from_samples(
+        cls, white_box: MotorWhiteBox, samples: Array, speed_output: SpeedOutput | None = None
+    ) -> Window:
         """Cut samples where their signal history starts anew.
 
         Args:
             white_box: of the motor.
             samples: shape (signal, n), as a replay buffer gives them of one motor.
+            speed_output: how their speed is fitted; None: it is not.
         """
-        finite = np.isfinite(samples[: TORQUE + 1]).all(axis=0)
+        signals = SPEED if speed_output is None else SPEED + 1
+        finite = np.isfinite(samples[:signals]).all(axis=0)
+        places = np.flatnonzero(finite)
         samples = samples[:, finite]
         current = np.asarray(white_box.state(samples[TORQUE]), dtype=float)
         begins = np.flatnonzero(samples[INTERVAL] <= 0.0)
@@ -78,6 +97,8 @@ class Window:
                 current[begin:end],
                 samples[VOLTAGE, begin + 1 : end],
                 samples[INTERVAL, begin + 1 : end],
+                None if speed_output is None else samples[SPEED, begin:end],
+                int(places[begin]),
             )
             for begin, end in pairwise(edges.tolist())
             if end - begin >= FEWEST
@@ -85,7 +106,7 @@ class Window:
         if len(result) > MOST_HISTORIES:
             shortest = sorted(history.current_a.size for history in result)[-MOST_HISTORIES]
             result = [history for history in result if history.current_a.size >= shortest]
-        return cls(tuple(result[-MOST_HISTORIES:]))
+        return cls(tuple(result[-MOST_HISTORIES:]), speed_output)
 
     @cached_property
     def current_a(self) -> Array:
@@ -108,6 +129,14 @@ class Window:
         return float(quantisation_step(self.current_a[None])[0]) * STEP_TO_STD
 
     @cached_property
+    def currents(self) -> Any:
+        """Which of a window's residuals are those of currents: an index of them."""
+        if self.speed_output is None:
+            return slice(None)
+        parts = [np.repeat([True, False], one.current_a.size) for one in self.histories]
+        return np.concatenate(parts)
+
+    @cached_property
     def moves(self) -> int:
         """How often the voltage has moved by a part of its range, without a pause."""
         level = np.concatenate([h.voltage_v for h in self.histories] or [np.zeros(1)])
@@ -125,9 +154,12 @@ class Window:
         last = self.histories[-1]
         keep = min(samples, last.current_a.size)
         part = History(
-            last.current_a[-keep:], last.voltage_v[1 - keep :], last.interval_s[1 - keep :]
+            last.current_a[-keep:],
+            last.voltage_v[1 - keep :],
+            last.interval_s[1 - keep :],
+            None if last.speed_rad_s is None else last.speed_rad_s[-keep:],
         )
-        return Window((part,))
+        return Window((part,), self.speed_output)
 
     def limits(self, back_emf_constant: float) -> Array:
         """Return the states at which a run is given up, shape (state,)."""
@@ -142,10 +174,11 @@ class FreeRuns:
 
     Attributes:
         runs: one a history.
-        residual_a: shape (sample,): measured less predicted current.
-        by_start: derivatives of the current by the first states of its history, shape (k + 1,
-            state), one a history.
-        by_parameter: shape (sample, parameter): by the logarithms of the parameters.
+        residual_a: shape (reading,): measured less predicted current; where the speed is an output,
+            that of the speed follows in every history, in the unit of the current's noise.
+        by_start: derivatives of these by the unknowns of their history, first states before all,
+            shape (reading, unknown), one a history.
+        by_parameter: shape (reading, parameter): by the logarithms of the parameters.
         is_bounded: whether all of them stayed within their limits; nothing else is valid if not.
     """
 
@@ -154,6 +187,15 @@ class FreeRuns:
     by_start: tuple[Array, ...]
     by_parameter: Array
     is_bounded: bool
+
+    def of_output(self, state: State) -> Array:
+        """Return the residuals of one output, shape (sample,), in the unit of the current."""
+        begin, parts = 0, []
+        for path, by_start in zip(self.runs, self.by_start, strict=True):
+            first = begin + state * path.states.shape[0]
+            parts.append(self.residual_a[first : first + path.states.shape[0]])
+            begin += by_start.shape[0]
+        return np.concatenate(parts)
 
     @property
     def speed_rad_s(self) -> Array:
@@ -170,7 +212,8 @@ def free_runs(
         white_box: of one motor with a rotor.
         theta: shape (parameter,).
         window: the samples.
-        starts: shape (history, state): first states.
+        starts: shape (history, unknown): first states, and where the speed is an output its other
+            unknowns (:mod:`~gray_box_observer.context_nodes.rotor.history_unknowns`).
         compiled: whether compiled code is used where there is any.
     """
     p = coordinates(white_box, theta)
@@ -179,25 +222,44 @@ def free_runs(
     runs = []
     for history, start in zip(window.histories, starts, strict=True):
         torque_constant = float(white_box.torque_constant)
+        load = load_over_intervals(start, history.interval_s)
         result = run(
-            torque_constant, p, start, history.voltage_v, history.interval_s, limits,
+            torque_constant, p, start[:STATES], history.voltage_v, history.interval_s, limits, load,
             compiled=compiled,
         )  # fmt: skip
         runs.append(result)
         if not result.is_bounded:
             nothing = np.empty(0)
             return FreeRuns(tuple(runs), nothing, (), nothing, is_bounded=False)
-    slope = [result.slopes[:, State.CURRENT] for result in runs]
-    residual = [
-        history.current_a - result.states[:, State.CURRENT]
-        for history, result in zip(window.histories, runs, strict=True)
+    read = [
+        _readings(history, result, start, window.speed_output)
+        for history, result, start in zip(window.histories, runs, starts, strict=True)
     ]
     return FreeRuns(
         tuple(runs),
-        np.concatenate(residual),
-        tuple(one[:, :STATES] for one in slope),
-        np.concatenate([one[:, STATES:] @ by_logarithm for one in slope]),
+        np.concatenate([residual for residual, _, _ in read]),
+        tuple(by_start for _, by_start, _ in read),
+        np.concatenate([by_coordinate @ by_logarithm for _, _, by_coordinate in read]),
         is_bounded=True,
+    )
+
+
+def _readings(
+    history: History, path: Run, start: Array, output: SpeedOutput | None
+) -> tuple[Array, Array, Array]:
+    """Return what a run leaves of a history's readings, and their derivatives by all unknowns."""
+    residual = history.current_a - path.states[:, State.CURRENT]
+    slope = path.slopes[:, State.CURRENT]
+    if output is None or history.speed_rad_s is None:
+        return residual, slope[:, :STATES], slope[:, STATES:]
+    knots = load_slopes(path, history.interval_s, start)
+    read = speed_readings(path, history.interval_s, start, knots)
+    counts = (read.is_covered * output.unit_a_s)[:, None]
+    off = counts[:, 0] * (history.speed_rad_s - read.speed_rad_s)
+    return (
+        np.concatenate([residual, off]),
+        np.concatenate([current_by_unknown(path, knots), counts * read.by_unknown]),
+        np.concatenate([slope[:, STATES:], counts * read.by_coordinate]),
     )
 
 
@@ -228,10 +290,12 @@ def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Arr
 
 
 def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Array:
-    """First states from the back-EMF that voltage and resistance leave, (history, state)."""
+    """First states from the back-EMF that voltage and resistance leave, (history, unknown)."""
     values = {name: float(value) for name, value in white_box.known.items()}
     values |= dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
-    starts = np.empty((len(window.histories), STATES))
+    output = window.speed_output
+    unknowns = STATES if output is None else output.unknowns
+    starts = np.zeros((len(window.histories), unknowns))
     limit = window.largest_voltage_v
     for row, history in enumerate(window.histories):
         few = slice(0, FEWEST)
@@ -239,4 +303,6 @@ def guessed_starts(white_box: MotorWhiteBox, theta: Array, window: Window) -> Ar
         emf = float(np.median(history.voltage_v[few])) - values['resistance'] * current
         starts[row, State.CURRENT] = history.current_a[0]
         starts[row, State.SPEED] = np.clip(emf, -limit, limit) / values['back_emf_constant']
+        if history.speed_rad_s is not None:
+            starts[row, State.SPEED] = np.median(history.speed_rad_s[few])
     return starts

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import (
     FreeRuns,
     Window,
@@ -103,7 +102,7 @@ class Fit:
         noise_a: standard deviation of the noise.
         least_noise_a: smallest one that is believed.
         chi_square: of the samples and the prior together.
-        starts: shape (history, state): first states.
+        starts: shape (history, unknown): first states, and what else is free in a history.
         runs: the free runs there.
     """
 
@@ -166,6 +165,17 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
 def _size(fit: Fit) -> float:
     """Log-determinant of the noise of all samples: the larger noise is the worse fit."""
     return 2.0 * fit.runs.residual_a.size * float(np.log(fit.noise_a))
+
+
+def search_from(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, start: Array
+) -> Fit | None:
+    """Fit a window from one start alone; None where it cannot be run. See :func:`fit_window`."""
+    search = _Search(white_box, window, prior, np.log(start))
+    if not search.is_valid:
+        return None
+    search.run()
+    return search.result()
 
 
 def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> FreeRuns | None:
@@ -235,6 +245,8 @@ class _Search:
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
         self._start_std = np.array([10.0 * window.spread_a + 1e-9, fastest + slowest])
+        self._start_precision = _start_precision(window, self._start_std)
+        self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
         self._runs = self._run(self.logarithms, self.starts)
         self.scale_a = np.inf
@@ -263,7 +275,9 @@ class _Search:
         return runs if runs.is_bounded and np.isfinite(runs.by_parameter).all() else None
 
     def _scale(self, residual: Array) -> float:
-        return max(MAD_TO_STD * float(np.median(np.abs(residual))), self._floor_a)
+        """Noise of the current by its residuals, in whose unit those of the speed are."""
+        currents = np.abs(residual[self._currents])
+        return max(MAD_TO_STD * float(np.median(currents)), self._floor_a)
 
     def _settle_starts(self) -> None:
         """Move the first states alone to where they fit best."""
@@ -292,7 +306,11 @@ class _Search:
         return float((within**2 + beyond).sum()) / scale**2
 
     def _total(self, residual: Array, scale: float, logarithms: Array, starts: Array) -> float:
-        pull = float((((starts - self._start_mean(starts)) / self._start_std) ** 2).sum())
+        off = starts - self._start_mean(starts)
+        if self.window.speed_output is None:
+            pull = float(((off / self._start_std) ** 2).sum())
+        else:
+            pull = float(np.einsum('hu,huv,hv->', off, self._start_precision, off))
         return self._cost(residual, scale) + self.prior.chi_square(logarithms) + pull
 
     def _start_mean(self, starts: Array) -> Array:
@@ -304,7 +322,7 @@ class _Search:
         return _Equations.from_runs(
             self._at,
             weights / scale**2,
-            self._start_std,
+            self._start_precision,
             self._start_mean(self.starts) - self.starts,
         )
 
@@ -365,8 +383,9 @@ class _Search:
         scale = self._scale(residual)
         weights = self._weights(scale)
         unknowns = self.logarithms.size + self.starts.size
-        freedom = max(float(weights.sum()) - unknowns, 1.0)
-        noise = float(np.sqrt((weights * residual**2).sum() / freedom))
+        weighted = (weights * residual**2)[self._currents]
+        freedom = max(float(weights[self._currents].sum()) - unknowns, 1.0)
+        noise = float(np.sqrt(weighted.sum() / freedom))
         noise = max(min(noise, 2.0 * scale), self._floor_a)
         equations = self._equations(weights, noise)
         information = 0.5 * (equations.information + equations.information.T)
@@ -386,6 +405,14 @@ class _Search:
         )
 
 
+def _start_precision(window: Window, start_std: Array) -> Array:
+    """Return what is known of the unknowns of every history, shape (history, unknown, unknown)."""
+    output = window.speed_output
+    if output is None:
+        return np.stack([np.diag(start_std**-2.0) for _ in window.histories])
+    return np.stack([output.precision(start_std, one.interval_s) for one in window.histories])
+
+
 @dataclass(frozen=True, slots=True)
 class _Equations:
     """Normal equations of the parameters, the first states eliminated.
@@ -393,8 +420,9 @@ class _Equations:
     Attributes:
         information: shape (parameter, parameter).
         right: shape (parameter,).
-        gain: shape (history, state, parameter): how the first states answer the parameters.
-        level: shape (history, state): how they move by themselves.
+        gain: shape (history, unknown, parameter): how the unknowns of the histories, their first
+            states before all, answer the parameters.
+        level: shape (history, unknown): how they move by themselves.
     """
 
     information: Array
@@ -404,30 +432,32 @@ class _Equations:
 
     @classmethod
     def from_runs(
-        cls, runs: FreeRuns, weights: Array, start_std: Array, start_pull: Array
+        cls, runs: FreeRuns, weights: Array, start_precision: Array, start_pull: Array
     ) -> _Equations:
         """Build them.
 
         Args:
             runs: free runs at the values in question.
             weights: shape (sample,): inverse variances.
-            start_std: shape (state,): how far first states may be from what is expected of them.
-            start_pull: shape (history, state): what is expected less what they are.
+            start_precision: shape (history, unknown, unknown): what is known of the unknowns of
+                every history beforehand.
+            start_pull: shape (history, unknown): what is expected less what they are.
         """
         by_parameter = runs.by_parameter
         weighted = by_parameter * weights[:, None]
         information = weighted.T @ by_parameter
         right = weighted.T @ runs.residual_a
         count, parameters = len(runs.by_start), by_parameter.shape[1]
-        gain, level = np.zeros((count, STATES, parameters)), np.zeros((count, STATES))
+        unknowns = start_pull.shape[1]
+        gain, level = np.zeros((count, unknowns, parameters)), np.zeros((count, unknowns))
         begin = 0
         for row, by_start in enumerate(runs.by_start):
             own = slice(begin, begin + by_start.shape[0])
             begin = own.stop
             turned = (by_start * weights[own, None]).T
-            inner = turned @ by_start + np.diag(start_std**-2.0)
+            inner = turned @ by_start + start_precision[row]
             across = turned @ by_parameter[own]
-            pull = turned @ runs.residual_a[own] + start_pull[row] * start_std**-2.0
+            pull = turned @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
             gain[row] = np.linalg.solve(inner, across)
             level[row] = np.linalg.solve(inner, pull)
             information = information - across.T @ gain[row]
@@ -435,11 +465,14 @@ class _Equations:
         return cls(information, right, gain, level)
 
     def start_steps(self, step: Array, own: float = 1.0) -> Array:
-        """Return how the first states move with a step of the parameters, shape (history, state).
+        """Return how the unknowns of the histories move with a step of the parameters.
 
         Args:
             step: shape (parameter,).
             own: share of what they would move by.
+
+        Returns:
+            Shape (history, unknown).
         """
         result: Array = own * (self.level - self.gain @ step)
         return result

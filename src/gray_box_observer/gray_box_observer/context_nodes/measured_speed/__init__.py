@@ -1,0 +1,1 @@
+"""A measured speed that is noisy or late is an output. Read `measured_speed_update.py` first."""

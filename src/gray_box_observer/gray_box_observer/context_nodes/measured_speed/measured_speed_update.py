@@ -1,0 +1,347 @@
+"""The rule for one motor whose speed is measured: exact as long as the data bear it out.
+
+Two rules see every sample. The recursive one takes the measured speed for exact. The other one
+takes it for an output of the whole motor, with noise and lag. It is fitted only where the first
+one leaves a residual that is not white. It is believed where it explains both outputs and the
+current is clearly likelier with its speed than with the measured one at the same values
+(docs/METHOD.md, Measured speed).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
+from gray_box_observer.context_nodes.measured_speed.exact_speed import (
+    exact_residual,
+    log_likelihood_ratio,
+    whiteness,
+)
+from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
+from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
+from gray_box_observer.context_nodes.measured_speed.whole_motor_samples import (
+    remembering,
+    with_motor_speed,
+)
+from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
+from gray_box_observer.context_nodes.recursive.negligible import SIGMAS, voltage_shares
+from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    MOST,
+    ArrayRule,
+    check_arrays,
+    flag,
+    group,
+    number,
+    whole,
+)
+from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.declaration import TERMS
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+MECHANICAL = ('inertia', 'viscous_friction', 'coulomb_friction')
+"""Context nodes of the rotor that are fitted beside those of the motor."""
+
+COLOURED = 3.0
+"""Whiteness of the recursive rule's residual from which the other rule is asked; white noise of
+1,000 samples passes 2.2 once in 10,000."""
+
+EVIDENCE = 30.0
+"""Log-likelihood by which the current must be likelier with the speed of the whole motor, beside
+what as many unknowns explain of mere noise."""
+
+LATE, LATE_STDS = 0.1, 5.0
+"""Sample intervals, and standard deviations, from which the speed is late: the recursive rule takes
+a lag for resistance, and its residual stays white."""
+
+APART = 25.0
+"""Squared distance of both rules in their standard deviations from which a lag matters."""
+
+RAREST = 32768
+"""Samples, at most, after which the lag is asked for though the residual is white: first with the
+first samples, then each time they have doubled."""
+
+MOST_FAILURES = 3
+"""Windows in a row that the whole motor does not explain before it is given up."""
+
+_PREFIX = 'outputs.'
+_SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
+
+
+def can_be_output(white_box: MotorWhiteBox) -> bool:
+    """Tell whether the speed of a motor can be fitted as an output: speed measured, Kb known."""
+    constant = white_box.known.get('back_emf_constant', 0.0)
+    return bool(white_box.speed_measured and np.ndim(constant) == 0 and constant > 0.0)
+
+
+class MeasuredSpeedUpdate:
+    """Context nodes of one motor whose measured speed may be noisy or late.
+
+    Args:
+        white_box: the physics of one motor; see :func:`can_be_output`.
+        initial: shape (1, parameter): where to start, SI units.
+        seed: unused; every rule takes one.
+        rules: settings of the recursive rule.
+        verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
+            nothing is stated.
+    """
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        seed: int,
+        rules: RecursiveSettings,
+        verdict_rules: VerdictSettings,
+        initial_relative_std: Array,
+    ) -> None:
+        self._white_box = white_box
+        self._exact = RecursiveEstimator(
+            white_box, initial, seed, rules, verdict_rules, initial_relative_std
+        )
+        whole_box = MotorWhiteBox(
+            (*white_box.context_nodes, *MECHANICAL), white_box.torque_constant, white_box.known
+        )
+        mechanical = [[TERMS[name].parameter.initial for name in MECHANICAL]]
+        self._outputs = OutputUpdate(
+            whole_box,
+            np.concatenate([initial, mechanical], axis=1),
+            rules,
+            verdict_rules,
+            np.concatenate([initial_relative_std, np.zeros((1, len(MECHANICAL)))], axis=1),
+        )
+        self._samples = ReplayBuffer(1, 1)
+        self._shares = np.zeros((2, len(white_box.context_nodes)))
+        self._nodes = slice(0, len(white_box.context_nodes))
+        self._is_noisy = False
+        self._failures = 0
+        self._evidence = 0.0
+        self._ask_at = 0
+        self._noisy_from = 0  # place before the first sample whose speed was found noisy
+        self._changed = np.zeros(1, dtype=bool)
+
+    @property
+    def is_noisy(self) -> bool:
+        """Whether the measured speed is taken for an output with noise and lag."""
+        return self._is_noisy
+
+    @property
+    def verdict_rules(self) -> VerdictSettings:
+        """When a parameter counts as identified; may be changed at any time."""
+        return self._exact.verdict_rules
+
+    @verdict_rules.setter
+    def verdict_rules(self, rules: VerdictSettings) -> None:
+        self._exact.verdict_rules = self._outputs.verdict_rules = rules
+
+    @property
+    def replay(self) -> ReplayBuffer:
+        """The samples remembered; with the speed of the whole motor where that is believed."""
+        return self._samples if self._is_noisy else self._exact.replay
+
+    @replay.setter
+    def replay(self, replay: ReplayBuffer) -> None:
+        raise AttributeError('the samples are those of the rule that is believed')
+
+    @property
+    def theta(self) -> Array:
+        """Present values, shape (1, parameter)."""
+        return self._outputs.theta[:, self._nodes] if self._is_noisy else self._exact.theta
+
+    @property
+    def changed(self) -> NDArray[np.bool_]:
+        """Whether the last sample has changed the estimate, shape (1,)."""
+        return self._changed
+
+    @property
+    def noise_std_nm(self) -> Array:
+        """Standard deviation of the torque noise in N m, shape (1,)."""
+        return self._outputs.noise_std_nm if self._is_noisy else self._exact.noise_std_nm
+
+    def counters(self, motor: int | None = None) -> dict[str, int]:
+        """What both rules have met, whether speed is taken for noisy, why, and how late it is."""
+        counts = self._exact.counters(motor)
+        if self._is_noisy:
+            counts['motor changes'] = self._outputs.counters()['motor changes']
+        counts['speed is noisy or late'] = int(self._is_noisy)
+        counts['evidence for that, log-likelihood'] = int(min(self._evidence, 1e9))
+        counts['lag of the speed, us'] = self._lag_us()
+        return counts
+
+    def _lag_us(self) -> int:
+        fit = self._outputs.output_fit
+        return round(1e6 * fit.lag()[0]) if fit is not None and self._is_noisy else 0
+
+    def is_drifting(self, motor: int) -> bool:
+        """Tell whether the motor is known to drift; of an output with noise that is not asked."""
+        return not self._is_noisy and self._exact.is_drifting(motor)
+
+    def voltage_shares(self, motor: int) -> tuple[Array, Array]:
+        """Return the voltage shares per unit of parameter, and their 3-sigma bound."""
+        if not self._is_noisy:
+            return self._exact.voltage_shares(motor)
+        share, reach = self._shares
+        return share, reach
+
+    def _measured_shares(self, samples: Array, fit: OutputFit) -> Array:
+        """Return the voltage shares and their 3-sigma bound by a fit, shape (2, parameter)."""
+        stretch = SampleWindow.of_content(self._white_box, samples[:, None])
+        share = voltage_shares(self._white_box, stretch)[0]
+        covariance = np.linalg.pinv(fit.fit.information, rcond=1e-12, hermitian=True)
+        std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)) * fit.fit.theta
+        return np.stack([share, SIGMAS * std[self._nodes] * share])
+
+    def freeze(self, frozen: bool) -> None:
+        """Stop or resume learning; what was learnt stays."""
+        self._exact.freeze(frozen)
+        self._outputs.freeze(frozen)
+
+    def estimate(self, selection: Any = slice(None)) -> Estimate:
+        """Return the present values with covariance and verdicts."""
+        if not self._is_noisy:
+            return self._exact.estimate(selection)
+        both = self._outputs.estimate()
+        value = both.value[:, self._nodes]
+        covariance = both.covariance[:, self._nodes, self._nodes]
+        share, reach = self.voltage_shares(0)
+        most = np.where(share > 0.0, value[0] * share + reach, np.inf)[None]
+        parameters = self._white_box.parameters
+        std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        is_frozen = self._outputs.is_frozen
+        verdicts = self.verdict_rules.judge(parameters, value, std, frozen=is_frozen, most=most)
+        return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
+
+    def learn(self, sample: Sample) -> bool:
+        """Take one sample by both rules; tell whether the estimate has changed."""
+        was_noisy = self._is_noisy
+        has_changed = self._exact.learn(sample)
+        self._outputs.remember(sample)
+        has_fitted = self._outputs.is_due and self._ask()
+        if self._is_noisy or was_noisy:
+            has_changed = has_fitted or self._is_noisy != was_noisy
+        self._changed = np.array([has_changed])
+        return has_changed
+
+    def _ask(self) -> bool:
+        """Fit both outputs where there is reason to, and settle which rule is believed."""
+        samples = self._outputs.unfitted.copy()
+        if not self._is_noisy and not self._is_worth_asking(samples):
+            self._outputs.postpone()
+            return False
+        has_fitted = self._outputs.fit()
+        fit = self._outputs.output_fit
+        if not has_fitted:  # a voltage that is held tells nothing
+            return False
+        if fit is None or not fit.explains:
+            self._failures += 1
+            self._is_noisy &= self._failures < MOST_FAILURES
+            return False
+        self._failures = 0
+        is_noisy = fit.shows_noise and self._is_clear(samples, fit)
+        if not (self._is_noisy or is_noisy or self._is_late(fit)):
+            return False
+        place = int(self._outputs.replay.received[0])
+        if not self._is_noisy:
+            self._is_noisy, self._noisy_from = True, place - samples.shape[1]
+        begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
+        samples = with_motor_speed(samples, fit)
+        self._samples = remembering(samples, place, begin)
+        self._shares = self._measured_shares(samples, fit)
+        return True
+
+    def _is_worth_asking(self, samples: Array) -> bool:
+        """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
+        residual = exact_residual(self._white_box, self._exact.theta[0], samples)
+        if not whiteness(residual) < COLOURED:
+            return True
+        place = int(self._outputs.replay.received[0])
+        if place < self._ask_at:
+            return False
+        self._ask_at = place + min(place, RAREST)
+        return True
+
+    def _is_late(self, fit: OutputFit) -> bool:
+        """Tell whether the speed is late, and that matters to the parameters."""
+        interval_s = float(np.median(fit.window.histories[-1].interval_s))
+        lag_s, std_s = fit.lag()
+        if abs(lag_s) < max(LATE * interval_s, LATE_STDS * std_s):
+            return False
+        exact, outputs = self._exact.estimate(), self._outputs.estimate()
+        apart = exact.value[0] / outputs.value[0, self._nodes] - 1.0
+        variance = (exact.std[0] / exact.value[0]) ** 2
+        variance += (outputs.std[0] / outputs.value[0])[self._nodes] ** 2
+        return bool(np.max(apart**2 / variance) > APART)
+
+    def _is_clear(self, samples: Array, fit: OutputFit) -> bool:
+        """Tell whether the current is clearly likelier with the speed of the whole motor.
+
+        The measured speed is tried at the values of either rule: that the recursive one has not
+        settled is no evidence.
+        """
+        std = fit.noise.current_a
+        self._evidence = min(
+            log_likelihood_ratio(exact_residual(self._white_box, theta, samples), std)
+            for theta in (self._exact.theta[0], self._outputs.theta[0, self._nodes])
+        )
+        return self._evidence > EVIDENCE + 0.5 * fit.unknowns
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        plain, arrays = self._exact.state()
+        outputs, output_arrays = self._outputs.state()
+        received = int(self._outputs.replay.received[0])
+        plain['measured_speed'] = {
+            'noisy': self._is_noisy,
+            'failures': self._failures,
+            'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
+            'ask_at': self._ask_at - received,
+            'noisy_from': self._noisy_from - received,
+            'place': int(self._samples.received[0]) - received,
+            'outputs': outputs,
+        }
+        arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
+        if self._is_noisy:
+            arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
+            arrays[_SHARES] = self._shares.copy()
+        return plain, arrays
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave; of a motor that was in a group, what there is.
+
+        Raises:
+            ConfigurationError: it was learnt of other parameters.
+            CheckpointError: it is no state that could have been learnt.
+        """
+        self._exact.restore(plain, arrays, motor)
+        if 'measured_speed' not in plain:
+            return
+        own = group(plain, 'measured_speed')
+        output_arrays = {
+            name.removeprefix(_PREFIX): array
+            for name, array in arrays.items()
+            if name.startswith(_PREFIX)
+        }
+        self._outputs.restore(dict(group(own, 'outputs')), output_arrays)
+        received = int(self._outputs.replay.received[0])
+        self._failures = whole(own, 'failures', 0, MOST)
+        self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
+        self._ask_at = received + whole(own, 'ask_at', -MOST, RAREST)
+        self._noisy_from = max(received + whole(own, 'noisy_from', -MOST, 0), 0)
+        self._is_noisy = flag(own, 'noisy')
+        if not self._is_noisy:
+            return
+        check_signals(_SAMPLES, arrays.get(_SAMPLES))
+        check_arrays(arrays, {_SHARES: ArrayRule(self._shares.shape, 0.0, endless=True)})
+        self._shares = arrays[_SHARES]
+        samples = arrays[_SAMPLES][:, 0]
+        place = received + whole(own, 'place', samples.shape[1] - received, 0)
+        begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
+        self._samples = remembering(samples, place, begin)

@@ -1,0 +1,300 @@
+"""Fits a window whose measured speed is a second output of the motor, with noise and lag.
+
+What one ampere of the current's residual counts for in speed is found by fitting again: the noise
+of either output is what its own residual leaves. Where a constant load does not explain both
+outputs, one that walks at random is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
+from gray_box_observer.context_nodes.measured_speed.load_walk import walk_of_load
+from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.recursive.normal_equations import (
+    MAD_TO_STD,
+    OUTLIER,
+    difference_noise,
+)
+from gray_box_observer.context_nodes.rotor.history_unknowns import LAG, SpeedOutput
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import LEAST_NOISE as LEAST_CURRENT_NOISE
+from gray_box_observer.context_nodes.rotor.window_fit import (
+    Fit,
+    LogPrior,
+    fit_window,
+    search_from,
+)
+from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
+from gray_box_observer.white_box.declaration import State
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+LEAST_NOISE = 1e-3
+"""Smallest noise of a speed that is believed, as a share of its spread: what friction near rest,
+straight lines between samples and a filter of the sensor leave."""
+
+ROUNDS = 6
+"""Fits at most until the noise of either output agrees with its residual."""
+
+LESS_THAN_STEP = 0.5
+"""Share of what a step of the readings leaves that is always believed to be noise."""
+
+AGREES = 1.1
+"""Factor between two units of the outputs that are the same."""
+
+POOR = 1.3
+"""Residual over noise floor from which an output is not explained."""
+
+COLOURED = 4.0
+"""Whiteness of the current's residual from which it is not explained."""
+
+SEEN = 1.2
+"""Noise of a speed, over the smallest that is believed, from which there is some."""
+
+HOPELESS = 4.0
+"""The same from which another unit of the outputs will not help."""
+
+MOST_KNOTS, FEWEST_KNOTS, SAMPLES_A_KNOT = 64, 4, 32
+"""Of a load that varies."""
+
+WALKS = 4
+"""Fits at most in which the walk of a load settles."""
+
+ALIKE = 1.4
+"""Factor between two walks that are the same."""
+
+FIRST_LOAD = 0.1
+"""Share of the stalled motor's torque by which a load is first taken to vary within a second."""
+
+IDLE = 0.01
+"""Squared distance, in standard deviations, of two ends that are the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputNoise:
+    """Noise of both outputs.
+
+    Attributes:
+        current_a: standard deviation of the current's.
+        speed_rad_s: of the speed's.
+        least_rad_s: smallest one of the speed's that is believed.
+    """
+
+    current_a: float
+    speed_rad_s: float
+    least_rad_s: float
+
+    @property
+    def unit_a_s(self) -> float:
+        """Amperes that count for as much as one rad/s."""
+        return self.current_a / self.speed_rad_s
+
+
+@dataclass(frozen=True, slots=True)
+class OutputFit:
+    """Where the fit of both outputs has ended.
+
+    Attributes:
+        fit: of the parameters.
+        window: the samples.
+        noise: of both outputs, by their residuals.
+        floor: the least noise that the readings show.
+    """
+
+    fit: Fit
+    window: Window
+    noise: OutputNoise
+    floor: OutputNoise
+
+    @property
+    def explains(self) -> bool:
+        """Whether both residuals are noise, that of the current white."""
+        if not self.is_within(POOR):
+            return False
+        most = OUTLIER * self.noise.current_a
+        residual = self.fit.runs.of_output(State.CURRENT)
+        return whiteness(np.clip(residual, -most, most)) < COLOURED
+
+    @property
+    def walk(self) -> float:
+        """Variance that the load gains in a second, in (rad/s2)^2/s; 0 where it is constant."""
+        return 0.0 if self.window.speed_output is None else self.window.speed_output.walk
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns there are, those of every history among them."""
+        return int(self.fit.logarithms.size + self.fit.starts.size)
+
+    @property
+    def shows_noise(self) -> bool:
+        """Whether the speed has more noise than is always believed."""
+        return self.noise.speed_rad_s > SEEN * self.floor.least_rad_s
+
+    def is_within(self, factor: float) -> bool:
+        """Tell whether no residual is more than so many times its floor."""
+        return (
+            self.noise.current_a <= factor * self.floor.current_a
+            and self.noise.speed_rad_s <= factor * self.floor.speed_rad_s
+        )
+
+    def lag(self) -> tuple[float, float]:
+        """Return the lag of the speed in the longest history in s, and its standard deviation."""
+        sizes = [history.current_a.size for history in self.window.histories]
+        row = int(np.argmax(sizes))
+        runs = self.fit.runs
+        ends = np.cumsum([slope.shape[0] for slope in runs.by_start])
+        own = slice(int(ends[row]) - runs.by_start[row].shape[0], int(ends[row]))
+        by_start = runs.by_start[row]
+        others = np.column_stack([np.delete(by_start, LAG, axis=1), runs.by_parameter[own]])
+        others /= np.linalg.norm(others, axis=0) + 1e-300
+        by_lag = by_start[:, LAG]
+        distinct = by_lag - others @ np.linalg.lstsq(others, by_lag, rcond=1e-12)[0]
+        size = float(np.linalg.norm(distinct)) + 1e-300
+        return float(self.fit.starts[row, LAG]), self.fit.noise_a / size
+
+
+def fit_outputs(
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    walk: float = 0.0,
+) -> OutputFit | None:
+    """Fit the context nodes to current and speed; None where no start can be run.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: samples with speed.
+        prior: decides what the samples leave open.
+        starts: shape (parameter,) each: where to search from.
+        walk: variance that the load has gained in a second before; 0: it was constant.
+    """
+    floor = _floor(window)
+    if walk > 0.0:
+        loaded = _loaded(white_box, window, prior, starts[0], floor, walk)
+        if loaded is not None and loaded.explains:
+            return loaded
+    linear = speed_start(white_box, window, starts[0])
+    tried = [*starts] if linear is None else [*starts, linear]
+    steady = _settled(white_box, window, prior, tried, floor)
+    if linear is None or steady is None or steady.explains:
+        return steady
+    loaded = _loaded(
+        white_box, window, prior, linear, floor, _first_walk(white_box, window, linear)
+    )
+    return loaded if loaded is not None and loaded.explains else steady
+
+
+def _settled(
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    floor: OutputNoise,
+) -> OutputFit | None:
+    """Fit with a constant load until the noise of either output agrees with its residual."""
+    result = None
+    output = SpeedOutput(floor.unit_a_s)
+    for _ in range(ROUNDS):
+        window = replace(window, speed_output=output)
+        fit = fit_window(white_box, window, prior, starts)
+        if fit is None:
+            return result
+        before = result
+        result = _result(fit, window, floor)
+        if not result.is_within(HOPELESS):
+            return result
+        ratio = result.noise.unit_a_s / output.unit_a_s
+        settled = 1.0 / AGREES < ratio < AGREES
+        if settled and before is not None and _is_near(before.fit, fit):
+            break
+        if settled:
+            ratio = 1.0
+        output = replace(output, unit_a_s=ratio * output.unit_a_s)
+        starts = [fit.theta]
+    return result
+
+
+def _loaded(
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    start: Array,
+    floor: OutputNoise,
+    walk: float,
+) -> OutputFit | None:
+    """Fit with a load that walks at random, as fast as its knots turn out to."""
+    longest = max(history.current_a.size for history in window.histories)
+    knots = int(np.clip(longest // SAMPLES_A_KNOT, FEWEST_KNOTS, MOST_KNOTS))
+    output = SpeedOutput(floor.unit_a_s, knots, walk)
+    result = None
+    for _ in range(WALKS):
+        window = replace(window, speed_output=output)
+        fit = search_from(white_box, window, prior, start)
+        if fit is None:
+            return result
+        result = _result(fit, window, floor)
+        walk, unit = walk_of_load(fit, window), result.noise.unit_a_s
+        settled = 1.0 / ALIKE < walk / output.walk < ALIKE
+        if settled and 1.0 / ALIKE < unit / output.unit_a_s < ALIKE:
+            break
+        output = replace(output, unit_a_s=unit, walk=walk)
+        start = fit.theta
+    return result
+
+
+def _first_walk(white_box: MotorWhiteBox, window: Window, theta: Array) -> float:
+    """A load that takes a tenth of the stalled motor's acceleration within a second."""
+    values = dict(zip(white_box.context_nodes, theta.tolist(), strict=True))
+    stalled = float(white_box.torque_constant) * window.largest_voltage_v / values['resistance']
+    return float(FIRST_LOAD * stalled / values['inertia']) ** 2 + 1e-12
+
+
+def _result(fit: Fit, window: Window, floor: OutputNoise) -> OutputFit:
+    output = window.speed_output
+    assert output is not None
+    noise = _residual_noise(fit, output, floor)
+    return OutputFit(fit, window, noise, _floor_of_residual(fit, floor))
+
+
+def _is_near(before: Fit, after: Fit) -> bool:
+    """Tell whether a search from where another ended has gone nowhere."""
+    apart = after.logarithms - before.logarithms
+    return bool(apart @ after.information @ apart < IDLE)
+
+
+def _floor(window: Window) -> OutputNoise:
+    """Least noise that the readings of both outputs show."""
+    histories = [one for one in window.histories if one.speed_rad_s is not None]
+    speeds = [np.asarray(one.speed_rad_s) for one in histories]
+    speed = np.concatenate(speeds)
+    current_a = max(
+        min(difference_noise(one.current_a) for one in histories),
+        window.quantisation_std_a,
+        LEAST_CURRENT_NOISE * window.spread_a,
+        1e-12,
+    )
+    step = float(quantisation_step(speed[None])[0]) * STEP_TO_STD
+    least = LEAST_NOISE * float(np.std(speed)) + 1e-12
+    noise = min(difference_noise(one) for one in speeds)
+    return OutputNoise(current_a, max(noise, step, least), max(LESS_THAN_STEP * step, least))
+
+
+def _residual_noise(fit: Fit, output: SpeedOutput, floor: OutputNoise) -> OutputNoise:
+    """Noise of both outputs by the medians of their residuals."""
+    current = MAD_TO_STD * float(np.median(np.abs(fit.runs.of_output(State.CURRENT))))
+    speed = fit.runs.of_output(State.SPEED) / output.unit_a_s
+    speed_std = MAD_TO_STD * float(np.median(np.abs(speed)))
+    least = floor.least_rad_s
+    return OutputNoise(max(current, fit.least_noise_a), max(speed_std, least), least)
+
+
+def _floor_of_residual(fit: Fit, floor: OutputNoise) -> OutputNoise:
+    """The floor again by the residuals' second differences, free of the signals' own bends."""
+    current = difference_noise(fit.runs.of_output(State.CURRENT))
+    return replace(floor, current_a=max(current, fit.least_noise_a))

@@ -1,0 +1,106 @@
+"""The rule for a motor whose current and measured speed are both outputs of the whole motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.context_nodes.estimate import VerdictSettings
+from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
+from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
+from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.rotor_estimator import (
+    AGAIN,
+    FIRST_FIT,
+    WINDOW,
+    RotorUpdate,
+)
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior
+from gray_box_observer.safe_io.saved_state import ArrayRule, check_arrays
+from gray_box_observer.samples.replay_buffer import SPEED
+from gray_box_observer.samples.sample import Sample
+from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.motor import MotorWhiteBox
+
+
+class OutputUpdate(RotorUpdate):
+    """Context nodes of one motor with a rotor, learnt from current and speed window by window.
+
+    Args:
+        white_box: the physics, with the inertia among its context nodes.
+        initial: shape (1, parameter): where to start, SI units.
+        rules: settings.
+        verdict_rules: when a parameter counts as identified.
+        initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
+            nothing is stated.
+
+    Attributes:
+        output_fit: of the newest window; None before the first fit, and where none was found.
+    """
+
+    def __init__(
+        self,
+        white_box: MotorWhiteBox,
+        initial: Array,
+        rules: RecursiveSettings,
+        verdict_rules: VerdictSettings,
+        initial_relative_std: Array,
+    ) -> None:
+        super().__init__(
+            white_box, initial, rules, verdict_rules, initial_relative_std, speed_measured=True
+        )
+        self.output_fit: OutputFit | None = None
+        self._walk = 0.0  # of the load
+        self._speed = np.zeros(1)
+
+    def remember(self, sample: Sample) -> None:
+        """Take one sample; without its speed the speed before holds on."""
+        self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
+        super().remember(sample._replace(speed_rad_s=self._speed))
+
+    @property
+    def unfitted(self) -> Array:
+        """Return the samples since the last full window, at most one, shape (signal, n)."""
+        count = int(min(self._place - self._mark, self.replay.remembered()[0], WINDOW))
+        return self.replay.newest(count)[:, 0]
+
+    def postpone(self) -> None:
+        """Put the fit that is due off until half as many more samples have come."""
+        count = self._place - self._mark
+        self._due = self._place + int(np.clip(count // 2, FIRST_FIT, AGAIN))
+        if count >= WINDOW:
+            self._mark = self._place - WINDOW // 2
+
+    def _window(self, samples: Array) -> Window:
+        return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
+
+    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
+        self.output_fit = fit_outputs(self._white_box, window, prior, starts, self._walk)
+        if self.output_fit is None:
+            return None
+        self._walk = self.output_fit.walk
+        return self.output_fit.fit
+
+    def _is_ambiguous(self, window: Window) -> bool:
+        """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
+        return window.moves == 0
+
+    def _is_poor(self, fit: Fit) -> bool:
+        return self.output_fit is None or not self.output_fit.explains
+
+    def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything learnt, as plain values and arrays, for a checkpoint."""
+        plain, arrays = super().state(motor)
+        return plain, arrays | {'walk': np.array([self._walk])}
+
+    def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
+        """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
+        check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
+        super().restore(plain, arrays, motor)
+        self.output_fit = None
+        self._walk = float(arrays['walk'][0])
+        if self.replay.stored(0):
+            self._speed = self.replay.newest(1)[SPEED, :, 0].copy()

@@ -1,0 +1,247 @@
+"""A measured speed with noise, of an encoder, or late: found, lived with, and told."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from rotor_motors import BOX, KB, KT, NODES, THETA, content_of, recorded, samples_of
+
+from gray_box_observer.context_nodes import (
+    MeasuredSpeedUpdate,
+    RecursiveEstimator,
+    RecursiveSettings,
+    Verdict,
+    VerdictSettings,
+    can_be_output,
+)
+from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
+from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.rotor.coordinates import coordinates
+from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
+from gray_box_observer.context_nodes.rotor.window import Window
+from gray_box_observer.context_nodes.rotor.window_fit import LogPrior
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample
+from gray_box_observer.settings.configuration import Configuration
+from gray_box_observer.white_box import MotorWhiteBox
+
+MEASURED = MotorWhiteBox(('inductance', 'resistance'), KT, {'back_emf_constant': KB}, True)
+START = np.array([[1.5, 3.0]])
+TRUTH = THETA[:2]
+
+
+def noisy(speed: np.ndarray, share: float = 0.02) -> np.ndarray:
+    """White noise of a share of the spread."""
+    return speed + np.random.default_rng(5).normal(0.0, share * np.std(speed), speed.size)
+
+
+def late(speed: np.ndarray) -> np.ndarray:
+    """Two samples late."""
+    return np.concatenate([np.full(2, speed[0]), speed[:-2]])
+
+
+def counted(speed: np.ndarray) -> np.ndarray:
+    """Counts of an encoder of 200 lines between two samples of a millisecond."""
+    unit = 2.0 * np.pi / 200
+    angle = np.concatenate([[0.3], 0.3 + np.cumsum(0.5 * (speed[1:] + speed[:-1])) * 1e-3])
+    count = np.floor(angle / unit)
+    return np.diff(count, prepend=count[0]) * unit * 1e3
+
+
+SENSORS = {'noisy': noisy, 'late': late, 'counted': counted, 'exact': lambda speed: speed}
+
+
+@cache
+def readings(sensor: str, duration_s: float = 3.0) -> tuple[Sample, ...]:
+    """Samples of the recorded motor with its speed as a sensor reads it."""
+    recording = recorded(duration_s=duration_s)
+    speed = SENSORS[sensor](recording.speed_rad_s[0])
+    samples = samples_of(recording)
+    return tuple(sample._replace(speed_rad_s=speed[k : k + 1]) for k, sample in enumerate(samples))
+
+
+def rule() -> MeasuredSpeedUpdate:
+    """A rule that knows nothing yet."""
+    return MeasuredSpeedUpdate(
+        MEASURED, START, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 2))
+    )
+
+
+def learnt(samples: tuple[Sample, ...], update: Any = None) -> Any:
+    """Let a rule learn samples."""
+    update = rule() if update is None else update
+    for sample in samples:
+        update.learn(sample)
+    return update
+
+
+def window_of(content: np.ndarray, speed: np.ndarray) -> Window:
+    """A window of content with a speed."""
+    content = content.copy()
+    content[3] = speed
+    return Window.from_samples(BOX, content, SpeedOutput(1.0))
+
+
+def fitted(window: Window) -> OutputFit:
+    """Both outputs, fitted from a start far off."""
+    mean = np.log([parameter.initial for parameter in BOX.parameters])
+    start = speed_start(BOX, window, np.exp(mean))
+    assert start is not None
+    fit = fit_outputs(BOX, window, LogPrior(mean, np.eye(mean.size) / 25.0), [start])
+    assert fit is not None
+    return fit
+
+
+@pytest.mark.parametrize('sensor', ['noisy', 'late', 'counted'])
+def test_l_and_r_are_right_whatever_is_wrong_with_the_speed(sensor: str) -> None:
+    update = learnt(readings(sensor))
+    estimate = update.estimate()
+    assert update.is_noisy
+    assert (np.abs(estimate.value[0] - TRUTH) < 3.5 * estimate.std[0]).all()
+    assert (np.abs(estimate.value[0] / TRUTH - 1.0) < 0.01).all()
+    assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+@pytest.mark.parametrize(('sensor', 'lag_us'), [('late', 2000), ('counted', 500), ('noisy', 0)])
+def test_the_lag_of_the_speed_is_told(sensor: str, lag_us: int) -> None:
+    counters = learnt(readings(sensor)).counters()
+    assert counters['speed is noisy or late'] == 1
+    assert counters['lag of the speed, us'] == pytest.approx(lag_us, abs=100)
+
+
+def test_an_exact_speed_leaves_the_recursive_rule_alone_bit_for_bit() -> None:
+    samples = readings('exact')
+    alone = RecursiveEstimator(MEASURED, START, 0, RecursiveSettings())
+    update = learnt(samples)
+    learnt(samples, alone)
+    assert not update.is_noisy
+    assert update.estimate().value.tobytes() == alone.estimate().value.tobytes()
+    assert update.estimate().covariance.tobytes() == alone.estimate().covariance.tobytes()
+
+
+def test_noise_of_a_speed_is_estimated_and_its_start_is_near() -> None:
+    recording = recorded()
+    speed = recording.speed_rad_s[0]
+    window = window_of(content_of(recording), noisy(speed))
+    start = speed_start(BOX, window, THETA)
+    assert start is not None
+    np.testing.assert_allclose(start[:2], TRUTH, rtol=0.05)
+    fit = fitted(window)
+    assert fit.explains
+    assert fit.noise.speed_rad_s == pytest.approx(0.02 * np.std(speed), rel=0.1)
+    lag_s, std_s = fit.lag()
+    assert abs(lag_s) < 4.0 * std_s < 1e-3
+
+
+def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
+    rng = np.random.default_rng(8)
+    count = 2000
+    volts = np.repeat(rng.uniform(-12.0, 12.0, 20), 100)
+    interval = np.full(count, 1e-3)
+    time_s = np.cumsum(interval)
+    load = 2500.0 * np.sin(2.0 * np.pi * 0.8 * time_s)  # a fifth of the stalled torque
+    limits = np.array([1e3, 1e6])
+    path = run(KT, coordinates(BOX, THETA), np.zeros(2), volts, interval, limits, load)
+    current = path.states[:, 0] + rng.normal(0.0, 0.02, count + 1)
+    content = np.zeros((4, count + 1))
+    content[0, 1:], content[1, 1:], content[2] = interval, volts, KT * current
+    fit = fitted(window_of(content, noisy(path.states[:, 1], 0.01)))
+    assert fit.explains
+    assert fit.walk > 0.0
+    std = np.sqrt(np.diagonal(np.linalg.pinv(fit.fit.information, hermitian=True)))
+    assert (np.abs(fit.fit.theta[:2] / TRUTH - 1.0) < 4.0 * std[:2]).all()
+    assert (std[:2] < 0.01).all()
+
+
+def test_a_motor_that_lacks_a_term_is_not_explained_by_noise_of_the_speed() -> None:
+    samples = [
+        sample._replace(voltage_v=sample.voltage_v + 1.5 * np.sign(sample.torque_nm))
+        for sample in readings('noisy')
+    ]
+    estimate, fit = observed(samples)
+    assert Verdict.IDENTIFIED not in estimate.verdicts[0] or fit != 'ok'
+
+
+def test_the_fit_test_passes_on_a_noisy_speed() -> None:
+    estimate, fit = observed(list(readings('noisy')))
+    assert fit == 'ok'
+    assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+def observed(samples: list[Sample]) -> tuple[Any, str]:
+    """What the observer says of samples: its estimate and its verdict of the fit."""
+    parameters = {
+        'motor.torque_constant': KT,
+        'motor.back_emf_constant': KB,
+        'motor.speed_source': 'measured',
+        'motor.context_nodes': ['inductance', 'resistance'],
+        'motor.stamps_exact': True,
+    }
+    observer = Observer(Configuration.from_flat(parameters), None)
+    volts = [float(sample.voltage_v[0]) for sample in samples[1:]]
+    for sample, volt in zip(samples, [*volts, 0.0], strict=True):
+        observer.voltage('motor', sample.stamp_ns, volt)
+        torque, speed = float(sample.torque_nm[0]), float(sample.speed_rad_s[0])
+        observer.torque('motor', sample.stamp_ns, torque, speed)
+    return observer.estimates()['motor'], observer.fit('motor').verdict.value
+
+
+def test_a_parameter_that_is_truly_zero_is_negligible() -> None:
+    nodes = ('inductance', 'resistance', 'hysteresis')
+    box = MotorWhiteBox(nodes, KT, {'back_emf_constant': KB}, True)
+    start = np.array([[1.5, 3.0, 1.0]])
+    update = MeasuredSpeedUpdate(
+        box, start, 0, RecursiveSettings(), VerdictSettings(), np.zeros((1, 3))
+    )
+    estimate = learnt(readings('noisy'), update).estimate()
+    assert update.is_noisy
+    assert estimate.verdicts[0][2] is Verdict.NEGLIGIBLE
+
+
+@pytest.mark.parametrize('cut', [100, 900, 2900])
+def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
+    samples = readings('noisy')
+    one = learnt(samples[:cut])
+    plain, arrays = one.state()
+    other = rule()
+    other.restore(plain, {name: array.copy() for name, array in arrays.items()})
+    assert other.estimate().verdicts == one.estimate().verdicts
+    learnt(samples[cut:], one)
+    learnt(samples[cut:], other)
+    assert one.theta.tobytes() == other.theta.tobytes()
+    assert one.estimate().covariance.tobytes() == other.estimate().covariance.tobytes()
+    assert one.replay.content().tobytes() == other.replay.content().tobytes()
+
+
+def test_a_state_that_nobody_learnt_is_refused() -> None:
+    plain, arrays = learnt(readings('noisy')[:1500]).state()
+    assert plain['measured_speed']['noisy']
+    with pytest.raises(CheckpointError, match='walk'):
+        rule().restore(plain, arrays | {'outputs.walk': np.array([-1.0])})
+    with pytest.raises(CheckpointError, match='samples'):
+        rule().restore(plain, arrays | {'measured_speed.samples': np.zeros(3)})
+    with pytest.raises(CheckpointError, match='noisy'):
+        own = plain['measured_speed'] | {'noisy': 'yes'}
+        rule().restore(plain | {'measured_speed': own}, arrays)
+
+
+def test_what_comes_while_frozen_is_not_learnt() -> None:
+    samples = readings('noisy')
+    update = learnt(samples[:2000])
+    before = update.theta.tobytes()
+    update.freeze(True)
+    learnt(samples[2000:], update)
+    assert update.theta.tobytes() == before
+    assert set(update.estimate().verdicts[0]) == {Verdict.FROZEN}
+
+
+def test_only_where_kb_is_known_the_speed_can_be_an_output() -> None:
+    nodes = ('inductance', 'resistance', 'back_emf_constant')
+    assert can_be_output(MEASURED)
+    assert not can_be_output(MotorWhiteBox(nodes, KT, {}, True))
+    assert not can_be_output(MotorWhiteBox(NODES[:2], KT, {'back_emf_constant': KB}))
