@@ -125,6 +125,15 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
             }
             for j, parameter in enumerate(estimate.parameters)
         },
+        'derived': {
+            constant.name: {
+                'value': constant.value,
+                'std': constant.std,
+                'unit': constant.unit,
+                'verdict': constant.verdict.value,
+            }
+            for constant in motor.derived_constants
+        },
         'covariance': estimate.covariance[0].tolist(),
         'fit': motor.fit.to_dict(),
         'fit_percent': motor.fit_percent(),

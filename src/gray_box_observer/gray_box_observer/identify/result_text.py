@@ -62,11 +62,12 @@ def write_text(
 
 def _lines(motor: Mapping[str, Any]) -> list[str]:
     """Return what there is to say of one motor, line by line."""
-    lines = []
-    for parameter, entry in motor['parameters'].items():
-        value = words_of(entry['value'])
-        std = words_of(entry['std'], '.2g')
-        lines.append(f'{parameter:<18} {value} +- {std} {entry["unit"]:<14} {entry["verdict"]}')
+    lines = [
+        f'{name:<18} {words_of(entry["value"])} +- {words_of(entry["std"], ".2g")} '
+        f'{entry["unit"]:<14} {entry["verdict"]}'
+        for kind in ('parameters', 'derived')
+        for name, entry in motor[kind].items()
+    ]
     lines.append(f'{"speed from":<18} {motor["speed_source"]}: {motor["speed_source_reason"]}')
     if 'delay_s' in motor:
         lines.append(_delay_line(motor['delay_s']))

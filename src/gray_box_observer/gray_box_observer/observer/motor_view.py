@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes import Estimate
+from gray_box_observer.context_nodes.derived_constants import (
+    DerivedConstant,
+    derived_constants,
+)
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test import FitAssessment
@@ -95,6 +99,11 @@ class MotorView:
     def estimate(self) -> Estimate:
         """The present values with covariance and verdicts."""
         return self.observer.estimate(self._one)
+
+    @property
+    def derived_constants(self) -> list[DerivedConstant]:
+        """Time constants and feed-forward constants that follow from the present values."""
+        return derived_constants(self.white_box, self.estimate)
 
     @property
     def theta(self) -> Array:

@@ -29,6 +29,7 @@ def printed_unit(unit: str) -> str:
     """Write a unit of the code (`V s / (rad A)`, `ohm`) as in print (`V·s/(rad·A)`, `Ω`)."""
     unit = re.sub(r'\bohm\b', 'Ω', unit.strip())
     unit = re.sub(r'\s*/\s*', '/', unit).replace('^2', '²').replace('**2', '²')
+    unit = re.sub(r'(?<=[a-z])2\b', '²', unit)
     return re.sub(r'[\s*]+', '·', unit)
 
 

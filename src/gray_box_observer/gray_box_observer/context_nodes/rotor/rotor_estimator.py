@@ -23,6 +23,7 @@ from gray_box_observer.context_nodes.estimate import (
 )
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
+from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -127,6 +128,8 @@ class RotorUpdate:
         self._memory: LogPrior | None = None
         self._logarithms = np.log(theta)
         self._covariance = np.diag(std**2)
+        self._share = np.zeros_like(theta)
+        self._reach = np.zeros_like(theta)
         self._noise_a = 0.0
         self._place = 0  # of the newest sample
         self._mark = 0  # place before the first sample of the window
@@ -163,9 +166,8 @@ class RotorUpdate:
         return False
 
     def voltage_shares(self, motor: int) -> tuple[Array, Array]:
-        """Return that no share of the voltage is known: the rule calls nothing negligible."""
-        nothing = np.zeros(len(self._white_box.parameters))
-        return nothing, nothing
+        """Return the voltage shares per unit of parameter, and their 3-sigma bound."""
+        return self._share, self._reach
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; a new signal history follows what comes while frozen."""
@@ -181,7 +183,8 @@ class RotorUpdate:
         covariance = definite(bounded(theta, covariance), theta)
         std = np.sqrt(covariance.diagonal(0, 1, 2))
         parameters = self._white_box.parameters
-        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen)
+        most = np.where(self._share > 0.0, theta * self._share + self._reach, np.inf)
+        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
@@ -252,8 +255,12 @@ class RotorUpdate:
         self._logarithms = fit.logarithms
         prior = np.where(self._is_stated, np.diagonal(self._data_sheet.precision), vanishing)
         self._covariance = _inverse(information + np.diag(prior)) + fit.spread
+        self._share = voltage_shares(self._white_box, fit.theta, window, fit.runs)
+        excess = largest_excess(fit.theta, information, _inverse(information), fit.spread)
+        self._reach = np.where(self._share > 0.0, excess, 0.0) * self._share
         if self._is_ambiguous(window):
             self._covariance += SHARP**2 * np.eye(prior.size)
+            self._share, self._reach = np.zeros_like(prior), np.zeros_like(prior)
         self._noise_a = fit.noise_a
         if self._is_settled and count >= WINDOW:
             self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
@@ -362,6 +369,8 @@ class RotorUpdate:
             'noise': np.array([self._noise_a]),
             'memory_mean': memory.mean.copy(),
             'memory_precision': memory.precision.copy(),
+            'share': self._share.copy(),
+            'reach': self._reach.copy(),
             'replay': content,
         }
         return plain, arrays
@@ -389,6 +398,7 @@ class RotorUpdate:
         self._resumes = plain['resumes']
         self._logarithms, self._covariance = arrays['logarithms'], arrays['covariance']
         self._noise_a = float(arrays['noise'][0])
+        self._share, self._reach = arrays['share'], arrays['reach']
         self._memory = None
         if plain['remembers']:
             self._memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
@@ -406,6 +416,8 @@ class RotorUpdate:
             'noise': ArrayRule((1,), 0.0),
             'memory_mean': ArrayRule((n,), -100.0, 100.0),
             'memory_precision': ArrayRule((n, n)),
+            'share': ArrayRule((n,), 0.0),
+            'reach': ArrayRule((n,), 0.0, endless=True),
         }
         check_arrays(arrays, rules)
         check_covariance('covariance', arrays['covariance'])

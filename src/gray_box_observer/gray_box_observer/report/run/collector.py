@@ -16,6 +16,7 @@ from gray_box_observer.observer.motor_view import MotorView
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.report.run.history import (
+    DerivedFigure,
     FitHistory,
     FloatArray,
     MotorHistory,
@@ -140,6 +141,7 @@ class Collector:
             current_a=np.asarray(motor.white_box.state(columns[2])),
             free_run_torque_nm=run_nm,
             changes_s=found_s,
+            derived=_derived(motor),
             fit=_fit(motor, columns[2], run_nm),
         )
 
@@ -200,6 +202,14 @@ def _times(times_s: Sequence[float]) -> str:
     when = ', '.join(f'{time_s:.2f} s' for time_s in times_s[:MOST_TIMES])
     return when + (
         f' and {len(times_s) - MOST_TIMES} times more' if len(times_s) > MOST_TIMES else ''
+    )
+
+
+def _derived(motor: MotorView) -> tuple[DerivedFigure, ...]:
+    """Return the constants that follow from the parameters."""
+    return tuple(
+        DerivedFigure(one.name, one.value, one.std, one.unit, one.verdict.value)
+        for one in motor.derived_constants
     )
 
 

@@ -66,6 +66,24 @@ class ParameterHistory:
 
 
 @dataclass(frozen=True)
+class DerivedFigure:
+    """A constant that follows from the parameters.
+
+    Attributes:
+        name: what it is called, for example `kV`.
+        value, std: in `unit`.
+        unit: SI unit.
+        verdict: the one that says least, of the parameters that it is made of.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    verdict: str
+
+
+@dataclass(frozen=True)
 class FitHistory:
     """Whether the white box explains the data of one motor.
 
@@ -111,6 +129,7 @@ class MotorHistory:
         free_run_torque_nm: torque of the white box run freely at the final values; None where there
             is none.
         changes_s: when the motor was found changed.
+        derived: constants that follow from the parameters at the end.
         fit: whether the white box explains the data.
         validation: figures on a bag that taught nothing, as the JSON holds them; None where there
             was none.
@@ -135,6 +154,7 @@ class MotorHistory:
     current_a: FloatArray | None = None
     free_run_torque_nm: FloatArray | None = None
     changes_s: tuple[float, ...] = ()
+    derived: tuple[DerivedFigure, ...] = ()
     fit: FitHistory = FitHistory()
     validation: Mapping[str, Any] | None = None
 

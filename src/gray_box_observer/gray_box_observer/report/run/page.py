@@ -169,6 +169,7 @@ def _motor(index: int, motor: MotorHistory, figures: dict[str, Figure]) -> str:
         parts.append(f'<p class="empty">No sample was rejected.{checks_note}</p>')
     else:
         parts.append(figure('rejected', rejections, 'by reason, and when'))
+    parts.append(sections.derived_table(motor.derived))
     parts.append(sections.sensitivity_table(motor.sensitivity) + sections.notes_list(motor.notes))
     return ''.join(parts) + '</section>'
 

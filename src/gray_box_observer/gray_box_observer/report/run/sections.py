@@ -7,11 +7,23 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
-from gray_box_observer.report.run.history import MotorHistory, ParameterHistory, RunHistory
+from gray_box_observer.report.run.history import (
+    DerivedFigure,
+    MotorHistory,
+    ParameterHistory,
+    RunHistory,
+)
 from gray_box_observer.report.run.parameter_figure import parameter_scale
 from gray_box_observer.report.run.verdict_words import look_of, look_of_fit
 from gray_box_observer.report.trend.trend import ArchiveHistory
-from gray_box_observer.report.units import MINUS, SIGMA, percent, significant, value_and_std
+from gray_box_observer.report.units import (
+    MINUS,
+    SIGMA,
+    percent,
+    scale_for,
+    significant,
+    value_and_std,
+)
 
 _SUFFIXES = (
     ('_rad_s', 'rad/s'),
@@ -214,6 +226,26 @@ def scores_table(scores: Mapping[str, float]) -> str:
         '<tr><th scope="col">score</th><th scope="col">value</th><th scope="col">meaning</th></tr>'
     )
     return f'<table><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>'
+
+
+def derived_table(derived: Sequence[DerivedFigure]) -> str:
+    """Return the constants that follow from the parameters; nothing where there are none."""
+    if not derived:
+        return ''
+    rows = []
+    for one in derived:
+        scale = scale_for(one.value, one.unit)
+        value, std = value_and_std(one.value, one.std, scale)
+        spread = 'not known' if std is None else std
+        rows.append(
+            f'<tr><th scope="row">{words(one.name)}</th>'
+            f'<td class="number">{value} ± {spread} {scale.label}</td><td>{one.verdict}</td></tr>'
+        )
+    titles = ''.join(f'<th scope="col">{title}</th>' for title in ('constant', 'value', 'verdict'))
+    return (
+        '<h3>What follows from the parameters</h3><div class="scroll"><table>'
+        f'<thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+    )
 
 
 def sensitivity_table(sensitivity: Mapping[str, Mapping[str, float]] | None) -> str:
