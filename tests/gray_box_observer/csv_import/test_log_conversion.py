@@ -68,9 +68,9 @@ def test_a_log_of_a_robot_with_percent_comments_and_numbered_columns(tmp_path):
     _, voltage, torque = convert(
         tmp_path,
         text,
-        'time=1',
-        *('left.voltage=3', 'left.current=$5', 'left.torque_constant=0.1'),
-        *('right.voltage=$4', 'right.current=6', 'right.torque_constant=0.2'),
+        'time=$1',
+        *('left.voltage=$3', 'left.current=$5', 'left.torque_constant=0.1'),
+        *('right.voltage=$4', 'right.current=$6', 'right.torque_constant=0.2'),
     )
     assert voltage == [(0, 'left', 5.0), (0, 'right', 6.0), (1, 'left', 5.1), (1, 'right', 6.1)]
     assert [e for _, _, e in torque] == pytest.approx([0.05, 0.12, 0.07, 0.16])
@@ -184,15 +184,14 @@ def test_a_name_with_odd_signs_is_a_column_when_it_stands_alone(tmp_path):
             '6 cells, .*numbers need a decimal point',
         ),
         (
-            't;u;m\n0;1,5;2\n',
+            't;u;m\n0;1,5;2\n1;1.5;2\n',
             ['voltage=u', 'torque=m'],
-            r"column 2 \(u\): '1,5' is no number; write a decimal point",
+            r'with a comma \(line 2\) and with a point \(line 3\)',
         ),
-        (
-            't\tu\tm\n0\t1,5\t2\n',
-            ['voltage=u', 'torque=m'],
-            "'1,5' is no number; write a decimal point",
-        ),
+        ('t,u,m\n0,"1,5",2\n', ['voltage=u', 'torque=m'], "'1,5' is no number; write a dec"),
+        ('t,u,m\n0,1,2\n', ['voltage=2', 'torque=m'], r'voltage=2 names no column: write .*=\$2'),
+        ('t,u,m\n0,1,2\n', ['voltage=u', 'torque=3*2'], r'torque=3\*2 names no column'),
+        ('t,u,m\n0,1,2\n', ['voltage=u[mA]', 'torque=m'], r'voltage=u\[mA\] has the unit of a cur'),
         ('t;u;m\n0;1.234,5;2\n', ['voltage=u', 'torque=m'], r"'1\.234,5' is no number"),
         ('t,u,m\n0,"1,234.5",2\n', ['voltage=u', 'torque=m'], r"'1,234\.5' is no number"),
         ("t,u,m\n0,1'234,2\n", ['voltage=u', 'torque=m'], 'is no number'),
@@ -296,10 +295,10 @@ def test_time_that_falls_or_stands_still_is_named(tmp_path):
 @pytest.mark.parametrize(
     ('step', 'remedy'),
     [
-        ('10', r'time=t\*0\.001'),
-        ('10000', r'time=t\*1e-06'),
-        ('10000000', r'time=t\*1e-09'),
-        ('0.00001', r'time=t\*1000'),
+        ('10', r'in ms, write such as time=t\[ms\]'),
+        ('10000', r'in us, write such as time=t\[us\]'),
+        ('10000000', r'time=t\[ns\]'),
+        ('0.00001', r'time=\(t\)\*1000'),
     ],
 )
 def test_samples_that_no_motor_would_give_are_named_with_their_interval(tmp_path, step, remedy):
@@ -315,13 +314,13 @@ def test_a_column_named_in_another_unit_is_named_with_the_factor(tmp_path):
         tmp_path, text, 'time=t_ms', 'voltage=u [mV]', 'current=i_mA', 'torque_constant=1'
     )
     assert [line.partition(' if')[0] for line in found] == [
-        "log.csv: time is in s, but column 't_ms' says ms; write such as time=t_ms*1e-3",
-        "log.csv: voltage is in V, but column 'u [mV]' says mV; write such as voltage=u [mV]*1e-3",
-        "log.csv: current is in A, but column 'i_mA' says mA; write such as current=i_mA*1e-3",
+        "log.csv: time is in s, but column 't_ms' says ms; write such as time=t_ms[ms]",
+        "log.csv: voltage is in V, but column 'u [mV]' says mV; write such as voltage='u [mV]'[mV]",
+        "log.csv: current is in A, but column 'i_mA' says mA; write such as current=i_mA[mA]",
     ]
     scaled = tmp_path / 'scaled'
     scaled.mkdir()
-    options = ('time=t_ms*1', 'voltage=$2*1e-3', 'current=i_mA*1e-3', 'torque_constant=1')
+    options = ('time=t_ms*1', "voltage='u [mV]'[mV]", 'current=i_mA[mA]', 'torque_constant=1')
     assert warnings(scaled, text, *options) == []
 
 
@@ -410,13 +409,15 @@ def test_a_mapping_that_cannot_be_meant_is_refused(options, message):
 
 def test_a_yaml_file_maps_like_the_command_line(tmp_path):
     path = tmp_path / 'mapping.yaml'
-    path.write_text('time: 1\nmotors:\n  left: {voltage: 2, current: i_A, torque_constant: 0.1}\n')
+    path.write_text(
+        'time: $1\nmotors:\n  left: {voltage: $2, current: i_A, torque_constant: 0.1}\n'
+    )
     mapping = CsvMapping.from_yaml(path)
     assert mapping == CsvMapping(
         {'left': MotorColumns('$2', current='i_A', torque_constant=0.1)}, time='$1'
     )
     assert mapping == CsvMapping.from_options(
-        ['time=1', 'left.voltage=2', 'left.current=i_A', 'left.torque_constant=0.1']
+        ['time=$1', 'left.voltage=$2', 'left.current=i_A', 'left.torque_constant=0.1']
     )
 
 
@@ -427,3 +428,29 @@ def test_a_yaml_file_that_is_no_mapping_is_one_clear_line(tmp_path, text):
     with pytest.raises(BagError) as caught:
         CsvMapping.from_yaml(path)
     assert '\n' not in str(caught.value)
+
+
+def test_decimal_commas_are_read_and_told(tmp_path):
+    text = 'Zeit [s];u:1;m\n0,000;-1,5;2\n0,010;2;,25\n0,020;1e1;3,5e-1\n'
+    summary, voltage, torque = convert(
+        tmp_path, text, "time='Zeit [s]'", "voltage='u:1'", 'torque=m'
+    )
+    assert voltage == [(0, 'motor', -1.5), (10, 'motor', 2.0), (20, 'motor', 10.0)]
+    assert [e for _, _, e in torque] == [2.0, 0.25, 0.35]
+    assert summary.warnings[-1].endswith('line 2: a comma within a number is its decimal comma')
+
+
+@pytest.mark.parametrize('text', ['0,00;1,5;2\n0,01;2,5;3\n', '0,00\t1,5\t2\n0,01\t2,5\t3\n'])
+def test_decimal_commas_need_no_header(tmp_path, text):
+    _, voltage, _ = convert(tmp_path, text, 'time=$1', 'voltage=$2', 'torque=$3')
+    assert voltage == [(0, 'motor', 1.5), (10, 'motor', 2.5)]
+
+
+def test_a_position_gives_the_speed_and_functions_do_what_they_say(tmp_path):
+    text = 't,u,m,angle\n0,-2,1,0\n0.01,3,1,0.5\n0.03,-4,1,-0.5\n'
+    _, voltage, torque = convert(
+        tmp_path, text, 'time=t', 'voltage=abs(u)', 'torque=m*sign(u)', 'speed=diff(angle)'
+    )
+    assert [volts for _, _, volts in voltage] == [2.0, 3.0, 4.0]
+    assert [e for _, _, e, _ in torque] == [1.0, -1.0], 'a rate of change needs two rows'
+    assert [w for *_, w in torque] == pytest.approx([50.0, -50.0])

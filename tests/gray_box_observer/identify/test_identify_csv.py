@@ -257,7 +257,7 @@ def test_a_log_in_milliseconds_read_as_seconds_is_refused_with_the_remedy_and_le
     assert (code, out) == (2, '')
     warning, error = said.splitlines()[-2:]
     assert 'samples are 10 s apart' in warning
-    assert 'if the time is not in s, write such as time=(t_s*1e3)*0.001' in warning
+    assert 'if the time is in ms, write such as time=(t_s*1e3)*1e-3' in warning
     assert error.startswith(
         f'identify: error: {log}: samples are 10 s apart, further than gap_s of 0.5 s'
     )
@@ -369,3 +369,98 @@ def test_a_name_that_a_terminal_would_obey_is_shown(
     assert (code, out) == (2, '')
     assert r'\x1b[2J\x1b]0;owned\x07' in said
     assert said.removesuffix('\n').isprintable()
+
+
+def pieces(log: Path, count: int, rows: int) -> list[Path]:
+    """Short logs of one after another part of a log, each with a clock that begins at zero."""
+    head, *lines = log.read_text().splitlines()
+    paths = []
+    for k in range(count):
+        part = [line.split(',') for line in lines[k * rows : (k + 1) * rows]]
+        start_s = float(part[0][0])
+        shifted = [f'{float(t) - start_s:.6f},{u},{i}' for t, u, i in part]
+        path = log.with_name(f'part{k}.csv')
+        path.write_text('\n'.join([head, *shifted]) + '\n')
+        paths.append(path)
+    return paths
+
+
+def test_several_logs_are_one_recording(identify: Run, log: Path, tmp_path: Path) -> None:
+    """Logs of 0.8 s, whose stamps would go back by less than a restarted clock does."""
+    logs = pieces(log, 12, 80)
+    bags = [tmp_path / f'bag{k}' for k in range(len(logs))]
+    mapping = columns(torque_constant=KT)
+    code, out, said = identify(*bags, '--from-csv', *logs, *mapping, '--json', '-')
+    assert code == 0, said
+    motor = json.loads(out)['motors']['motor']
+    assert motor['samples'] == 12 * 80
+    assert sum(motor['rejected'].values()) == 0
+    assert values(out) == pytest.approx([0.5, 1.0], rel=0.01)
+    assert identify(*bags, '--json', '-')[1] == out
+
+
+def test_bags_made_one_by_one_of_short_logs_are_one_recording_too(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    bags = []
+    for k, part in enumerate(pieces(log, 12, 80)):
+        bags.append(tmp_path / f'bag{k}')
+        code, _, said = identify(bags[-1], '--from-csv', part, *columns(torque_constant=KT))
+        assert code == 0, said
+    out = identify(*bags, '--json', '-')[1]
+    motor = json.loads(out)['motors']['motor']
+    assert motor['samples'] == 12 * 80
+    assert sum(motor['rejected'].values()) == 0
+    assert values(out) == pytest.approx([0.5, 1.0], rel=0.01)
+
+
+def test_where_one_of_several_logs_fails_no_folder_is_left(
+    identify: Run, log: Path, tmp_path: Path
+) -> None:
+    good, bad = tmp_path / 'good', tmp_path / 'bad'
+    broken = tmp_path / 'broken.csv'
+    broken.write_text('t_s,u_V,i_A\n0,1,x\n')
+    code, out, said = identify(good, bad, '--from-csv', log, broken, *columns())
+    assert (code, out) == (2, '')
+    assert "'x' is no number" in said
+    assert not good.exists()
+    assert not bad.exists()
+
+
+@pytest.mark.parametrize('names', [['a'], ['a', 'b', 'c'], ['a', 'a']])
+def test_every_log_needs_a_bag_of_its_own(
+    identify: Run, log: Path, tmp_path: Path, names: list[str]
+) -> None:
+    bags = [tmp_path / name for name in names]
+    code, _, said = identify(*bags, '--from-csv', log, log, *columns())
+    assert code == 2
+    assert said.count('\n') == 1
+    assert not any(bag.exists() for bag in bags)
+
+
+def test_a_speed_from_a_position_is_measured(identify: Run, tmp_path: Path) -> None:
+    """The first row has no rate of change: one sample less, and speed is measured all the same."""
+    path = tmp_path / 'log.csv'
+    rows = [
+        f'{k * 0.01:.3f};{5 + k % 7},0;{1 + k % 5},5;{k * 0.01:.4f}'.replace('.', ',')
+        for k in range(400)
+    ]
+    path.write_text('\n'.join(['t;u;i;angle', *rows]) + '\n')
+    code, out, said = identify(
+        tmp_path / 'bag',
+        '--from-csv',
+        path,
+        '--columns',
+        'time=t',
+        'voltage=u',
+        'current=i',
+        'torque_constant=0.02',
+        'speed=diff(angle)',
+        '--json',
+        '-',
+    )
+    assert code == 0, said
+    motor = json.loads(out)['motors']['motor']
+    assert motor['speed_source'] == 'measured'
+    assert (motor['samples'], motor['rejected']['non_finite']) == (399, 0)
+    assert 'decimal comma' in said

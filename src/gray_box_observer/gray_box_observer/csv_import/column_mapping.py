@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -109,9 +109,9 @@ class CsvMapping:
     def from_options(cls, options: Iterable[str]) -> CsvMapping:
         """From command-line words: ``time=t_s voltage=u_V current=i_A torque_constant=0.05``.
 
-        A motor's key may carry its name, ``left.voltage=5``; one without it belongs to the motor
-        that ``motor=left`` names, else to one called ``motor``. A bare whole number is the number
-        of a column, from 1.
+        A motor's key may carry its name, ``left.voltage=$5``; one without it belongs to the motor
+        that ``motor=left`` names, else to one called ``motor``. A column may be given by its
+        number, ``$1`` for the first.
 
         Raises:
             BagError: A word is no ``key=value`` or its key is not known.
@@ -185,6 +185,14 @@ class CsvMapping:
                 raise BagError(f'motor {brief(name)[1:-1]}: {error}') from None
         return cls(motors=motors, **own)
 
+    def after(self, passed_s: float) -> CsvMapping:
+        """Return the mapping of a log that begins so long after the first row of this one.
+
+        Raises:
+            BagError: No message can tell so late a stamp.
+        """
+        return replace(self, first_stamp_ns=self.first_stamp_ns + round(passed_s * 1e9))
+
     def parameters(self) -> dict[str, Any]:
         """Observer parameters from the mapping: motors, and Kt where torque is from current."""
         parameters: dict[str, Any] = {'motors': list(self.motors)}
@@ -201,11 +209,7 @@ def _value(key: str, kind: str, value: Any) -> Any:
             return parse(str(value))
         except ValueError:
             raise BagError(f'{brief(key)[1:-1]} is {brief(value)}, expected a number') from None
-    text = str(value)
-    is_signal = kind in ('voltage', 'torque', 'current', 'speed', 'time')
-    return (
-        f'${text}' if is_signal and text.isdecimal() else text
-    )  # a bare number is a column's number
+    return str(value)
 
 
 def _one_of(name: str, value: str, allowed_values: tuple[str, ...]) -> None:

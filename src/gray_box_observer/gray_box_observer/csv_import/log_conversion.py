@@ -129,7 +129,7 @@ def csv_to_bag(
     table = columns.values
     row_count = columns.lines.size
     if expressions.time is not None:
-        time_s = expressions.time(table)
+        time_s = np.array(expressions.time(table))
     else:
         time_s = np.arange(row_count, dtype=np.float64) * (mapping.sample_period_s or 0.0)
     passes = np.ones(row_count, dtype=bool)
@@ -148,7 +148,9 @@ def csv_to_bag(
     kept_rows = np.flatnonzero(in_time)
     if not kept_rows.size or not passes[kept_rows].any():
         raise BagError(f'{path}: none of {row_count} rows can be used ({filtered_count} filtered)')
-    motors = [expressions.signals(name, table) for name in mapping.motors]
+    motors = [expressions.signals(name, table, time_s) for name in mapping.motors]
+    if expressions.has_rates:  # the first row has no rate of change
+        passes[0] = False
     passed_ns = np.rint((time_s[kept_rows] - time_s[kept_rows[0]]) * 1e9)
     stamps_ns = mapping.first_stamp_ns + np.minimum(passed_ns, _BEYOND_NS).astype(np.int64)
     finite = np.logical_and.reduce([motor.is_finite() for motor in motors])
@@ -156,8 +158,9 @@ def csv_to_bag(
     doubts += [doubt for doubt in (interval_doubt(interval_s, mapping.time),) if doubt is not None]
     for motor in motors:
         for signal, values in motor.signals():
+            rows_told = kept_rows[1:] if expressions.has_rates else kept_rows
             doubts += finite_doubt(
-                f'{signal} of {motor.name}', values[kept_rows], columns.lines[kept_rows]
+                f'{signal} of {motor.name}', values[rows_told], columns.lines[rows_told]
             )
     messages = _write(folder, options, mapping, motors, kept_rows, stamps_ns, passes)
     return CsvSummary(
@@ -179,18 +182,29 @@ class _Expressions:
         self._shape = shape
         self._mapping = mapping
         self._all: list[Expression] = []
-        self.time = self._make(mapping.time)
-        self.where = self._make(mapping.where, is_condition=True)
+        self.time = self._make('time', mapping.time)
+        self.where = self._make('', mapping.where)
         self._motors = {
-            name: (self._make(m.voltage), self._make(m.torque or m.current), self._make(m.speed))
-            for name, m in mapping.motors.items()
+            name: (
+                self._make('voltage', motor.voltage),
+                self._make('torque' if motor.torque else 'current', motor.torque or motor.current),
+                self._make('speed', motor.speed),
+            )
+            for name, motor in mapping.motors.items()
         }
 
     @property
     def columns(self) -> set[int]:
         return set().union(*(expression.columns for expression in self._all))
 
-    def signals(self, name: str, table: dict[int, NDArray[np.float64]]) -> _Motor:
+    @property
+    def has_rates(self) -> bool:
+        """Whether a rate of change stands in any of them."""
+        return any(expression.needs_time for expression in self._all)
+
+    def signals(
+        self, name: str, table: dict[int, NDArray[np.float64]], time_s: NDArray[np.float64]
+    ) -> _Motor:
         voltage, torque, speed = self._motors[name]
         scale = (
             self._mapping.motors[name].torque_constant
@@ -200,14 +214,21 @@ class _Expressions:
         if voltage is None or torque is None:
             raise BagError(f'motor {name} has no voltage or no torque')
         with np.errstate(all='ignore'):  # what is not finite is warned of where it stands
-            torque_nm = torque(table) * (1.0 if scale is None else scale)
-        return _Motor(name, voltage(table), torque_nm, speed(table) if speed is not None else None)
+            torque_nm = torque(table, time_s) * (1.0 if scale is None else scale)
+        speed_rad_s = None if speed is None else speed(table, time_s)
+        return _Motor(name, voltage(table, time_s), torque_nm, speed_rad_s)
 
-    def _make(self, text: str, *, is_condition: bool = False) -> Expression | None:
+    def _make(self, kind: str, text: str) -> Expression | None:
+        """Compile the expression of a kind of quantity; of none, the condition of a row."""
         if not text:
             return None
         shape = self._shape
-        expression = Expression(text, shape.names, shape.column_count, is_condition=is_condition)
+        expression = Expression(text, shape.names, shape.column_count, is_condition=not kind)
+        if kind and not expression.columns:
+            hint = f': write {kind}=${text} for the column' if text.isdecimal() else ''
+            raise BagError(f'{kind}={text} names no column{hint}')
+        if kind and expression.kind not in ('', kind):
+            raise BagError(f'{kind}={text} has the unit of a {expression.kind}')
         self._all.append(expression)
         return expression
 

@@ -16,7 +16,7 @@ SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
 """Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
 within L/R, which is between a tenth of a millisecond and some tenths of a second."""
 
-_FACTORS = (1e-3, 1e-6, 1e-9)
+_FACTORS = {'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'divided by 1000 already': 1e3}
 
 _SIGNALS = ('voltage', 'current', 'torque', 'speed')
 
@@ -31,11 +31,10 @@ def unit_doubts(mapping: CsvMapping, names: tuple[str, ...]) -> Iterator[str]:
         if expression not in names:
             continue
         words = re.findall(r'[^\W\d_]+', expression)
-        factor = OTHER_UNITS[kind].get(words[-1]) if len(words) > 1 else None
-        if factor is not None:
+        if len(words) > 1 and words[-1] in OTHER_UNITS[kind]:
             yield (
                 f'{key} is in {SI[kind]}, but column {brief(expression)} says {words[-1]}; '
-                f'write such as {key}={expression}*{factor} if it is so'
+                f'write such as {key}={quoted(expression)}[{words[-1]}] if it is so'
             )
 
 
@@ -75,11 +74,10 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     """Warn of samples too far apart or too close for a motor, and name the likely time unit."""
     if SHORTEST_INTERVAL_S <= interval_s <= LONGEST_INTERVAL_S or not np.isfinite(interval_s):
         return None
-    factors = (
-        _FACTORS if interval_s > LONGEST_INTERVAL_S else tuple(1.0 / factor for factor in _FACTORS)
-    )
     plausible = [
-        f for f in factors if 2 * SHORTEST_INTERVAL_S <= interval_s * f <= LONGEST_INTERVAL_S
+        unit
+        for unit, factor in _FACTORS.items()
+        if 2 * SHORTEST_INTERVAL_S <= interval_s * factor <= LONGEST_INTERVAL_S
     ]
     complaint = (
         f'samples are {interval_s:.3g} s apart, where those of a motor are {SHORTEST_INTERVAL_S:g} '
@@ -88,8 +86,22 @@ def interval_doubt(interval_s: float, expression: str) -> str | None:
     complaint += f'{LONGEST_INTERVAL_S:g} s apart'
     if not expression or not plausible:
         return complaint
-    column = expression if re.fullmatch(r'[\w.$]+', expression) else f'({expression})'
-    return f'{complaint}; if the time is not in s, write such as time={column}*{plausible[0]:g}'
+    unit = plausible[0]
+    if unit not in OTHER_UNITS['time']:
+        return f'{complaint}; if the time is {unit}, write such as time=({expression})*1000'
+    return f'{complaint}; if the time is in {unit}, write such as {time_in(expression, unit)}'
+
+
+def time_in(expression: str, unit: str) -> str:
+    """Return what says that a time is in a unit."""
+    if re.fullmatch(r'\$?\w+', expression):
+        return f'time={expression}[{unit}]'
+    return f'time=({expression})*{OTHER_UNITS["time"][unit]}'
+
+
+def quoted(name: str) -> str:
+    """Return a column's name as it stands in an expression."""
+    return name if re.fullmatch(r'[^\W\d]\w*', name) else f"'{name}'"
 
 
 def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:

@@ -23,6 +23,7 @@ from gray_box_observer.safe_io.plain_number import parse_float
 _COMMENTS = ('%', '#')
 _DELIMITERS = (',', ';', '\t')
 _LONGEST_LINE = 1 << 20
+_COMMA_NUMBER = re.compile(r'[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?')
 _DECIMAL_COMMA = re.compile(r'(?<![0-9])[0-9]+,[0-9]+')
 
 
@@ -33,7 +34,7 @@ class TableShape:
     Attributes:
         names: The columns' names; empty if the log has none.
         column_count: Cells in the first row.
-        delimiter: None for blanks.
+        delimiter: None for blanks; where it is no comma, numbers may have a decimal comma.
         warnings: What looks odd, each one line.
     """
 
@@ -68,14 +69,15 @@ def look_at(path: Path) -> TableShape:
     line_number, line = next(rows, (0, ''))
     if not line:
         raise BagError(f'{path} holds no rows')
-    delimiter = next((d for d in _DELIMITERS if d in line), None)
+    following = next(rows, (0, ''))[1]
+    delimiter = _delimiter(line, following)
     cells = _cells(path, line_number, line, delimiter)
     filled = [cell for cell in cells if cell.strip()]
-    numbers = [cell for cell in filled if _is_number(cell)]
+    numbers = [cell for cell in filled if _is_number(_with_point(cell, delimiter))]
     if filled and len(numbers) == len(filled):
         return TableShape((), len(cells), delimiter)
     names = tuple(cell.strip().strip('"\'').strip() for cell in cells)
-    if next(rows, None) is None:
+    if not following:
         raise BagError(f'{path} holds a header but no rows')
     odd = (
         f'{path}, line {line_number} is taken for the names of the columns, although '
@@ -103,6 +105,7 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
     columns: dict[int, list[float]] = {number: [] for number in numbers}
     lines: list[int] = []
     ended_lines: list[int] = []
+    comma_lines: list[int] = []
     for line_number, line in rows:
         cells = (
             line.split(delimiter) if '"' not in line else _cells(path, line_number, line, delimiter)
@@ -113,14 +116,23 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
                 ended_lines.append(line_number)
         parse = float if line.isascii() and '_' not in line else parse_float
         for number, values in columns.items():
+            cell = cells[number - 1]
             try:
-                values.append(parse(cells[number - 1]))
+                values.append(parse(cell))
             except ValueError:
-                raise BagError(
-                    _complaint(path, shape, line_number, cells, number, numbers)
-                ) from None
+                with_point = _with_point(cell, delimiter)
+                if with_point == cell or not _is_number(with_point):
+                    raise BagError(
+                        _complaint(path, shape, line_number, cells, number, numbers)
+                    ) from None
+                values.append(parse_float(with_point))
+                comma_lines.append(line_number)
         lines.append(line_number)
     warnings = shape.warnings
+    if comma_lines:
+        _refuse_points(path, shape, numbers, comma_lines[0])
+        where = f'{path}, line {comma_lines[0]}: a comma within a number is its decimal comma'
+        warnings = (*warnings, where)
     if ended_lines:
         where = (
             f'{path}, line {ended_lines[0]}: a separator behind the last cell is passed over, in '
@@ -129,6 +141,46 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
         warnings = (*warnings, where)
     arrays = {number: np.array(column, dtype=np.float64) for number, column in columns.items()}
     return Columns(arrays, np.array(lines, dtype=np.int64), warnings)
+
+
+def _delimiter(line: str, following: str) -> str | None:
+    """Return what stands between the cells, None for blanks, as the first two rows tell.
+
+    A comma may be that of a decimal number: another sign goes before it where it divides both rows
+    alike.
+    """
+    for sign in (';', '\t'):
+        if ',' in line and sign in line and line.count(sign) == following.count(sign):
+            return sign
+    return next((d for d in _DELIMITERS if d in line), None)
+
+
+def _with_point(cell: str, delimiter: str | None) -> str:
+    """Return a number with a decimal point that has a decimal comma; others as they are."""
+    if delimiter != ',' and _COMMA_NUMBER.fullmatch(cell.strip()) is not None:
+        return cell.replace(',', '.')
+    return cell
+
+
+def _refuse_points(
+    path: Path, shape: TableShape, column_numbers: Collection[int], comma_line: int
+) -> None:
+    """Refuse a log with decimal commas and decimal points: one of them divides thousands.
+
+    Raises:
+        BagError: it has both, in the columns that are read.
+    """
+    rows = _rows(path)
+    if shape.names:
+        next(rows, None)
+    for line_number, line in rows:
+        cells = _cells(path, line_number, line, shape.delimiter)
+        for number in column_numbers:
+            if number <= len(cells) and '.' in cells[number - 1]:
+                raise BagError(
+                    f'{path}: numbers with a comma (line {comma_line}) and with a point (line '
+                    f'{line_number}): write one of them only'
+                )
 
 
 def _fitting(

@@ -102,9 +102,11 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         '--from-csv',
+        nargs='+',
         type=Path,
         metavar='LOG.csv',
-        help='make the bag BAG of this log first (it must not exist yet)',
+        help='make the bag BAG of this log first (it must not exist yet); of several logs as many '
+        'bags, which are one recording',
     )
     parser.add_argument(
         '--columns',
@@ -170,17 +172,27 @@ def _every_bag(options: argparse.Namespace) -> list[Path]:
 
 
 def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any]) -> int:
-    """Make the bag of a CSV log and run the observer over it; a failed run leaves no bag."""
-    if len(options.bags) != 1 or not options.columns:
-        raise GrayBoxError('--from-csv needs --columns and exactly one BAG, the folder to make')
+    """Make bags of CSV logs and run the observer over them; a failed run leaves no bag."""
+    count = len(options.from_csv)
+    if len(options.bags) != count or not options.columns:
+        expected = 'exactly one BAG' if count == 1 else f'exactly {count} BAGs'
+        folders = 'the folder' if count == 1 else 'the folders'
+        raise GrayBoxError(f'--from-csv needs --columns and {expected}, {folders} to make')
+    if len(set(options.bags)) < count:
+        raise GrayBoxError('--from-csv: every log needs a BAG of its own')
     mapping = read_mapping(options.columns)
     configuration = configure(parameter_values, mapping.parameters(), '--columns')
-    summary = _convert(options, mapping)
+    made: list[Path] = []
     try:
-        _refuse_gaps(options.from_csv, summary, configuration)
+        for log, bag in zip(options.from_csv, options.bags, strict=True):
+            summary = _convert(log, bag, mapping)
+            made.append(bag)
+            _refuse_gaps(log, summary, configuration)
+            mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
         return _identify(options, configuration)
-    except BaseException:  # the next try must not find the folder in its way
-        shutil.rmtree(options.bags[0], ignore_errors=True)
+    except BaseException:  # the next try must not find the folders in its way
+        for bag in made:
+            shutil.rmtree(bag, ignore_errors=True)
         raise
 
 
@@ -278,19 +290,19 @@ def _refuse_gaps(log: Path, summary: CsvSummary, configuration: Configuration) -
             f'{log}: samples are {summary.interval_s:.3g} s apart, further than gap_s of '
             f'{configuration["gap_s"]:g} s, '
             'so that none follows from the one before; if its time is in ms, write such as '
-            'time=t_ms*1e-3'
+            'time=t_ms[ms]'
         )
 
 
-def _convert(options: argparse.Namespace, mapping: CsvMapping) -> CsvSummary:
+def _convert(log: Path, bag: Path, mapping: CsvMapping) -> CsvSummary:
     """Make the bag of a CSV log, and warn of what looks odd in it."""
     from gray_box_observer.csv_import.log_conversion import csv_to_bag
 
-    summary = csv_to_bag(options.from_csv, options.bags[0], mapping)
+    summary = csv_to_bag(log, bag, mapping)
     left_out = summary.filtered_rows + summary.unordered_rows
     _tell(
-        f'{options.from_csv}: {summary.messages} messages of {summary.rows} rows over '
-        f'{summary.duration_s:.3f} s ({left_out} rows left out) in {options.bags[0]}'
+        f'{log}: {summary.messages} messages of {summary.rows} rows over '
+        f'{summary.duration_s:.3f} s ({left_out} rows left out) in {bag}'
     )
     for warning in summary.warnings:
         _tell(f'warning: {warning}')

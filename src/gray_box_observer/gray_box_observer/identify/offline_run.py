@@ -178,8 +178,12 @@ def _feed_all(
     limits: ReadLimits | None = None,
 ) -> None:
     """Feed bags one after another."""
+    end_ns: int | None = None
     for path in bags:
         with BagReader(path, limits) as bag:
+            if end_ns is not None and bag.start_ns <= end_ns:
+                outcome.message_input.restart_clock()
+            end_ns = bag.start_ns + bag.duration_ns
             _feed(bag, path, configuration, outcome, ingest, progress)
             if bag.loss:
                 outcome.warnings.append(f'{path}: {bag.loss}')

@@ -95,6 +95,11 @@ class CombinedSignal:
         }
         return [self._evaluated(one) for one in self._alignment.add(topic, stamp_ns, content)]
 
+    def restart_clock(self) -> None:
+        """Forget what is held: what comes next is another recording."""
+        self._alignment.restart()
+        self._before.clear()
+
     def flush(self) -> list[Stamped]:
         """Return the value that still waits for an input, at the end of a recording."""
         return [self._evaluated(one) for one in self._alignment.flush()]

@@ -86,7 +86,7 @@ class InputAlignment:
         if newest_ns is not None and stamp_ns < newest_ns:
             if newest_ns - stamp_ns <= self._jump_back_ns:
                 return self._out_of_order(topic, stamp_ns, content)
-            self._restart()
+            self.restart()
         self._tracks[topic].messages.append((stamp_ns, content))
         completed = self._choose_leader()
         if topic == self._leader:
@@ -100,7 +100,8 @@ class InputAlignment:
         """Return what still waits for others, at the end of a recording."""
         return self._release()
 
-    def _restart(self) -> None:
+    def restart(self) -> None:
+        """Forget every message, for the clock begins anew."""
         self._tracks = {topic: _Track() for topic in self._stale_ns}
         self._leader = next(iter(self._stale_ns))
         self._waiting = None

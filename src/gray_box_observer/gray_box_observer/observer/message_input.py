@@ -110,6 +110,13 @@ class MessageInput:
             stamp_ns, names, self._observer.ingest(name, names, stamp_ns, values, speeds)
         )
 
+    def restart_clock(self) -> None:
+        """Begin new signal histories: what comes next is another recording."""
+        for signal in self.signals.values():
+            if isinstance(signal, CombinedSignal):
+                signal.restart_clock()
+        self._observer.restart_clock()
+
     def flush(self) -> list[GroupResult]:
         """Take what still waits for an input (end of a bag); return what it has led to."""
         groups: list[GroupResult] = []

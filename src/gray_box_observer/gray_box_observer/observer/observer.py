@@ -178,6 +178,15 @@ class Observer:
         """Learn what still waits for a voltage (end of a bag)."""
         return self._flat([result for group in self.every_group for result in self._flush(group)])
 
+    def restart_clock(self) -> None:
+        """Begin new signal histories: what comes next has stamps of its own (another recording).
+
+        Whatever waits is to be flushed before; what was learnt stays.
+        """
+        for group in self.every_group:
+            if isinstance(group.pairing, Pairing):  # one that has stopped pairs nothing
+                self.contain(group, group.pairing.restart)
+
     def results(self, result: GroupResult) -> list[Result]:
         """Return a sample's results motor by motor; nothing where the group has stopped since."""
         if result.group.is_stopped:
