@@ -22,10 +22,10 @@ WORKERS ?= 4
 NAME ?=
 QUICK ?=
 
-.PHONY: help setup demo test lint format physics docs bench clean distclean
+.PHONY: help setup demo test test-fast lint format physics docs bench clean distclean
 
 help:  ## show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup:  ## make .venv where needed and build ros_ws/install (ROS=auto|distribution|wheels PYTHON=)
 	@ROS='$(ROS)' PYTHON='$(PYTHON)' ros_ws/setup.sh
@@ -38,6 +38,9 @@ demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TOR
 # More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.
 test: setup  ## run every test (ARGS='-k pairing' WORKERS=4)
 	$(RUN) python -m pytest -n $(WORKERS) --dist load $(ARGS)
+
+test-fast: setup  ## tests that start no node and no process and take no time (ARGS='-k pairing')
+	$(RUN) python -m pytest -n 2 --dist load -m 'not live and not system and not slow' $(ARGS)
 
 lint: setup  ## ruff, its formatter and strict mypy over cores and scripts
 	$(RUN) python -m ruff check $(wildcard $(PYTHON_SOURCES))

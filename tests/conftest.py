@@ -38,16 +38,22 @@ def _free_domain() -> int:
     raise AssertionError('every domain is taken')
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Repeat a test on real DDS once if its process ended; a test that fails still fails.
+LIVE_MODULES = ('rclpy', 'subprocess', 'multiprocessing')
+"""A test module that imports one of these as a whole starts nodes or processes."""
 
-    Fast DDS has died of a segmentation fault while a participant was being deleted. The run tells
-    of it (``rerun``).
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what starts nodes or processes, and repeat a test whose process died in the middleware.
+
+    Fast DDS has died of a segmentation fault while a participant was being deleted. Such a test on
+    real DDS runs once more, and the run tells of it (``rerun``); a test that fails still fails.
     """
-    if not config.pluginmanager.hasplugin('rerunfailures'):
-        return
+    repeats = config.pluginmanager.hasplugin('rerunfailures')
     for item in items:
-        if item.get_closest_marker('system') or 'peer' in getattr(item, 'fixturenames', ()):
+        on_dds = item.get_closest_marker('system') or 'peer' in getattr(item, 'fixturenames', ())
+        if on_dds or any(name in vars(item.module) for name in LIVE_MODULES):
+            item.add_marker(pytest.mark.live)
+        if repeats and on_dds:
             item.add_marker(pytest.mark.flaky(reruns=1, only_rerun=['said by no test that fails']))
 
 

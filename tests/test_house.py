@@ -78,6 +78,7 @@ def test_every_room_says_what_it_is_for_and_where_to_begin() -> None:
             assert (path.parent / name).is_file(), f'{path.parent.name}: {name}'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('package', PACKAGES)
 def test_modules_and_rooms_import_in_no_circle(package: str) -> None:
     names = modules(package)
@@ -94,6 +95,7 @@ def test_modules_and_rooms_import_in_no_circle(package: str) -> None:
     assert circles(rooms) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('package', PACKAGES)
 def test_no_method_is_called_of_or_take(package: str) -> None:
     for path in modules(package).values():

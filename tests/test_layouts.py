@@ -223,6 +223,7 @@ def test_what_is_drawn_is_recorded_without_being_asked_for():
         ) or path.topic.startswith(f'/{NODE}/')
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_every_path_leads_to_a_value_in_what_the_nodes_publish(peer: Any):
     heard = {

@@ -15,6 +15,7 @@ STATED_PERCENT = {
 """A minute at 100 Hz and 1 % noise, for the excitation of some other seeds."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', STATED_PERCENT)
 def test_the_bound_is_the_one_that_the_project_states(name: str) -> None:
     case = next(case for case in CASES if case.name == name)

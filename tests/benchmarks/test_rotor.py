@@ -26,6 +26,7 @@ def test_the_bound_is_proportional_to_the_noise_and_falls_with_the_length() -> N
     assert (long.bound() < short.bound()).all()
 
 
+@pytest.mark.slow
 def test_a_trial_ends_near_the_truth_and_claims_nothing_false() -> None:
     trial = run_trial(draw(gear_motor, 3, 500.0, 4.0))
     assert np.abs(trial.z).max() < 4.5

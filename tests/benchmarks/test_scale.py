@@ -14,6 +14,7 @@ from gray_box_observer.settings.device import DEVICE_FROM
 from gray_box_observer.white_box.torch_ops import TorchOps
 
 
+@pytest.mark.slow
 def test_rows_on_a_device_predict_every_motor(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scale, 'TAUGHT', 2000)
     _, samples = scale.taught()

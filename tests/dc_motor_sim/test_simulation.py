@@ -60,6 +60,7 @@ def _second_solver(current_a, voltage_v, duration_s):
     return solve_ivp(equation, (0.0, duration_s), [current_a], rtol=1e-10, atol=1e-12).y[0, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])
 def test_the_same_seed_gives_the_same_bytes(mode):
     options = {
@@ -82,6 +83,7 @@ def test_sensor_noise_does_not_touch_the_truth():
     assert (noisy.torque_nm - noisy.true_torque_nm).std() == pytest.approx(0.01, rel=0.06)
 
 
+@pytest.mark.slow
 def test_relative_torque_noise_is_a_fraction_of_the_noise_free_torque():
     noisy = simulation('R[1,2]D[3,3]', torque_noise_relative=0.01, seed=2)
     clean = simulation('R[1,2]D[3,3]', seed=2).record(60.0)
@@ -180,6 +182,7 @@ def test_arguments_that_make_no_sense_are_refused_on_one_line(options, error, wh
     assert '\n' not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_ten_thousand_motors_run_in_the_same_code():
     motors = {f'm{k}': replace(THESIS, resistance=1.0 + k / 10_000) for k in range(10_000)}
     recording = Simulation(motors, 'C[10]').record(0.1)

@@ -67,6 +67,7 @@ def test_the_mapping_of_the_tutorial_is_the_one_that_is_tried_here():
     assert all(f'{key}={value}' in text for key, value in RIGHT.items())
 
 
+@pytest.mark.slow
 def test_the_log_of_the_tutorial_is_identified(run):
     code, motor, said = run()
     assert code == 0
@@ -78,6 +79,7 @@ def test_the_log_of_the_tutorial_is_identified(run):
         assert abs(found['value'] - truth) < 4.0 * found['std'], name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('changed', 'named', 'remedy'),
     [
@@ -126,6 +128,7 @@ def test_milliseconds_for_seconds_are_refused_with_the_remedy(run, tmp_path: Pat
     assert not (tmp_path / 'bag').exists()
 
 
+@pytest.mark.slow
 def test_a_voltage_that_reads_low_is_not_noticed_where_kb_is_identified(run, parameters: Path):
     text = re.sub(r'.*back_emf_constant: .*\n', '', parameters.read_text(encoding='utf-8'))
     text = text.replace('resistance]', 'resistance, back_emf_constant]')
@@ -136,6 +139,7 @@ def test_a_voltage_that_reads_low_is_not_noticed_where_kb_is_identified(run, par
     assert motor['parameters']['resistance']['value'] == pytest.approx(0.9 * 2.1, rel=0.005)
 
 
+@pytest.mark.slow
 def test_a_column_whose_name_says_another_unit_is_warned_of(run, log: Path, tmp_path: Path):
     renamed = tmp_path / 'renamed.csv'
     renamed.write_text(log.read_text(encoding='utf-8').replace('i_A', 'i_mA', 1), encoding='utf-8')

@@ -40,6 +40,7 @@ def test_the_gains_leave_an_integrator_that_closes_at_the_bandwidth(example, fre
     assert loop == pytest.approx(2.0 * math.pi * BANDWIDTH_HZ / s)
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_gains_come_when_the_motor_is_identified_and_go_when_it_is_not(peer, gains):
     peer.start('gray_box_observer.ros.observer.observer_node', predictor='false')

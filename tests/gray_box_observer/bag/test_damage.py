@@ -70,6 +70,7 @@ def file_of(kind: str, folder: Path, make_bag) -> Path:
 KINDS = ['ours', 'ours, zstd', 'ours, lz4', 'reference, lz4', 'reference, unchunked']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', KINDS)
 def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_was_lost(
     tmp_path, make_bag, kind
@@ -98,6 +99,7 @@ def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_was_lost(
     assert counts[-1] > 0.9 * len(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kind', KINDS)
 def test_flipped_bits_never_raise_anything_else_nor_allocate_much(tmp_path, make_bag, kind):
     whole = file_of(kind, tmp_path, make_bag).read_bytes()

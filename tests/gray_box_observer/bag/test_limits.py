@@ -71,6 +71,7 @@ def test_a_chunk_beyond_the_limit_is_left_out_in_a_line_that_names_the_option_to
     assert count_and_loss(path, ReadLimits.from_mb(3))[0] == 2
 
 
+@pytest.mark.slow
 def test_what_unpacks_to_a_thousand_times_its_size_is_left_out_unless_the_limit_was_raised(
     write,
 ) -> None:

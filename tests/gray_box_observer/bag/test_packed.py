@@ -87,6 +87,7 @@ def test_packed_files_are_read_in_their_order_unpacked_by_hand_and_without_metad
     assert find_bags([folder.parent]) == [folder.parent / f'{folder.name}_0.mcap', folder]
 
 
+@pytest.mark.slow
 def test_identify_gives_the_same_numbers_of_a_packed_bag(tmp_path):
     folder = tmp_path / 'moderate'
     folder.mkdir()

@@ -84,6 +84,7 @@ def test_what_was_saved_stands_where_it_stood_and_goes_on_identically(
     assert not np.array_equal(on.value, before.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('cut', [305, 450, 615, 640, 1000, 1290])
 def test_whoever_goes_on_from_a_checkpoint_is_no_less_certain_wherever_it_was_cut(
     tmp_path: Path, record: Callable[..., Recording], cut: int
@@ -123,6 +124,7 @@ def test_a_second_save_of_the_same_gives_the_same_arrays(tmp_path: Path, saved: 
         assert second[name].tobytes() == array.tobytes(), name
 
 
+@pytest.mark.slow
 def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_to_be_studied(
     tmp_path: Path, recording: Recording
 ) -> None:
@@ -163,6 +165,7 @@ def test_a_correction_that_speaks_goes_on_identically_though_a_sample_was_still_
         assert second[name].tobytes() == array.tobytes(), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('training', [None, InlineTraining])
 def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
     tmp_path: Path, recording: Recording, training: Any
@@ -175,6 +178,7 @@ def test_what_was_identified_is_so_after_loading_though_learning_is_frozen(
     assert other.estimate_of('motor')[1]
 
 
+@pytest.mark.slow
 def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(
     tmp_path: Path, recording: Recording
 ) -> None:
@@ -191,6 +195,7 @@ def test_the_network_is_saved_too_and_forecasts_after_its_warm_up(
     assert np.isfinite(said[12:]).all()
 
 
+@pytest.mark.slow
 def test_the_network_of_another_variant_is_refused(tmp_path: Path, recording: Recording) -> None:
     for variant, wanted in (
         ('main', 'expected variant physics'),
@@ -422,6 +427,7 @@ HARD: dict[str, Any] = {
 """Far forecasts in all quadrants from a fresh network: training always has something to learn."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('at', 'variant'),
     [(730, 'physics'), (749, 'physics'), (750, 'physics'), (1010, 'physics'), (730, 'main')],
@@ -455,6 +461,7 @@ def test_inline_training_goes_on_bit_for_bit(
     )
 
 
+@pytest.mark.slow
 def test_the_residual_is_learnt_on_bit_for_bit_too(
     tmp_path: Path, record: Callable[..., Recording]
 ) -> None:
@@ -505,6 +512,7 @@ def test_a_network_that_training_has_lost_does_not_run_and_training_goes_on(
     )
 
 
+@pytest.mark.slow
 def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recording) -> None:
     one = observer(InlineTraining, **HARD)
     feed(one, recording, 0, 300)
@@ -515,6 +523,7 @@ def test_a_network_of_another_size_is_refused(tmp_path: Path, recording: Recordi
         load(observer(InlineTraining, **{**HARD, 'training.hidden': 4}), tmp_path / 'c')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('predictor', [True, False])
 def test_a_motor_that_was_identified_is_so_where_learning_is_frozen_from_the_start(
     record: Callable[..., Recording], tmp_path: Path, predictor: bool

@@ -65,6 +65,7 @@ def samples_from(voltage_v: np.ndarray, torque_nm: np.ndarray, step_s: float = 0
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 2])
 def test_it_reaches_the_noise_free_truth_from_three_times_off(
     rule: Rule,
@@ -81,6 +82,7 @@ def test_it_reaches_the_noise_free_truth_from_three_times_off(
     sound(nodes)
 
 
+@pytest.mark.slow
 def test_noisy_torque_is_identified_with_an_honest_covariance(
     rule: Rule,
     thesis_box: MotorWhiteBox,
@@ -207,6 +209,7 @@ def test_a_resting_motor_with_a_noisy_sensor_identifies_nothing(
     assert Verdict.IDENTIFIED not in nodes.estimate().verdicts[0]
 
 
+@pytest.mark.slow
 def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
     rule: Rule, thesis_box: MotorWhiteBox
 ) -> None:
@@ -238,6 +241,7 @@ def test_a_long_constant_voltage_neither_moves_nor_sharpens_what_was_learnt(
     sound(nodes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('size', [1e9, -1e9, 1e-12])
 def test_torque_of_any_size_leaves_the_estimate_finite(
     rule: Rule, thesis_box: MotorWhiteBox, size: float
@@ -250,6 +254,7 @@ def test_torque_of_any_size_leaves_the_estimate_finite(
     sound(nodes)
 
 
+@pytest.mark.slow
 def test_one_absurd_burst_does_not_spoil_a_settled_estimate(
     rule: Rule,
     thesis_box: MotorWhiteBox,
@@ -283,6 +288,7 @@ def test_samples_across_a_restart_teach_nothing(
     sound(nodes)
 
 
+@pytest.mark.slow
 def test_irregular_stamps_are_no_hindrance(rule: Rule, thesis_box: MotorWhiteBox) -> None:
     recording = Simulation(
         {'m': PlantParameters()}, 'R[5,15]D[0.1,2]', seed=8, sample_rate_hz=1000.0
@@ -329,6 +335,7 @@ def test_freezing_stops_all_change_and_says_so(
     sound(nodes)
 
 
+@pytest.mark.slow
 def test_motors_in_one_array_learn_what_each_learns_alone(
     rule: Rule, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
@@ -375,6 +382,7 @@ ROTOR_BOX = MotorWhiteBox((*NAMES, 'back_emf_constant'), 0.05, {}, True)
 ROTOR_TRUTH = np.array([[2e-3, 0.8, 0.01, 0.05]])
 
 
+@pytest.mark.slow
 def test_back_emf_is_a_fourth_node_where_speed_is_measured(
     rule: Rule, rotor_samples: Samples
 ) -> None:
@@ -384,6 +392,7 @@ def test_back_emf_is_a_fourth_node_where_speed_is_measured(
     sound(nodes)
 
 
+@pytest.mark.slow
 def test_a_sample_without_its_speed_does_not_poison_the_estimate(
     rule: Rule, rotor_samples: Samples
 ) -> None:
@@ -396,6 +405,7 @@ def test_a_sample_without_its_speed_does_not_poison_the_estimate(
     assert np.all(np.abs(nodes.theta / ROTOR_TRUTH - 1.0)[0] < [0.2, 0.1, 0.3, 0.1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('noise', [0.0, 0.01])
 def test_a_step_of_the_resistance_is_followed(
     rule: Rule,

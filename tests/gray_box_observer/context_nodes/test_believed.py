@@ -130,6 +130,7 @@ def test_a_rotor_that_gathers_speed_at_one_voltage_is_not_taken_for_an_inductanc
     assert estimate.verdicts[0][0] is Verdict.UNEXCITED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [3, 4, 5, 6])
 @pytest.mark.parametrize(
     'names', [('inductance', 'resistance', 'back_emf_constant'), (*NAMES, 'back_emf_constant')]

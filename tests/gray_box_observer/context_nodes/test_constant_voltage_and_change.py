@@ -40,6 +40,7 @@ def held_on(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [1, 2])
 def test_ten_minutes_of_constant_voltage_neither_move_nor_assure_what_they_do_not_excite(
     thesis_box: MotorWhiteBox,
@@ -104,6 +105,7 @@ def from_elsewhere() -> RecursiveEstimator:
     return RecursiveEstimator(box, np.array([[1.5, 3.0, 1.0]]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('volt', [2.0, 10.0, 30.0])
 @pytest.mark.parametrize('seed', range(5))
 def test_a_motor_at_rest_since_the_first_sample_is_never_called_identified(
@@ -122,6 +124,7 @@ def test_a_motor_at_rest_since_the_first_sample_is_never_called_identified(
     assert nodes.change_count == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rest_s', [2.0, 60.0])
 def test_what_was_at_rest_is_identified_as_soon_as_it_moves(
     record: Callable[..., Recording], samples_of: Callable[..., Samples], rest_s: float
@@ -154,6 +157,7 @@ def test_another_resistance_at_rest_is_another_level_from_which_it_starts_anew()
     ), 'what the level tells'
 
 
+@pytest.mark.slow
 def test_with_a_data_sheet_resistance_is_followed_at_rest(thesis_box: MotorWhiteBox) -> None:
     told = np.array([[0.05, 0.0, 0.05]])
     nodes = RecursiveEstimator(thesis_box, np.array([[0.51, 1.2, 10.2]]), initial_relative_std=told)
@@ -164,6 +168,7 @@ def test_with_a_data_sheet_resistance_is_followed_at_rest(thesis_box: MotorWhite
     assert warm.value[0, R] - cold.value[0, R] == pytest.approx(0.2, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]'])
 def test_a_resistance_that_climbs_is_followed_and_its_neighbours_are_not_blamed(
     thesis_box: MotorWhiteBox,
@@ -180,6 +185,7 @@ def test_a_resistance_that_climbs_is_followed_and_its_neighbours_are_not_blamed(
     assert np.all(np.abs(last.value[0] - climbed) < 4.0 * last.std[0])
 
 
+@pytest.mark.slow
 def test_a_motor_that_keeps_still_is_given_no_freedom_to_drift(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:
@@ -192,6 +198,7 @@ def test_a_motor_that_keeps_still_is_given_no_freedom_to_drift(
         assert nodes.change_count == 0
 
 
+@pytest.mark.slow
 def test_what_comes_while_frozen_is_never_learnt(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:

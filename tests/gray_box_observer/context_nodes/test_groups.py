@@ -82,6 +82,7 @@ def alone(samples: list[Sample]) -> tuple[list[list[bytes]], list[RecursiveEstim
     return taken, rules
 
 
+@pytest.mark.slow
 def test_what_happens_to_one_motor_leaves_the_others_alone(
     samples: list[Sample], alone: tuple[list[list[bytes]], list[RecursiveEstimator]]
 ) -> None:
@@ -104,6 +105,7 @@ def test_what_happens_to_one_motor_leaves_the_others_alone(
     )  # one transition does not tell hysteresis from R
 
 
+@pytest.mark.slow
 def test_whoever_has_to_wait_learns_the_same_later(
     samples: list[Sample],
     alone: tuple[list[list[bytes]], list[RecursiveEstimator]],
@@ -118,6 +120,7 @@ def test_whoever_has_to_wait_learns_the_same_later(
         assert together[motor] == alone[0][motor][: len(together[motor])]
 
 
+@pytest.mark.slow
 def test_a_group_can_be_taken_apart_and_go_on_as_single_motors(samples: list[Sample]) -> None:
     whole = RecursiveEstimator(BOX, START)
     learnt_by(whole, samples[:1500])
@@ -183,6 +186,7 @@ def rough(seed: int, speed_measured: bool) -> tuple[MotorWhiteBox, np.ndarray, l
     return box, start, samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('seed', 'speed_measured'), [(9, False), (44, False), (4, True)])
 def test_no_motor_is_treated_otherwise_for_the_company_that_it_is_in(
     seed: int, speed_measured: bool

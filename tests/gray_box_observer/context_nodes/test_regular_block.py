@@ -161,6 +161,7 @@ def test_samples_that_are_not_in_memory_are_not_read(
     assert status.tolist() == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('motors', [1, 11])
 def test_regular_blocks_are_learnt_as_numpy_learns_them(
     monkeypatch: pytest.MonkeyPatch, motors: int
@@ -180,6 +181,7 @@ def test_regular_blocks_are_learnt_as_numpy_learns_them(
         np.testing.assert_allclose(array, theirs[name], rtol=1e-5, atol=1e-7 * scale, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('names', 'constants'),
     [
@@ -200,6 +202,7 @@ def test_so_are_those_of_other_physics_with_measured_speed(
     assert count.learnt > 0.5 * count.given > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('jitter', [0.0, 0.01])
 def test_a_hold_settles_when_numpy_says_so_to_the_block(
     monkeypatch: pytest.MonkeyPatch, jitter: float
@@ -226,6 +229,7 @@ def test_a_hold_settles_when_numpy_says_so_to_the_block(
     assert 0.2 < np.mean(settled[0]) < 0.9
 
 
+@pytest.mark.slow
 def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -236,6 +240,7 @@ def test_a_quick_motor_is_followed_in_as_many_steps_as_numpy_takes(
     np.testing.assert_allclose(nodes.theta, [[0.01, 1.0, 10.0]], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_long_holds_and_drifts_come_out_as_with_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     box, rules = (
         MotorWhiteBox(THESIS, 0.01, KNOWN),
@@ -287,6 +292,7 @@ def disturbed(
     return made
 
 
+@pytest.mark.slow
 def test_what_is_out_of_the_ordinary_is_left_to_numpy(
     monkeypatch: pytest.MonkeyPatch,
     thesis_box: MotorWhiteBox,
@@ -326,6 +332,7 @@ def gone_wrong(seed: int) -> tuple[MotorWhiteBox, np.ndarray, list[Sample]]:
     return box, np.tile(START, (motors, 1)), samples
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', [14, 20])
 def test_so_is_a_group_in_which_nearly_everything_goes_wrong(
     monkeypatch: pytest.MonkeyPatch, seed: int

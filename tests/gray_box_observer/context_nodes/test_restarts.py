@@ -41,6 +41,7 @@ def test_the_variance_that_a_restart_leaves_is_that_of_a_kalman_filter() -> None
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_motor_heard_in_snatches_is_known_as_well_as_is_said(
     thesis_box: MotorWhiteBox, record: Callable[..., Recording], samples_of: Callable[..., Samples]
 ) -> None:

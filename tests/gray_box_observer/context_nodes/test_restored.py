@@ -32,6 +32,7 @@ def heat(record: Callable[..., Recording], samples_of: Callable[..., Samples]) -
     return samples_of(record('R[5,15]D[0.2,2]', 14.0, torque_noise_std=1e-4, schedule=schedule))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('heard', [rest, heat])
 def test_whatever_is_restored_goes_on_bit_for_bit(
     heard: Callable[..., Samples], thesis_box: MotorWhiteBox, record: Any, samples_of: Any

@@ -28,6 +28,7 @@ def off(fit: Fit) -> np.ndarray:
     return (fit.logarithms - np.log(THETA)) / np.sqrt(np.diag(covariance))
 
 
+@pytest.mark.slow
 def test_the_weak_form_is_a_start_without_any_guess() -> None:
     window = Window.from_samples(BOX, content_of(recorded()))
     starts = np.array([*weak_starts(BOX, window)])

@@ -48,6 +48,7 @@ def test_what_was_compiled_of_another_motor_is_not_used(monkeypatch: pytest.Monk
     whole_motor.library.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('interval_s', [1e-3, 1e-2, 0.3])
 def test_compiled_code_and_python_give_the_same(interval_s: float) -> None:
     if whole_motor.library() is None:
@@ -92,6 +93,7 @@ def test_derivatives_by_the_first_states_are_finite_differences() -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate_hz', [1000.0, 250.0])
 def test_the_trajectory_is_that_of_the_simulated_plant(rate_hz: float) -> None:
     inductance, resistance, inertia, viscous, coulomb = THETA.tolist()

@@ -32,6 +32,7 @@ def test_everything_is_identified_and_right() -> None:
     assert update.counters()['motor changes'] == 0
 
 
+@pytest.mark.slow
 def test_deviations_shrink_with_the_windows() -> None:
     samples = samples_of(recorded(duration_s=6.0))
     update, stds = RotorUpdate(BOX, INITIAL), {}
@@ -42,6 +43,7 @@ def test_deviations_shrink_with_the_windows() -> None:
     assert (last < 0.85 * first).all()
 
 
+@pytest.mark.slow
 def test_a_motor_that_changes_is_followed() -> None:
     before = samples_of(recorded(duration_s=6.0))
     other = samples_of(recorded(duration_s=6.0, seed=2))
@@ -52,12 +54,14 @@ def test_a_motor_that_changes_is_followed() -> None:
     assert update.theta[0, 1] == pytest.approx(2.0 * THETA[1], rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('excitation', ['C[0]', 'C[6]'])
 def test_of_a_constant_voltage_nothing_is_claimed(excitation: str) -> None:
     update = learn(RotorUpdate(BOX, INITIAL), samples_of(recorded(excitation, 3.0)))
     assert set(update.estimate().verdicts[0]) == {Verdict.UNEXCITED}
 
 
+@pytest.mark.slow
 def test_of_one_step_nothing_is_identified() -> None:
     recording = recorded('C[6]', 3.0)
     rest = [
@@ -93,6 +97,7 @@ def test_what_comes_while_frozen_is_not_learnt() -> None:
     assert update.theta.tobytes() != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('cut', [100, 900, 2300, 2999])
 def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
     samples = samples_of(recorded(duration_s=4.5))
@@ -140,6 +145,7 @@ def test_the_observer_tests_the_fit_of_a_rotor() -> None:
     assert fit.ratio == pytest.approx(1.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_thesis_form_names_the_rotor_as_the_remedy() -> None:
     observer = observed(**{'motor.speed_source': 'torque_constant'})
     fit = observer.fit('motor')
@@ -147,6 +153,7 @@ def test_the_thesis_form_names_the_rotor_as_the_remedy() -> None:
     assert 'motor.speed_source: rotor' in fit.suspects[0].remedy
 
 
+@pytest.mark.slow
 def test_a_fit_that_leaves_much_is_a_misfit() -> None:
     observer = Observer(Configuration.from_flat(PARAMETERS), None)
     recording = recorded()

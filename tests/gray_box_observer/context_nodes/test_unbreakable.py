@@ -127,6 +127,7 @@ def _assert_sound(nodes: RecursiveEstimator, seed: int, at: int) -> None:
     assert np.isfinite(nodes.noise_std_nm).all(), where
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('part', range(PARTS))
 def test_no_drawn_motor_makes_numbers_that_are_none_or_a_covariance_that_is_indefinite(
     part: int,

@@ -101,6 +101,7 @@ def test_without_noise_a_delay_is_found_to_a_thousandth_of_an_interval(
     assert found.delay_s == pytest.approx(delay, abs=1e-3 * STEP_S)
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_is_that_of_the_errors(
     record: Callable[..., Recording], thesis_box: MotorWhiteBox
 ) -> None:

@@ -25,6 +25,7 @@ def trace(results: list[Result]) -> list[bytes]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('intervals', [1, 2, 5, 30])
 @pytest.mark.parametrize(
     ('excitation', 'noise'), [('R[5,15]D[0.2,2]', 0.02), ('R[1,2]D[3,3]', 0.0)]
@@ -51,6 +52,7 @@ def test_a_delay_that_was_not_declared_is_flagged_with_its_remedy(
     assert complaint.endswith(' or to estimate')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'excitation', ['R[1,2]D[3,3]', 'R[5,15]D[1,20]', 'R[5,15]D[0.001,2]', 'R[5,15]D[1,20]+v(t)']
 )
@@ -69,6 +71,7 @@ def test_nothing_is_flagged_where_there_is_no_delay(
     assert one.delays()['motor'].complaint('motor') is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'schedule',
     ['motor.resistance=1.3@20', 'motor.resistance=1.0..1.3@0..40', 'motor.inductance=0.4@20'],
@@ -83,6 +86,7 @@ def test_a_motor_that_changes_is_not_taken_for_a_delay(
         assert one.delays()['motor'].verdict is not DelayVerdict.UNDECLARED
 
 
+@pytest.mark.slow
 def test_an_asked_for_delay_is_applied_and_the_motor_identified_as_if_it_had_been_declared(
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
@@ -131,6 +135,7 @@ def test_torque_that_leads_is_found_and_said_too(
     assert one.delays()['motor'].value_s == pytest.approx(-0.03, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_constant_voltage_tells_nothing_for_ever(
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
@@ -143,6 +148,7 @@ def test_constant_voltage_tells_nothing_for_ever(
     assert one.delays()['motor'].applied_s == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('delay', [0.053, -0.031])
 def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_comes_first(
     record: Callable[..., Recording], observer: Any, feed: Any, delay: float
@@ -158,6 +164,7 @@ def test_the_delay_is_applied_at_the_same_sample_with_the_same_bytes_whatever_co
     assert all(t == traces[0] for t in traces[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rule', ['recursive', 'gradient'])
 def test_the_search_goes_on_where_nobody_waits_for_an_estimate_and_still_where_somebody_always_does(
     record: Callable[..., Recording],
@@ -233,6 +240,7 @@ def test_a_clock_that_is_set_back_begins_a_new_history_and_keeps_the_delay(
     assert one.counts('motor').restarts == 1
 
 
+@pytest.mark.slow
 def test_gaps_duplicates_and_junk_do_not_hide_the_delay(
     record: Callable[..., Recording], observer: Any
 ) -> None:
@@ -270,6 +278,7 @@ def test_a_frozen_observer_applies_nothing(
     assert one.delays()['motor'].applied_s == 0.0
 
 
+@pytest.mark.slow
 def test_the_gradient_rule_goes_on_with_what_was_paired_anew(
     record: Callable[..., Recording], observer: Any, feed: Any
 ) -> None:
@@ -279,6 +288,7 @@ def test_the_gradient_rule_goes_on_with_what_was_paired_anew(
     np.testing.assert_allclose(one.estimates()['motor'].value, [[0.5, 1.0, 10.0]], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_the_predictor_goes_on_and_is_trained_on_what_was_paired_anew(
     record: Callable[..., Recording], feed: Any
 ) -> None:

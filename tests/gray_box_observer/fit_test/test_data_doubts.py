@@ -149,6 +149,7 @@ def test_ms_for_s_is_told_where_every_sample_begins_a_new_history(k: int) -> Non
     assert _effects(plant, _scaled(samples, INTERVAL, 0.0)) == ['units_of_time']
 
 
+@pytest.mark.slow
 def test_us_for_s_is_told() -> None:
     plant, samples = _gear_motors()[0]
     assert _effects(plant, _scaled(samples, INTERVAL, 1e-3))[:1] == ['units_of_time']
@@ -205,6 +206,7 @@ def test_a_data_sheet_ends_the_doubt_about_its_unit() -> None:
     assert _effects(plant, strong, **sheet) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('resistance', [0.03, 1.0, 400.0])
 @pytest.mark.parametrize('noise', [0.0, 0.01, 0.5])
 @pytest.mark.parametrize('speed', [True, False])

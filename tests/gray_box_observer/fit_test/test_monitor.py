@@ -39,6 +39,7 @@ def _free_rotor(seed: int = 2, samples: int = SAMPLES) -> Record:
     return Record(voltage_v, current_of_free_rotor(voltage_v) + noise(samples, STD_A, seed + 50))
 
 
+@pytest.mark.slow
 def test_a_motor_that_the_white_box_explains_is_identified_and_its_fit_is_ok() -> None:
     motor = _healthy().observed().motors['motor']
     assert motor.fit.verdict is FitVerdict.OK
@@ -47,6 +48,7 @@ def test_a_motor_that_the_white_box_explains_is_identified_and_its_fit_is_ok() -
     assert motor.fit.suspects == ()
 
 
+@pytest.mark.slow
 def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> None:
     motor = _free_rotor().observed(speed_source='torque_constant').motors['motor']
     assert motor.fit.verdict is FitVerdict.MISFIT
@@ -56,6 +58,7 @@ def test_nothing_of_a_free_rotor_is_identified_and_the_rotor_is_suspected() -> N
     json.dumps(motor.fit.to_dict(), allow_nan=False)
 
 
+@pytest.mark.slow
 def test_the_remedy_for_an_offset_takes_it_off() -> None:
     record = _healthy()
     spoilt = Record(record.voltage_v, record.current_a + 0.3)
@@ -65,6 +68,7 @@ def test_the_remedy_for_an_offset_takes_it_off() -> None:
     assert offset_nm == pytest.approx(-0.3 * TORQUE_CONSTANT, rel=0.1)
 
 
+@pytest.mark.slow
 def test_coloured_noise_is_a_warning_and_the_estimate_says_how_little_it_knows() -> None:
     voltage_v = steps(SAMPLES, 3)
     record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, 0.2, 4, memory=0.9))
@@ -75,6 +79,7 @@ def test_coloured_noise_is_a_warning_and_the_estimate_says_how_little_it_knows()
     assert error < 3.0 * motor.estimate.std[0, 1]
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_leaves_no_residual_and_is_a_misfit_all_the_same() -> None:
     record = _healthy()
     milli = Record(record.voltage_v, 1000.0 * record.current_a)
@@ -83,6 +88,7 @@ def test_a_wrong_unit_leaves_no_residual_and_is_a_misfit_all_the_same() -> None:
     assert fit.suspects[0].effect == 'units_of_current'
 
 
+@pytest.mark.slow
 def test_the_fit_survives_a_checkpoint(tmp_path: Path) -> None:
     record = _free_rotor(samples=2000)
     first = Record(record.voltage_v[:1500], record.current_a[:1500]).observed(
@@ -108,6 +114,7 @@ def _feed(observer: Observer, record: Record, begin: int) -> None:
     observer.flush()
 
 
+@pytest.mark.slow
 def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
     record = _free_rotor()
     observer = record.observed(speed_source='torque_constant')
@@ -120,6 +127,7 @@ def test_a_misfit_stands_while_a_constant_voltage_tells_nothing_of_it() -> None:
     assert observer.motors['motor'].fit.verdict is FitVerdict.MISFIT
 
 
+@pytest.mark.slow
 def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
     """A constant voltage tells resistance and back-EMF together; they cannot be separated."""
     current_a = np.full(4000, 0.3)  # of 3 A at stall
@@ -132,6 +140,7 @@ def test_the_resistance_of_a_rotor_that_has_settled_is_not_believed() -> None:
     assert Verdict.IDENTIFIED not in settled.estimate.verdicts[0]
 
 
+@pytest.mark.slow
 def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estimate(
     monkeypatch,
 ) -> None:
@@ -150,6 +159,7 @@ def test_what_is_believed_follows_the_test_and_does_not_wait_for_the_next_estima
     assert motor.parameters_identified == (False, False)
 
 
+@pytest.mark.slow
 def test_readings_that_end_at_one_value_are_a_sensor_at_the_end_of_its_range() -> None:
     healthy = _healthy(7)
     clipped = Record(healthy.voltage_v, np.clip(healthy.current_a, -4.0, 4.0))
@@ -165,6 +175,7 @@ def test_readings_that_end_at_one_value_are_a_sensor_at_the_end_of_its_range() -
     }
 
 
+@pytest.mark.slow
 def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
     healthy = _healthy(5, 6000)
     random = np.random.default_rng(1)
@@ -179,6 +190,7 @@ def test_stamps_that_scatter_widen_the_inductance_by_as_much() -> None:
     assert abs(loose.value[0, 0] - 4e-3) < 3.0 * loose.std[0, 0]
 
 
+@pytest.mark.slow
 def test_l_below_a_sample_interval_is_believed_only_where_stamps_are_exact() -> None:
     """At 10 ms between samples and L/R of 2 ms, L depends on the instant of a step."""
     coarse = _healthy(samples=20000)

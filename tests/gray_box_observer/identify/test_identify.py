@@ -91,6 +91,7 @@ def test_json_on_standard_output_is_the_promised_form(identify: Run, bag: Path) 
     )
 
 
+@pytest.mark.slow
 def test_the_predictor_is_scored_unless_it_is_skipped(
     identify: Run, bag: Path, tmp_path: Path
 ) -> None:
@@ -105,6 +106,7 @@ def test_the_predictor_is_scored_unless_it_is_skipped(
     assert all(np.isfinite(value) for value in predictor.values())
 
 
+@pytest.mark.slow
 def test_a_fault_is_an_alarm_in_json_table_and_report(
     identify: Run,
     tmp_path: Path,
@@ -137,6 +139,7 @@ def test_a_fault_is_an_alarm_in_json_table_and_report(
     assert f'Alarm at {when}: torque is not what voltage' in report.read_text()
 
 
+@pytest.mark.slow
 def test_alarms_are_none_without_faults_and_null_without_predictor(
     identify: Run, bag: Path, tmp_path: Path
 ) -> None:
@@ -165,6 +168,7 @@ def early(
     return write_bag(tmp_path / 'early', sorted(mixed, key=lambda m: m[1]))
 
 
+@pytest.mark.slow
 def test_a_delay_that_was_not_declared_is_a_warning_with_its_remedy(
     identify: Run, early: Path, tmp_path: Path
 ) -> None:
@@ -194,6 +198,7 @@ def test_a_value_far_from_the_data_sheet_is_a_warning(
     assert 'from the 0.5 ohm +- 10 % given: check torque_constant' in warning
 
 
+@pytest.mark.slow
 def test_an_asked_for_delay_is_found_applied_and_reported(
     identify: Run, early: Path, tmp_path: Path
 ) -> None:
@@ -445,6 +450,7 @@ def test_a_refused_run_leaves_the_old_result_and_no_new_file(identify: Run, tmp_
 TRUTH_LINE = '<dt>truth</dt>'
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('place', ['in the bag', 'beside the bag'])
 def test_the_truth_that_lies_with_a_bag_is_drawn_into_its_report(
     identify: Run, bag: Path, tmp_path: Path, place: str

@@ -209,6 +209,7 @@ def test_a_carried_parameter_that_makes_no_sense_is_one_line(
         assert said.startswith('identify: error: ')
 
 
+@pytest.mark.slow
 def test_an_archive_takes_from_every_bag_the_constant_that_it_was_made_with(
     identify: Run, log: Path, tmp_path: Path
 ) -> None:
@@ -275,6 +276,7 @@ def test_what_looks_odd_in_a_log_is_a_warning_beside_the_result(
     assert f'identify: warning: {log}: line 102, time (t_s) falls: 0.99 s after 1 s; 1 rows' in said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'value', ['10' * 200, '1e400', 'NaN', '-Infinity', '"10"', '[1]', '{}', 'null', 'true', '-1']
 )
@@ -329,6 +331,7 @@ def embed(bag: Path, parameters: dict[str, Any]) -> None:
     path.write_text(yaml.safe_dump(metadata))
 
 
+@pytest.mark.slow
 def test_what_a_bag_carries_is_its_motors_and_their_torque_constants_and_nothing_else(
     identify: Run, log: Path, tmp_path: Path
 ) -> None:

@@ -52,6 +52,7 @@ def every_number(tree: Any) -> list[float]:
     return [tree] if isinstance(tree, (int, float)) else []
 
 
+@pytest.mark.slow
 def test_a_free_rotor_gives_valid_json_and_a_report(
     free_rotor: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,6 +78,7 @@ def test_a_free_rotor_gives_valid_json_and_a_report(
     assert 'NaN' not in page.split('id="figures">')[1].split('</script>')[0]
 
 
+@pytest.mark.slow
 def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
     free_rotor: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -97,6 +99,7 @@ def test_what_an_estimate_cannot_say_is_null_in_json_and_not_known_in_text(
     assert '+- not known H' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
     free_rotor: Path, tmp_path: Path
 ) -> None:

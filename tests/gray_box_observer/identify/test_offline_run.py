@@ -27,6 +27,7 @@ def messages(record: Callable[..., Recording], messages_of: Callable[..., Messag
     return messages_of(record('R[5,15]D[0.2,2]', 10.0))
 
 
+@pytest.mark.slow
 def test_a_bag_identifies_the_motor_it_was_recorded_of(
     tmp_path: Path,
     write_bag: Callable[..., Path],
@@ -43,6 +44,7 @@ def test_a_bag_identifies_the_motor_it_was_recorded_of(
     assert outcome.warnings == []
 
 
+@pytest.mark.slow
 def test_the_same_bag_gives_the_same_digest(
     tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
 ) -> None:
@@ -54,6 +56,7 @@ def test_the_same_bag_gives_the_same_digest(
     assert observe(shorter).digest != first
 
 
+@pytest.mark.slow
 def test_the_predictor_has_no_say_in_the_estimates(
     tmp_path: Path, write_bag: Callable[..., Path], messages: Messages
 ) -> None:
@@ -233,6 +236,7 @@ def test_one_topic_may_carry_voltage_and_torque(
     assert together.digest == observe(write_bag(tmp_path / 'apart', messages)).digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rule', ['recursive', 'gradient'])
 def test_a_motor_whose_resistance_is_known_gives_the_rest(
     tmp_path: Path,
@@ -263,6 +267,7 @@ def test_progress_counts_every_message(
     assert sum(counted) == len(messages)
 
 
+@pytest.mark.slow
 def test_two_motors_in_one_bag_are_both_identified(
     tmp_path: Path,
     write_bag: Callable[..., Path],

@@ -47,6 +47,7 @@ def bag_of(
     return make
 
 
+@pytest.mark.slow
 def test_what_was_learnt_is_judged_on_data_that_taught_nothing(
     identify: Run, bag_of: Callable[..., Path]
 ) -> None:
@@ -69,6 +70,7 @@ def test_what_was_learnt_is_judged_on_data_that_taught_nothing(
     assert judged['persistence']['rmse'] > 5.0 * judged['rmse']
 
 
+@pytest.mark.slow
 def test_the_predictor_stands_on_top_and_everything_is_in_text_and_report(
     identify: Run, bag_of: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -121,6 +123,7 @@ def test_a_bag_that_cannot_be_judged_on_is_one_line(
         assert words in _only_error(said)
 
 
+@pytest.mark.slow
 def test_a_motor_or_a_speed_that_is_missing_there_is_one_line(
     identify: Run, bag_of: Callable[..., Path]
 ) -> None:

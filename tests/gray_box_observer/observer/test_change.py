@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from gray_box_observer.identify import offline_run
 from gray_box_observer.observer.observer import Result
@@ -14,6 +15,7 @@ DRIFT = Path(__file__).resolve().parents[3] / 'bags' / 'drift'
 START_S, CHANGE_S = 1.0, 60.0
 
 
+@pytest.mark.slow
 def test_a_step_of_resistance_is_followed_within_a_second_and_moves_nothing_else() -> None:
     rows: list[tuple[float, ...]] = []
 

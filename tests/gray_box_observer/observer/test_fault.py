@@ -99,6 +99,7 @@ def test_a_fault_raises_the_alarm_within_a_tenth_of_a_second_and_nothing_does_be
     assert alarm[BREAKS + WITHIN]
 
 
+@pytest.mark.slow
 def test_a_rotor_that_gets_stuck_raises_the_alarm_where_speed_is_not_measured() -> None:
     # twenty times the friction at the same mechanical time constant; the rotor slows down within
     # some 10 ms
@@ -108,6 +109,7 @@ def test_a_rotor_that_gets_stuck_raises_the_alarm_where_speed_is_not_measured() 
     assert alarm[BREAKS + 2 * WITHIN]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('excitation', TABLE_5_1.values())
 def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     record: Callable[..., Recording], excitation: str
@@ -120,6 +122,7 @@ def test_a_sound_motor_raises_no_alarm_in_a_minute_of_any_set_of_the_thesis(
     assert not stood(results).any()
 
 
+@pytest.mark.slow
 def test_the_alarm_falls_once_the_changed_motor_is_identified_again(open_brush: Recording) -> None:
     one = observer()
     alarm = stood(feed(one, open_brush))
@@ -129,6 +132,7 @@ def test_the_alarm_falls_once_the_changed_motor_is_identified_again(open_brush: 
     assert one.estimates()['motor'].value[0, 1] > 500.0
 
 
+@pytest.mark.slow
 def test_a_frozen_observer_goes_on_watching_and_the_alarm_stands_for_it_adapts_to_nothing(
     open_brush: Recording,
 ) -> None:
@@ -140,6 +144,7 @@ def test_a_frozen_observer_goes_on_watching_and_the_alarm_stands_for_it_adapts_t
     assert alarm[100 + WITHIN :].all()
 
 
+@pytest.mark.slow
 def test_a_gap_neither_raises_the_alarm_nor_makes_a_standing_one_fall(
     open_brush: Recording,
 ) -> None:
@@ -151,6 +156,7 @@ def test_a_gap_neither_raises_the_alarm_nor_makes_a_standing_one_fall(
     assert stood(feed(one, open_brush, range(BREAKS + 20, BREAKS + 21), 2 * pause_ns))[-1]
 
 
+@pytest.mark.slow
 def test_a_saved_alarm_stands_where_it_stood(tmp_path: Path, open_brush: Recording) -> None:
     one, other = observer(), observer()
     feed(one, open_brush, range(BREAKS + 20))

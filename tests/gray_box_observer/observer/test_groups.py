@@ -75,6 +75,7 @@ def feed(
     return results
 
 
+@pytest.mark.slow
 def test_motors_in_one_message_are_what_each_would_be_alone(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
@@ -194,6 +195,7 @@ def test_a_group_is_forecast_as_it_is_predicted(
     assert compared > 150
 
 
+@pytest.mark.slow
 def test_a_group_is_saved_motor_by_motor_and_goes_on_together_or_alone(
     said: dict[str, tuple[np.ndarray, np.ndarray]], tmp_path: Any
 ) -> None:
@@ -235,6 +237,7 @@ def test_a_checkpoint_that_is_refused_leaves_every_motor_by_itself(
     assert [group.names for group in fresh.every_group][-1] == NAMES
 
 
+@pytest.mark.slow
 def test_freezing_and_new_settings_reach_a_group(
     said: dict[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:

@@ -217,6 +217,7 @@ def test_what_a_message_held_comes_back_with_what_it_has_led_to() -> None:
     assert [(r.motor, r.sample.torque_nm[0]) for r in results_of(taken)] == [('b', 0.1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('count', 'length'), [(1, 2_000_000), (50_000, 30)])
 def test_ever_new_names_do_not_fill_the_memory(count: int, length: int) -> None:
     taker, _ = message_input()

@@ -57,6 +57,7 @@ def trace(results: list[Result]) -> list[bytes]:
     return lines
 
 
+@pytest.mark.slow
 def test_it_identifies_the_motor_of_the_thesis(record: Callable[..., Recording]) -> None:
     one = observer()
     results = feed(one, record())
@@ -66,6 +67,7 @@ def test_it_identifies_the_motor_of_the_thesis(record: Callable[..., Recording])
     assert estimate.identified(0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('variant', ['physics', 'main'])
 def test_the_same_samples_give_the_same_bytes(
     record: Callable[..., Recording], variant: str
@@ -77,6 +79,7 @@ def test_the_same_samples_give_the_same_bytes(
     assert first == second
 
 
+@pytest.mark.slow
 def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
     record: Callable[..., Recording],
 ) -> None:
@@ -106,6 +109,7 @@ def test_it_does_not_matter_when_a_result_is_asked_for_what_was_left_to_be_done(
             np.testing.assert_array_equal(array, states[0][1][name], err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('variant', ['physics', 'main'])
 def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
     record: Callable[..., Recording], variant: str
@@ -134,6 +138,7 @@ def test_what_is_foreseen_is_what_is_predicted_and_nothing_but_its_time_changes(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('names', [('a',), ('a', 'b', 'c')])
 def test_whatever_befalls_the_motors_nothing_is_told_that_was_foreseen_of_something_else(
     record: Callable[..., Recording], names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
@@ -217,6 +222,7 @@ def test_where_samples_come_evenly_a_forecast_has_been_worked_out_before_its_vol
     assert late == [0, 1, 2], 'the first two intervals have to be seen'
 
 
+@pytest.mark.slow
 def test_another_seed_trains_another_network(record: Callable[..., Recording]) -> None:
     recording = record(duration_s=6.0)
     first, second = (
@@ -225,6 +231,7 @@ def test_another_seed_trains_another_network(record: Callable[..., Recording]) -
     assert first != second
 
 
+@pytest.mark.slow
 def test_forecasting_changes_nothing(record: Callable[..., Recording]) -> None:
     recording = record(duration_s=6.0)
     assert trace(feed(observer(InlineTraining), recording, ask=True)) == trace(
@@ -253,6 +260,7 @@ def test_a_forecast_is_the_prediction_that_is_scored_later(
     assert skill.samples == compared
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('torque_first', [False, True])
 @pytest.mark.parametrize('horizon_s', [0.005, 0.1, 1.0])
 def test_a_voltage_that_is_held_leads_where_the_physics_says(
@@ -356,6 +364,7 @@ def test_freezing_reaches_motors_seen_before_and_after(record: Callable[..., Rec
     assert observer(freeze=True).frozen
 
 
+@pytest.mark.slow
 def test_freezing_stops_the_training_of_the_predictor_and_thawing_lets_it_go_on(
     record: Callable[..., Recording],
 ) -> None:
@@ -419,6 +428,7 @@ def test_flush_learns_what_still_waits(record: Callable[..., Recording]) -> None
     assert one.flush() == []
 
 
+@pytest.mark.slow
 def test_a_missing_speed_in_between_does_not_silence_the_predictor_for_good() -> None:
     one = observer(InlineTraining, **{'motor.torque_constant': 0.05})
     random, said = np.random.default_rng(0), []
@@ -434,6 +444,7 @@ def test_a_missing_speed_in_between_does_not_silence_the_predictor_for_good() ->
     assert np.isfinite(said[-100:]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('signal', ['torque', 'voltage', 'either'])
 def test_a_reading_of_zero_in_one_sample_of_fifty_is_left_out_and_is_no_change_of_the_motor(
     record: Callable[..., Recording], signal: str

@@ -66,6 +66,7 @@ def test_before_any_sample_what_is_known_is_what_was_told() -> None:
     assert certain.identified(0)
 
 
+@pytest.mark.slow
 def test_told_nothing_it_starts_as_vaguely_as_ever(record: Callable[..., Recording]) -> None:
     recording = record('R[5,15]D[0.1,1]', 5.0, torque_noise_relative=0.01)
     told = feed(observer([1.5, 3.0, 1.0], [0.0, 0.0, 0.0]), recording)
@@ -73,6 +74,7 @@ def test_told_nothing_it_starts_as_vaguely_as_ever(record: Callable[..., Recordi
     assert told.estimates()['motor'].value.tobytes() == plain.estimates()['motor'].value.tobytes()
 
 
+@pytest.mark.slow
 def test_what_is_well_known_stays_until_the_data_speak_of_it(
     record: Callable[..., Recording],
 ) -> None:
@@ -88,6 +90,7 @@ def test_what_is_well_known_stays_until_the_data_speak_of_it(
     assert np.all(np.abs(estimate.value[0] - TRUTH) < 3.0 * estimate.std[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('wrong', [[1.4, 0.7, 1.3], [0.5, 2.0, 0.6], [3.0, 0.4, 0.4]])
 def test_a_wrong_data_sheet_with_honest_std_is_corrected(
     record: Callable[..., Recording], wrong: list[float]
@@ -100,6 +103,7 @@ def test_a_wrong_data_sheet_with_honest_std_is_corrected(
     assert estimate.identified(0)
 
 
+@pytest.mark.slow
 def test_a_data_sheet_that_is_too_sure_of_itself_yields_to_plain_data(
     record: Callable[..., Recording],
 ) -> None:
@@ -110,6 +114,7 @@ def test_a_data_sheet_that_is_too_sure_of_itself_yields_to_plain_data(
     assert np.all(np.abs(estimate.value[0] / TRUTH - 1.0) < 0.03)
 
 
+@pytest.mark.slow
 def test_what_was_found_far_from_the_data_sheet_is_told(record: Callable[..., Recording]) -> None:
     recording, told = record('R[5,15]D[0.1,1]', 20.0, torque_noise_relative=0.01), [0.2, 0.1, 0.0]
 
@@ -142,6 +147,7 @@ def test_only_what_is_identified_contradicts_only_what_was_given(
     assert contradiction(motor, unsure) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('noise', [0.0, 0.01])
 @pytest.mark.parametrize('start', [0, 3, 50])
 def test_a_data_sheet_that_cannot_be_true_is_dropped(
@@ -163,6 +169,7 @@ def test_a_data_sheet_that_cannot_be_true_is_dropped(
     )
 
 
+@pytest.mark.slow
 def test_it_is_dropped_for_its_motor_alone(record: Callable[..., Recording]) -> None:
     recording = record('R[5,15]D[1,20]', 12.0, torque_noise_relative=0.01)
     initial = np.array([TRUTH * [1.0, 2.0, 1.0], TRUTH, TRUTH * [1.0, 2.0, 1.0]])
@@ -187,6 +194,7 @@ def test_it_is_dropped_for_its_motor_alone(record: Callable[..., Recording]) -> 
         np.testing.assert_array_equal(together[motor], learnt(slice(motor, motor + 1))[0])
 
 
+@pytest.mark.slow
 def test_with_little_data_the_error_is_what_the_covariance_says(
     record: Callable[..., Recording],
 ) -> None:

@@ -38,6 +38,7 @@ def rules(samples_between: float) -> AlarmSettings:
     return AlarmSettings(false_a_day=86400.0 / (INTERVAL_S * samples_between))
 
 
+@pytest.mark.slow
 def test_false_alarms_come_as_often_as_stated() -> None:
     alarm, motors, between = ResidualAlarm(400, rules(2000.0)), 400, 2000.0
     watch(alarm, noise(4000, motors, 0))

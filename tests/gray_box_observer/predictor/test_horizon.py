@@ -67,6 +67,7 @@ def go_on(one: Predictor, voltage_v: np.ndarray, motors: int, first: bool = Fals
     return prediction
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('motors', [1, 2])
 @pytest.mark.parametrize('steps', [1, 2, 17, ASKED, 2 * ASKED, 9 * ASKED])
 def test_a_forecast_says_what_streaming_will_say_if_the_voltage_is_held(

@@ -20,6 +20,7 @@ def test_the_shipped_network_fits_the_default_rules_and_is_small() -> None:
     assert SHIPPED.stat().st_size < 10_000
 
 
+@pytest.mark.slow
 def test_the_shipped_network_knows_motors_that_never_taught_it() -> None:
     trained, untrained = held_out_errors(load(SHIPPED), 12345), held_out_errors(fresh(12, 0), 12345)
     assert trained.mean() < 0.0015
@@ -59,6 +60,7 @@ def test_what_is_no_network_is_refused_in_one_line(tmp_path: Path) -> None:
         save(Weights.initial(INPUTS, 4, 1), tmp_path / 'no' / 'such' / 'folder', '')
 
 
+@pytest.mark.slow
 def test_pretraining_makes_the_same_better_network_every_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,6 +81,7 @@ def test_what_has_nothing_to_do_with_the_signals_is_not_learnt(kind: str) -> Non
     np.testing.assert_array_equal(part.weight, 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('seed', range(6))
 def test_noise_that_hangs_together_bends_nothing_and_reaches_no_further(seed: int) -> None:
     seen, _ = run(seed)

@@ -48,6 +48,7 @@ def error(said: np.ndarray, true_nm: np.ndarray, skip: int = 100) -> float:
     return float(np.abs(said - true_nm)[skip:].mean() / true_nm.std())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('excitation', TABLE_5_1.values())
 def test_a_free_run_from_voltages_alone_is_right_within_a_hundredth_on_every_set_of_the_thesis(
     thesis_box: MotorWhiteBox,
@@ -410,6 +411,7 @@ def test_what_was_learnt_beside_the_physics_begins_anew_where_the_parameters_mov
     assert 1000 <= after <= 1400  # nothing of the motor that it was
 
 
+@pytest.mark.slow
 def test_many_motors_are_predicted_alike_on_a_device(
     monkeypatch: pytest.MonkeyPatch,
     box: MotorWhiteBox,

@@ -55,11 +55,13 @@ def friction(torque_nm: np.ndarray) -> np.ndarray:
     return -0.1 * size * np.tanh(torque_nm / size - 3.0)
 
 
+@pytest.mark.slow
 def test_perfect_physics_is_left_alone(physics: Weights, measured: Callable[..., History]) -> None:
     for noise in (0.0, 0.01):
         assert ResidualTrainer(0).learn(physics, [measured(noise=noise)]) == {}
 
 
+@pytest.mark.slow
 def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     physics: Weights, measured: Callable[..., History]
 ) -> None:
@@ -70,6 +72,7 @@ def test_an_effect_that_the_white_box_lacks_is_learnt_and_borne_out(
     assert 0.0 < learnt.limit_a < 0.5 * np.abs(data.current_a).max()
 
 
+@pytest.mark.slow
 def test_what_held_out_samples_do_not_bear_out_is_not_used(
     physics: Weights, measured: Callable[..., History]
 ) -> None:
@@ -138,6 +141,7 @@ def piece(history: History, first: int, end: int, cut: bool = False) -> History:
     return History(sequences, current_a[:, span], history.number[span], cut)
 
 
+@pytest.mark.slow
 def test_short_histories_teach_together_what_none_of_them_could_alone(
     physics: Weights, measured: Callable[..., History]
 ) -> None:
@@ -184,6 +188,7 @@ def test_arrays_give_the_same_correction_back() -> None:
     assert ResidualModel.from_arrays({}) is None
 
 
+@pytest.mark.slow
 def test_it_is_taught_on_the_device_that_it_was_given_and_so_is_what_is_restored(
     physics: Weights, measured: Callable[..., History], taught_on: list[str]
 ) -> None:

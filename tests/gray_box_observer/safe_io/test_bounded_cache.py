@@ -43,6 +43,7 @@ def flood(count: int, kind: str):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('kind', 'count'), [('names', 80), ('frames', 100)])
 def test_ever_other_names_and_frames_fill_no_memory(kind, count):
     configuration = Configuration.from_flat({'predictor': False})

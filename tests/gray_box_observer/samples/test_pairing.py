@@ -587,6 +587,7 @@ def test_a_clock_that_is_set_back_ends_what_can_be_paired_anew() -> None:
     assert pairing.restarts == 1
 
 
+@pytest.mark.slow
 def test_of_every_motor_of_a_group_what_came_is_used_or_refused_or_waits() -> None:
     """Whatever a message lacks or becomes: no motor is charged for what was not its own."""
     random, motors = np.random.default_rng(7), 4

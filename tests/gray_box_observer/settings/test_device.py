@@ -125,6 +125,7 @@ FAILED = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'place',
     ['making', 'predicting', 'following', 'white box', 'training'],
@@ -252,6 +253,7 @@ def test_a_network_is_where_it_was_put_and_leaves_as_plain_arrays() -> None:
         np.testing.assert_allclose(array, weights.arrays()[name], rtol=1e-7, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_group_is_observed_alike_by_torch_and_without(
     monkeypatch: pytest.MonkeyPatch, torch_name: str
 ) -> None:

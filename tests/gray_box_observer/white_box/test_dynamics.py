@@ -25,6 +25,7 @@ def test_the_rate_is_the_voltage_balance_of_the_thesis(thesis_box: MotorWhiteBox
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('mode', ['thesis', 'rotor'])
 def test_the_integrated_equation_balances_on_the_true_trajectory(
     record: Callable[..., Recording], mode: str

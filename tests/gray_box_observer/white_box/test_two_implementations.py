@@ -47,6 +47,7 @@ def test_white_box_and_plant_agree_in_thesis_mode(
     assert error.max() < 2e-5 * np.abs(recording.torque_nm).max()  # what ode3 leaves at 10 ms steps
 
 
+@pytest.mark.slow
 def test_white_box_and_plant_agree_in_rotor_mode_with_measured_speed() -> None:
     plant = PlantParameters(
         inductance=2e-3, resistance=0.8, hysteresis=0.01, torque_constant=0.05,

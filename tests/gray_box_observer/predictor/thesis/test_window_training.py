@@ -54,6 +54,7 @@ def samples(
     return samples_of(record('R[5,15]D[0.2,2]', 8.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('variant', THESIS)
 def test_the_loss_of_every_variant_falls(
     variant: Variant,
@@ -226,6 +227,7 @@ def run(one: Predictor, samples: list[Sample]) -> list[float]:
     return said
 
 
+@pytest.mark.slow
 def test_predicting_changes_nothing(thesis_box: MotorWhiteBox, samples: list[Sample]) -> None:
     asked, silent = predictor(thesis_box), predictor(thesis_box)
     expected, said = run(silent, samples[:300]), []
@@ -271,6 +273,7 @@ def test_the_rollout_of_the_white_box_is_the_truth_when_the_parameters_are(
     )
 
 
+@pytest.mark.slow
 def test_a_saved_network_goes_on_forecasting(
     thesis_box: MotorWhiteBox, samples: list[Sample]
 ) -> None:

@@ -212,6 +212,7 @@ def relative_error(one: Predictor, samples: list[Sample]) -> float:
     return float(own / white_box)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('segments', [4, 0])
 def test_after_long_in_one_regime_the_correction_still_knows_another(
     thesis_box: MotorWhiteBox, idle: Any, brushes: Callable[..., list[Sample]], segments: int

@@ -54,6 +54,7 @@ def samples(
     return samples_of(record('R[5,15]D[0.2,2]', 8.0))
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize('variant', [Variant.MAIN, Variant.PHYSICS])
 def test_a_process_of_its_own_trains_the_same_weights(
@@ -88,6 +89,7 @@ def test_a_process_of_its_own_trains_the_same_weights(
         process.close()
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_process_that_dies_says_why_and_does_not_block(thesis_box: MotorWhiteBox) -> None:
     process = ProcessTraining({**configuration(thesis_box, SMALL), 'white_box': {'nonsense': 1}})
@@ -117,6 +119,7 @@ def test_a_process_that_is_closed_ends_and_leaves_no_zombie(thesis_box: MotorWhi
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_training_rests_until_its_share_of_a_core_is_kept(
     thesis_box: MotorWhiteBox, samples: list[Sample]
