@@ -189,7 +189,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
         {name for n in silent for name in now.message_input.signals[n].unknown_names}
     )
     remedy = (
-        f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors'
+        f'; names there: {printable(", ".join(strangers[:5]))}; see the parameters motors and joint'
         if strangers
         else ''
     )
