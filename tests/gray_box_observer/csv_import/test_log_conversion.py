@@ -6,6 +6,7 @@ import math
 import os
 import re
 
+import numpy as np
 import pytest
 
 from gray_box_observer.bag.joint_state import decode_joint_state
@@ -454,3 +455,21 @@ def test_a_position_gives_the_speed_and_functions_do_what_they_say(tmp_path):
     assert [volts for _, _, volts in voltage] == [2.0, 3.0, 4.0]
     assert [e for _, _, e, _ in torque] == [1.0, -1.0], 'a rate of change needs two rows'
     assert [w for *_, w in torque] == pytest.approx([50.0, -50.0])
+
+
+def test_the_steps_of_an_encoder_are_told_as_the_noise_of_its_speed(tmp_path):
+    """Counted in 64ths of a turn, up to 40 rad/s at 100 Hz are up to five counts a row."""
+    angles = np.cumsum(0.2 * (1.0 + np.sin(np.arange(400) * 0.05)))
+    step = 2 * np.pi / 64
+    counted = np.floor(angles / step) * step
+    rows = [
+        f'{k * 0.01:.2f},1,1,{fine:.9f},{coarse:.9f}'
+        for k, (fine, coarse) in enumerate(zip(angles, counted, strict=True))
+    ]
+    text = 't,u,m,fine,coarse\n' + '\n'.join(rows) + '\n'
+    options = ('time=t', 'voltage=u', 'torque=m')
+    (warning,) = warnings(tmp_path, text, *options, 'speed=diff(coarse)')
+    assert 'steps of 0.0982: its noise is about 4 rad/s' in warning
+    smooth = tmp_path / 'smooth'
+    smooth.mkdir()
+    assert warnings(smooth, text, *options, 'speed=diff(fine)') == []

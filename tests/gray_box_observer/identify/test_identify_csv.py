@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -467,3 +469,20 @@ def test_a_speed_from_a_position_is_measured(identify: Run, tmp_path: Path) -> N
     assert motor['speed_source'] == 'measured'
     assert (motor['samples'], motor['rejected']['non_finite']) == (399, 0)
     assert 'decimal comma' in said
+
+
+def test_a_run_that_is_terminated_leaves_no_folder_and_no_parent_of_it(
+    identify: Run, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def terminate(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        raise AssertionError('it went on')
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr('gray_box_observer.identify.offline_run.run', terminate)
+    with pytest.raises(SystemExit) as ended:
+        identify(tmp_path / 'runs' / 'today' / 'bag', '--from-csv', log, *columns())
+    assert ended.value.code == 143
+    assert not (tmp_path / 'runs').exists()
+    assert tmp_path.exists()
+    assert signal.getsignal(signal.SIGTERM) == before

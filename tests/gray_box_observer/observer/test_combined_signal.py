@@ -242,3 +242,18 @@ def test_speed_beside_a_named_effort_is_that_of_the_same_joint() -> None:
     observer.ingest = lambda *told: speeds.append(told[4]) or inner(*told)  # type: ignore[method-assign]
     taker.ingest('torque', states, 0)
     assert speeds == [(8.0,)]
+
+
+def test_motors_with_joints_of_other_names_are_computed_together() -> None:
+    names = [f'm{k}' for k in range(4)]
+    given: dict[str, Any] = {'motors': names, 'group_from': 4, 'm0.joint': 'm1', 'm1.joint': 'm0'}
+    taker, observer = listening(given | {f'm{k}.joint': f'wheel{k}' for k in (2, 3)})
+    joints = ('arm', 'm2', 'm0', 'm1', 'wheel2', 'wheel3', 'm3')
+    for k in range(40):
+        values = [9.0, 9.0, 5.0 + k % 3, 6.0 + k % 3, 7.0 + k % 3, 8.0 + k % 3, 9.0]
+        taker.ingest('voltage', duty(1000 + 10 * k, *values, names=joints), 0)
+        taker.ingest('torque', duty(1000 + 10 * k, *values, names=joints), 0)
+    assert len({id(observer.group_of(name)) for name in names}) == 1
+    assert [observer.counts(name).used for name in names] == [40] * 4
+    _, _, told = observer.told[-1]
+    assert [told[name] for name in names] == [6.0, 5.0, 7.0, 8.0]

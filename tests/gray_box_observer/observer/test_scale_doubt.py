@@ -122,3 +122,26 @@ def test_of_a_measured_current_kt_says_nothing_about_resistance(wheel: Recording
         wheel, torque__quantity='current', motor__torque_constant_relative_std=0.1, **WHEEL
     )
     assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+def test_motors_that_are_computed_together_are_doubted_one_by_one(record: Any) -> None:
+    """The doubt is the second motor's alone; both are what each is by itself, as far as it goes."""
+    recording = record('R[5,15]D[0.2,2]', 10.0, motors=('a', 'b'))
+    given = {'motors': ['a', 'b'], 'group_from': 2}
+    estimates = []
+    for doubt in ({}, {'b.torque_constant_relative_std': 0.1, 'voltage.gain_relative_std': 0.0}):
+        observer = Observer(Configuration.from_flat({**given, **doubt}))
+        for k in range(recording.stamp_ns.size):
+            stamp_ns = 10**9 + int(recording.stamp_ns[k])
+            observer.ingest('voltage', ('a', 'b'), stamp_ns, recording.voltage_v[:, k])
+            observer.ingest('torque', ('a', 'b'), stamp_ns, recording.torque_nm[:, k])
+        assert len({id(observer.group_of(name)) for name in 'ab'}) == 1
+        estimates.append({name: observer.motors[name].estimate for name in 'ab'})
+        estimates[-1] |= {f'{name} known': observer.parameters_identified(name) for name in 'ab'}
+    plain, doubted = estimates
+    np.testing.assert_array_equal(doubted['a'].covariance, plain['a'].covariance)
+    assert doubted['a known'] == plain['a known'] == (True, True, True)
+    added = doubted['b'].covariance[0] - plain['b'].covariance[0]
+    moved = 0.1 * plain['b'].value[0]
+    np.testing.assert_allclose(added, np.outer(moved, moved), rtol=1e-3)
+    assert doubted['b known'] == (False, False, False)

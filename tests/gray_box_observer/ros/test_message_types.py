@@ -47,3 +47,30 @@ def test_a_field_that_is_not_there_or_holds_no_numbers_is_told(
     kind: str, path: str, complaint: str
 ):
     assert complaint in missing_field(message_class(kind), FieldPath(path).steps)
+
+
+@pytest.mark.parametrize(
+    ('path', 'complaint'),
+    [
+        ('effort[wheel]', ''),
+        ('header[wheel]', 'is no array'),
+        ('data[wheel]', 'has no field'),
+    ],
+)
+def test_an_entry_with_a_name_is_found_in_the_type(path, complaint):
+    found = missing_field(message_class('sensor_msgs/msg/JointState'), FieldPath(path).steps)
+    assert (complaint in found) and bool(found) == bool(complaint)
+
+
+def test_an_array_without_names_beside_it_has_no_entries_by_name():
+    found = missing_field(
+        message_class('std_msgs/msg/Float64MultiArray'), FieldPath('data[a]').steps
+    )
+    assert 'has no names beside it' in found
+
+
+def test_every_entry_of_an_array_with_names_is_found_in_the_type():
+    """A trajectory has names beside its points, as dynamic joint states have beside theirs."""
+    kind = message_class('trajectory_msgs/msg/JointTrajectory')
+    assert missing_field(kind, FieldPath('points.effort[wheel]').steps) == ''
+    assert "has no field 'efort'" in missing_field(kind, FieldPath('points.efort').steps)

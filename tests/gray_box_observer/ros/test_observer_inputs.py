@@ -147,6 +147,30 @@ def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record)
     assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
 
 
+def test_a_battery_that_falls_silent_is_named(rig):
+    rig.start(
+        voltage__expression='duty * battery',
+        duty__topic='duty',
+        duty__type='sensor_msgs/msg/JointState',
+        duty__field='effort',
+        battery__topic='battery_state',
+        battery__stale_s=0.2,
+    )
+    battery = rig.peer.publisher(Float64, 'battery_state', RELIABLE, readers=1)
+    duty = rig.peer.publisher(JointState, 'duty', RELIABLE, readers=1)
+    torque = rig.peer.publisher(JointState, 'motor/torque', RELIABLE, readers=1)
+    battery.publish(Float64(data=12.0))
+    assert battery.wait_for_all_acked(Duration(seconds=20))
+    start_ns = rig.peer.node.get_clock().now().nanoseconds + 10_000_000_000
+    for k in range(CHUNK):
+        stamp_ns = start_ns + k * 10_000_000
+        duty.publish(stamped(JointState(name=['motor'], effort=[0.5]), stamp_ns))
+        torque.publish(rig.state('motor', stamp_ns, 0.01))
+    rig.wait_for_level(DiagnosticStatus.WARN, 'battery_state is')
+    assert 's old: an input of the expression is silent' in rig.status().message
+    assert 'stale_input' in rig.values()['rejected']
+
+
 def test_an_expression_that_cannot_be_used_ends_the_start_in_one_line(rig):
     rig.start(
         voltage__expression='duty * batery', duty__topic='duty', battery__topic='battery_state'

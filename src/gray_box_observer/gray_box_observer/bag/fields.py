@@ -88,13 +88,13 @@ class FieldPath:
         ConfigurationError: The text is no such path.
     """
 
-    __slots__ = ('_get', '_steps', 'has_names', 'text')
+    __slots__ = ('_get', '_steps', 'may_have_entries', 'text')
 
     def __init__(self, text: str) -> None:
         self.text = text
         self._steps = steps_of(text)
-        self.has_names = any(isinstance(step, ByName) for step in self._steps)
         is_plain = all(isinstance(step, str) for step in self._steps)
+        self.may_have_entries = not is_plain
         self._get: Callable[[Any], Any] = attrgetter(text) if is_plain else self._walk
 
     @property

@@ -81,6 +81,18 @@ class Expression:
             result = self._formula(values, differentiate)
         return np.broadcast_to(np.asarray(result, dtype=np.float64), rows)
 
+    def positions(self, table: Table) -> list[NDArray[np.float64]]:
+        """Return whatever a rate of change is taken of, shape of each: (row,)."""
+        positions: list[NDArray[np.float64]] = []
+
+        def keep(_number: int, value: Value) -> Value:
+            positions.append(np.asarray(value, dtype=np.float64))
+            return np.zeros_like(positions[-1])
+
+        if self._formula is not None:
+            self._formula({name: table[number] for name, number in self._places.items()}, keep)
+        return positions
+
     def _number_of(self, name: Name) -> int:
         if isinstance(name, int):
             return self._checked(name)

@@ -21,6 +21,7 @@ from gray_box_observer.csv_import.log_doubts import (
     finite_doubt,
     interval_doubt,
     order_doubt,
+    step_doubt,
     unit_doubts,
 )
 from gray_box_observer.csv_import.log_table import TableShape, look_at, read_columns
@@ -162,6 +163,10 @@ def csv_to_bag(
             doubts += finite_doubt(
                 f'{signal} of {motor.name}', values[rows_told], columns.lines[rows_told]
             )
+        for position in expressions.positions(motor.name, table):
+            if motor.speed_rad_s is not None:
+                rates = motor.speed_rad_s[kept_rows]
+                doubts += step_doubt(motor.name, position[kept_rows], rates, interval_s)
     messages = _write(folder, options, mapping, motors, kept_rows, stamps_ns, passes)
     return CsvSummary(
         rows=row_count,
@@ -201,6 +206,13 @@ class _Expressions:
     def has_rates(self) -> bool:
         """Whether a rate of change stands in any of them."""
         return any(expression.needs_time for expression in self._all)
+
+    def positions(
+        self, name: str, table: dict[int, NDArray[np.float64]]
+    ) -> list[NDArray[np.float64]]:
+        """Return the positions whose rate is the speed of a motor."""
+        speed = self._motors[name][2]
+        return [] if speed is None else speed.positions(table)
 
     def signals(
         self, name: str, table: dict[int, NDArray[np.float64]], time_s: NDArray[np.float64]

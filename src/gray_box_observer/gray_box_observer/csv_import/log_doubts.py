@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 from gray_box_observer.csv_import.column_mapping import CsvMapping
 from gray_box_observer.errors import brief
 from gray_box_observer.expressions.unit_factors import OTHER_UNITS, SI
+from gray_box_observer.samples.noise_floor import quantisation_step
 
 SHORTEST_INTERVAL_S, LONGEST_INTERVAL_S = 2e-5, 0.1
 """Samples of a motor are seldom closer (50 kHz) or further apart (10 Hz): its current settles
 within L/R, which is between a tenth of a millisecond and some tenths of a second."""
 
 _FACTORS = {'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'divided by 1000 already': 1e3}
+
+NOTABLE_NOISE = 0.02
+"""Share of the speed from which on the noise of its steps is told."""
+
+DIGITS = 6
+"""Of the moves of a position, relative to the largest: a log rounds what it writes."""
 
 _SIGNALS = ('voltage', 'current', 'torque', 'speed')
 
@@ -102,6 +109,33 @@ def time_in(expression: str, unit: str) -> str:
 def quoted(name: str) -> str:
     """Return a column's name as it stands in an expression."""
     return name if re.fullmatch(r'[^\W\d]\w*', name) else f"'{name}'"
+
+
+def step_doubt(
+    name: str, position: NDArray[np.float64], speed: NDArray[np.float64], interval_s: float
+) -> Iterator[str]:
+    """Say how noisy a speed is because its position moves in steps.
+
+    Rounding to a step ``d`` has a standard deviation of ``d / sqrt(12)``, the difference of two
+    ``d / sqrt(6)``.
+
+    Args:
+        name: of the motor.
+        position: whose rate the speed is.  shape: (row,)
+        speed: in rad/s.  shape: (row,)
+        interval_s: from row to row.
+    """
+    moves = np.diff(position[np.isfinite(position)])
+    largest = float(np.max(np.abs(moves), initial=0.0))
+    if not largest > 0.0:
+        return
+    step = largest * float(quantisation_step(np.round(moves / largest, DIGITS)[None])[0])
+    noise = step / (np.sqrt(6.0) * interval_s)
+    if noise > NOTABLE_NOISE * float(np.sqrt(np.nanmean(speed**2))):
+        yield (
+            f'speed of {name} is the rate of a position with steps of {step:.3g}: its noise is '
+            f'about {noise:.2g} rad/s; a longer interval or a finer encoder makes it less'
+        )
 
 
 def finite_doubt(name: str, values: NDArray[np.float64], lines: NDArray[np.int64]) -> Iterator[str]:

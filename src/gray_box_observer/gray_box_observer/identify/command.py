@@ -7,7 +7,7 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -20,6 +20,7 @@ from gray_box_observer.errors import GrayBoxError, brief
 from gray_box_observer.identify import offline_run
 from gray_box_observer.identify.archive import archive_options
 from gray_box_observer.identify.archive.archive_options import between
+from gray_box_observer.identify.ending import ended_by_exception
 from gray_box_observer.identify.options import configure, read_limits, read_mapping
 from gray_box_observer.identify.output_files import refuse_unwritable, write_json
 from gray_box_observer.identify.result import assumptions_of, describe, warnings_of
@@ -182,17 +183,22 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
         raise GrayBoxError('--from-csv: every log needs a BAG of its own')
     mapping = read_mapping(options.columns)
     configuration = configure(parameter_values, mapping.parameters(), '--columns')
+    new_parents = [p for bag in options.bags for p in bag.absolute().parents if not p.exists()]
     made: list[Path] = []
     try:
-        for log, bag in zip(options.from_csv, options.bags, strict=True):
-            summary = _convert(log, bag, mapping)
-            made.append(bag)
-            _refuse_gaps(log, summary, configuration)
-            mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
-        return _identify(options, configuration)
+        with ended_by_exception():
+            for log, bag in zip(options.from_csv, options.bags, strict=True):
+                summary = _convert(log, bag, mapping)
+                made.append(bag)
+                _refuse_gaps(log, summary, configuration)
+                mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
+            return _identify(options, configuration)
     except BaseException:  # the next try must not find the folders in its way
         for bag in made:
             shutil.rmtree(bag, ignore_errors=True)
+        for parent in new_parents:  # deepest first
+            with suppress(OSError):
+                parent.rmdir()
         raise
 
 

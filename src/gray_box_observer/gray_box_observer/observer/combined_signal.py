@@ -91,7 +91,9 @@ class CombinedSignal:
             ConfigurationError: the message has no such field.
         """
         content = {
-            own: one.read(message) for own, one in self._inputs.items() if one.topic == topic
+            own: Reading(*one.read(message))
+            for own, one in self._inputs.items()
+            if one.topic == topic
         }
         return [self._evaluated(one) for one in self._alignment.add(topic, stamp_ns, content)]
 

@@ -69,6 +69,14 @@ class MessageInput:
         self.complaints: dict[str, str] = {}
         self.received: Counter[str] = Counter()
         self.others: Counter[str] = Counter()
+        self._plain_signals = {
+            name: signal for name, signal in self.signals.items() if isinstance(signal, Signal)
+        }
+        self._combined_signals = {
+            name: signal
+            for name, signal in self.signals.items()
+            if isinstance(signal, CombinedSignal)
+        }
         torque, speed = self.signals['torque'], self.signals['speed']
         self._brings_speed = isinstance(torque, Signal) and not configuration.has_own_speed
         self._speed_scale = speed.scale if isinstance(speed, Signal) else 1.0
@@ -89,9 +97,9 @@ class MessageInput:
         Raises:
             ConfigurationError: the message does not have the configured field.
         """
-        signal = self.signals[name]
-        if isinstance(signal, CombinedSignal):
-            return self._ingest_combined(signal, topic, message, arrival_ns)
+        signal = self._plain_signals.get(name)
+        if signal is None:
+            return self._ingest_combined(name, topic, message, arrival_ns)
         self.received[name] += 1
         try:
             stamp_ns = stamp_of(message, arrival_ns)
@@ -112,32 +120,28 @@ class MessageInput:
 
     def restart_clock(self) -> None:
         """Begin new signal histories: what comes next is another recording."""
-        for signal in self.signals.values():
-            if isinstance(signal, CombinedSignal):
-                signal.restart_clock()
+        for signal in self._combined_signals.values():
+            signal.restart_clock()
         self._observer.restart_clock()
 
     def flush(self) -> list[GroupResult]:
         """Take what still waits for an input (end of a bag); return what it has led to."""
         groups: list[GroupResult] = []
-        for name, signal in self.signals.items():
-            if isinstance(signal, CombinedSignal):
-                groups += self._ingest_all(name, signal.flush()).groups
+        for name, signal in self._combined_signals.items():
+            groups += self._ingest_all(name, signal.flush()).groups
         return groups
 
-    def _ingest_combined(
-        self, signal: CombinedSignal, topic: str, message: Any, arrival_ns: int
-    ) -> InputResult:
+    def _ingest_combined(self, name: str, topic: str, message: Any, arrival_ns: int) -> InputResult:
         """Take one message of an input; nothing comes of it but with the others."""
         stamp_ns = 0
         try:
             stamp_ns = stamp_of(message, arrival_ns)
-            stamped = signal.ingest(topic, message, stamp_ns)
+            stamped = self._combined_signals[name].ingest(topic, message, stamp_ns)
         except _UNREADABLE as error:
-            self.received[signal.name] += 1
-            self._complain(signal.name, Rejection.MALFORMED, error)
+            self.received[name] += 1
+            self._complain(name, Rejection.MALFORMED, error)
             return InputResult(stamp_ns, (), [])
-        return self._ingest_all(signal.name, stamped)
+        return self._ingest_all(name, stamped)
 
     def _ingest_all(self, name: str, stamped: Sequence[Stamped]) -> InputResult:
         """Give values of an expression to the observer, and count those that there are none of."""

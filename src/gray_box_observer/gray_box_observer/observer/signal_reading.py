@@ -42,6 +42,10 @@ NOBODY = ''
 """Stands where a name is that of a motor which has a joint of another name."""
 
 
+ReadValues = tuple[tuple[str, ...], Sequence[float] | Array, bool]
+"""What a :class:`Reading` holds, as the plain tuple that is quicker to make."""
+
+
 class Reading(NamedTuple):
     """What one message says.
 
@@ -97,7 +101,7 @@ class Signal:
         self.unknown_names: Counter[str] = Counter()
         self._readable = False
 
-    def read(self, message: Any) -> Reading:
+    def read(self, message: Any) -> ReadValues:
         """Return the motor names, a value in SI units for each, and whether any is configured.
 
         Raises:
@@ -118,7 +122,7 @@ class Signal:
         if isinstance(value, (int, float)):
             self._readable = True
             return self._single(self.scale * value + self.offset)
-        if isinstance(value, Entries):
+        if self._path.may_have_entries and isinstance(value, Entries):
             names, value = value
         if names is None:
             if len(value) == 1:
@@ -144,7 +148,7 @@ class Signal:
                 self.unknown_names[name] += 1
         if self._torque_constants:
             values = self._as_torque(name_check.names, values)
-        return Reading(name_check.names, values, name_check.has_our_motor)
+        return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:
         """Return where the velocity of the same entry stands; None where all entries are read."""
@@ -154,12 +158,12 @@ class Signal:
             return FieldPath(f'velocity[{entry}]')
         return None
 
-    def _single(self, value: float) -> Reading:
+    def _single(self, value: float) -> ReadValues:
         """Return a value that comes without a name."""
         names = self._only_motor()
         if self._torque_constants:
             value *= self._torque_constants[names[0]]
-        return Reading(names, (value,), True)
+        return names, (value,), True
 
     def _as_torque(
         self, names: tuple[str, ...], values: Sequence[float] | Array

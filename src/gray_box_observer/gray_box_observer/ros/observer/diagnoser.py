@@ -127,7 +127,8 @@ class Diagnoser:
                 self._node.get_logger().warning(
                     f'{message_input.signals[name].topic} speaks of '
                     f'{printable(", ".join(strangers[:5]))} and not of '
-                    f'{", ".join(silent)}: give the parameter motors the names in the messages'
+                    f'{", ".join(silent)}: give the parameter motors the names in the messages, '
+                    'or each motor its joint'
                 )
 
 

@@ -189,7 +189,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
         {name for n in silent for name in now.message_input.signals[n].unknown_names}
     )
     remedy = (
-        f'; names there: {printable(", ".join(strangers[:5]))}; see the parameter motors'
+        f'; names there: {printable(", ".join(strangers[:5]))}; see the parameters motors and joint'
         if strangers
         else ''
     )
@@ -239,12 +239,16 @@ def _judge_refusals(motor: str, now: Situation) -> Judgement | None:
     count = traffic.rejected.total()
     if count <= REFUSED * (traffic.used + count):
         return None
-    reason = traffic.rejected.most_common(1)[0][0]
+    reason, most = traffic.rejected.most_common(1)[0]
+    if (
+        2 * traffic.rejected[Rejection.STALE_INPUT] >= most
+    ):  # torque without voltage follows from it
+        reason = Rejection.STALE_INPUT
     period = f'{max(1.0, now.traffic.period_s):.0f} s'
-    return (
-        DiagnosticStatus.WARN,
-        f'{count} messages refused in {period}: see rejected ({REJECTIONS[reason]})',
-    )
+    cause = REJECTIONS[reason]
+    if reason is Rejection.STALE_INPUT:  # which of them, and how old it is
+        cause = f'{printable("; ".join(now.message_input.complaints.values()))}: {cause}'
+    return DiagnosticStatus.WARN, f'{count} messages refused in {period}: see rejected ({cause})'
 
 
 def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
