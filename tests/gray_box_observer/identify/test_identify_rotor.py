@@ -121,4 +121,18 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
         assert parameter['value'] == pytest.approx(truth, rel=0.02), name
     for name, parameter in found['parameters'].items():
         assert abs(parameter['value'] - getattr(GEAR_MOTOR, name)) < 4.0 * parameter['std'], name
-    assert 'the speed a hidden state' in report.read_text(encoding='utf-8')
+    page = report.read_text(encoding='utf-8')
+    assert 'the speed a hidden state' in page
+    assert 'What follows from the parameters' in page
+    assert found['speed_source_reason'] == 'as configured'
+    assert 'Speed from rotor: as configured.' in page
+    constants = {
+        'electrical_time_constant': 2.67e-3 / 4.0,
+        'mechanical_time_constant': 4.0 * 2e-3 / (0.3**2 + 4.0 * 2e-3),
+        'kV': 0.3 + 4.0 * 2e-3 / 0.3,
+        'kA': 4.0 * 2e-3 / 0.3,
+    }
+    for name, truth in constants.items():
+        derived = found['derived'][name]
+        assert derived['value'] == pytest.approx(truth, rel=0.03), name
+        assert 0.0 < derived['std'] < 0.05 * truth, name

@@ -36,8 +36,12 @@ FEWEST = 256
 LONGEST_WAIT = 65536
 """Samples between two trials at last."""
 
-NEWEST = 4096
+NEWEST = 2048
 """Samples that a trial rests on, at most."""
+
+LOOKS = (512, 1024)
+"""Newest samples of them that are tried first: what explains not even these is given up at a
+fraction of the cost."""
 
 FEWEST_MOVES = 3
 """Moves of the voltage from which a rotor can be told."""
@@ -147,9 +151,14 @@ class SpeedChoice:
     ) -> MotorForm | None:
         """Fit the other form; return it where it explains the data clearly better."""
         assert self._make is not None
-        other = self._make(OTHER[self.source])
-        estimate = other.learn_remembered(content, stamp_ns)
-        fit = other.fit.assessment(0)
+        total = content.shape[2]
+        for count in [*(look for look in LOOKS if look < total), total]:
+            other = self._make(OTHER[self.source])
+            estimate = other.learn_remembered(content[:, :, -count:], stamp_ns)
+            fit = other.fit.assessment(0)
+            if fit.verdict is FitVerdict.MISFIT:
+                self._refusal = self._why_not(fit, estimate)
+                return None
         left_a = other.residual(content)
         before_a = residual_a(white_box, nodes, content)
         gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
