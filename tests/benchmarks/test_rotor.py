@@ -9,6 +9,7 @@ import pytest
 import rotor
 from common.rotor.records import NODES, draw
 from common.rotor.runs import run_trial
+from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor
 
 
@@ -48,3 +49,40 @@ def test_a_robot_without_speed_has_a_rotor() -> None:
     made = rotor.without_speed(case)
     assert made.columns == ('time=$1', 'left.voltage=$5')
     assert made.parameters['right.speed_source'] == 'rotor'
+
+
+@pytest.mark.parametrize(
+    ('sensor', 'share'),
+    [
+        (SpeedSensor('noise', noise=0.02), 0.02),
+        (SpeedSensor('encoder', counts=500), None),
+        (SpeedSensor('late', late=2), None),
+    ],
+)
+def test_a_speed_is_read_as_its_sensor_reads_it(sensor: SpeedSensor, share: float | None) -> None:
+    record = draw_with_speed(sensor, 3, 1000.0, 2.0)
+    off = record.read_rad_s - record.speed_rad_s
+    if share is not None:
+        assert np.std(off) == pytest.approx(share * np.std(record.speed_rad_s), rel=0.1)
+    if sensor.counts:
+        counts = record.read_rad_s * sensor.counts * 1e-3 / (2.0 * np.pi)
+        np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    if sensor.late:
+        assert np.array_equal(record.read_rad_s[2:], record.speed_rad_s[:-2])
+
+
+def test_a_second_output_only_lowers_the_bound_and_noise_raises_it() -> None:
+    alone = draw(gear_motor, 3, 1000.0, 2.0).bound()[:2]
+    quiet, loud = (
+        draw_with_speed(SpeedSensor('noise', noise=noise), 3, 1000.0, 2.0).bound()
+        for noise in (0.005, 0.05)
+    )
+    assert (quiet < loud).all()
+    assert (loud < 1.001 * alone).all()
+
+
+def test_a_trial_with_a_late_speed_ends_near_the_truth() -> None:
+    trial = run_trial(draw_with_speed(SpeedSensor('late', late=2), 3, 1000.0, 2.0))
+    assert np.abs(trial.z).max() < 4.5
+    assert trial.identified.all()
+    assert trial.fit != 'misfit'

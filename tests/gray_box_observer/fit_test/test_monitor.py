@@ -249,7 +249,7 @@ def test_a_motor_whose_test_was_put_off_is_tested_at_the_same_sample_after_a_res
     tmp_path: Path,
 ) -> None:
     """A held voltage puts a test off; a checkpoint keeps until when."""
-    observer = _free_rotor(samples=SAMPLES).observed()
+    observer = _free_rotor(samples=SAMPLES).observed(speed_source='torque_constant')
     held = Record(np.full(5000, 4.0), np.full(5000, 0.5) + noise(5000, STD_A, 9))
     for _ in _feed_on(observer, held):
         pass

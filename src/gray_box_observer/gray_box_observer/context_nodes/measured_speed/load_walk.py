@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gray_box_observer.context_nodes.recursive.normal_equations import shortest_solution
 from gray_box_observer.context_nodes.rotor.history_unknowns import LOADS
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -11,6 +12,9 @@ from gray_box_observer.context_nodes.rotor.window_fit import Fit
 
 OPEN = 1e6
 """Standard deviation of first states that are as good as unknown, in A and rad/s."""
+
+LEAST = 1e-12
+"""Variance in a second of a load that stands still, in (rad/s2)^2/s."""
 
 
 def walk_of_load(fit: Fit, window: Window) -> float:
@@ -30,8 +34,9 @@ def walk_of_load(fit: Fit, window: Window) -> float:
     for history, start, slope in zip(window.histories, fit.starts, fit.runs.by_start, strict=True):
         prior = output.precision(np.full(STATES, OPEN), history.interval_s)
         scaled = slope / fit.noise_a
-        covariance = np.linalg.inv(scaled.T @ scaled + prior)[LOADS, LOADS]
+        precision = scaled.T @ scaled + prior
+        covariance = shortest_solution(precision, np.eye(precision.shape[0]))[LOADS, LOADS]
         moved += float(((steps @ start[LOADS]) ** 2).sum())
         moved += float(np.trace(steps @ covariance @ steps.T))
         time_s += float(history.interval_s.sum())
-    return max(moved / max(time_s, 1e-9), 1e-12)
+    return max(moved / max(time_s, 1e-9), LEAST) if np.isfinite(moved) else LEAST

@@ -68,6 +68,10 @@ RAREST = 32768
 """Samples, at most, after which the lag is asked for though the residual is white: first with the
 first samples, then each time they have doubled."""
 
+FULL = 1024
+"""Samples that tell for good that the whole motor does not explain them: then it is not asked for
+twice as many, and for twice as many again each time, up to RAREST."""
+
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
 
@@ -124,7 +128,7 @@ class MeasuredSpeedUpdate:
         self._is_noisy = False
         self._failures = 0
         self._evidence = 0.0
-        self._ask_at = 0
+        self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
         self._changed = np.zeros(1, dtype=bool)
 
@@ -243,6 +247,9 @@ class MeasuredSpeedUpdate:
         if fit is None or not fit.explains:
             self._failures += 1
             self._is_noisy &= self._failures < MOST_FAILURES
+            if samples.shape[1] >= FULL:
+                place = int(self._outputs.replay.received[0])
+                self._rest_until = place + min(FULL << min(self._failures, 8), RAREST)
             return False
         self._failures = 0
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
@@ -259,10 +266,12 @@ class MeasuredSpeedUpdate:
 
     def _is_worth_asking(self, samples: Array) -> bool:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
+        place = int(self._outputs.replay.received[0])
+        if place < self._rest_until:
+            return False
         residual = exact_residual(self._white_box, self._exact.theta[0], samples)
         if not whiteness(residual) < COLOURED:
             return True
-        place = int(self._outputs.replay.received[0])
         if place < self._ask_at:
             return False
         self._ask_at = place + min(place, RAREST)
@@ -303,6 +312,7 @@ class MeasuredSpeedUpdate:
             'failures': self._failures,
             'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
             'ask_at': self._ask_at - received,
+            'rest_until': self._rest_until - received,
             'noisy_from': self._noisy_from - received,
             'place': int(self._samples.received[0]) - received,
             'outputs': outputs,
@@ -334,6 +344,7 @@ class MeasuredSpeedUpdate:
         self._failures = whole(own, 'failures', 0, MOST)
         self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
         self._ask_at = received + whole(own, 'ask_at', -MOST, RAREST)
+        self._rest_until = received + whole(own, 'rest_until', -MOST, RAREST)
         self._noisy_from = max(received + whole(own, 'noisy_from', -MOST, 0), 0)
         self._is_noisy = flag(own, 'noisy')
         if not self._is_noisy:

@@ -137,6 +137,21 @@ def is_sound(covariance: Array) -> NDArray[np.bool_]:
     return sound
 
 
+def shortest_solution(matrix: Array, right: Array) -> Array:
+    """Solve normal equations of one motor, also where they are singular; NaN where not finite.
+
+    Args:
+        matrix: shape (unknown, unknown), symmetric.
+        right: shape (unknown,) or (unknown, column).
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return np.full(right.shape, np.nan)
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-12)[0], dtype=float)
+
+
 def definite(covariance: Array, unit: Array) -> Array:
     """Covariances made positive definite: good ones unchanged, rounding mended minimally.
 

@@ -241,7 +241,7 @@ class RotorUpdate:
             self._due = place + STILL
             return False
         window = self._window(samples)
-        fit = self._searched(window) if window.spread_a > 0.0 else None
+        fit = self._solvable(window) if window.spread_a > 0.0 else None
         if fit is None:
             self._counts['windows without fit'] += 1
             self._schedule(place, count)
@@ -267,6 +267,13 @@ class RotorUpdate:
             self._mark = place
         self._schedule(place, count)
         return True
+
+    def _solvable(self, window: Window) -> Fit | None:
+        """Fit a window; None too where samples are so absurd that nothing can be solved."""
+        try:
+            return self._searched(window)
+        except np.linalg.LinAlgError:
+            return None
 
     def _window(self, samples: Array) -> Window:
         """Cut samples, shape (signal, n), into signal histories."""

@@ -13,7 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD, OUTLIER
+from gray_box_observer.context_nodes.recursive.normal_equations import (
+    MAD_TO_STD,
+    OUTLIER,
+    shortest_solution,
+)
 from gray_box_observer.context_nodes.rotor.window import (
     FreeRuns,
     Window,
@@ -83,7 +87,7 @@ class LogPrior:
         """Return what both together say."""
         precision = self.precision + other.precision
         right = self.precision @ self.mean + other.precision @ other.mean
-        return LogPrior(np.asarray(np.linalg.solve(precision, right), dtype=float), precision)
+        return LogPrior(shortest_solution(precision, right), precision)
 
     def chi_square(self, mean: Array) -> float:
         """How far a value is off."""
@@ -362,8 +366,7 @@ class _Search:
         size = np.maximum(np.diagonal(precision), 1e-12)
         for attempt in range(MOST_ATTEMPTS):
             own = 0.1**attempt if attempt < FREE_ATTEMPTS else 0.0
-            step: Array = np.asarray(np.linalg.solve(precision + damping * np.diag(size), right))
-            step = step.astype(float)
+            step = shortest_solution(precision + damping * np.diag(size), right)
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
@@ -458,8 +461,8 @@ class _Equations:
             inner = turned @ by_start + start_precision[row]
             across = turned @ by_parameter[own]
             pull = turned @ runs.residual_a[own] + start_precision[row] @ start_pull[row]
-            gain[row] = np.linalg.solve(inner, across)
-            level[row] = np.linalg.solve(inner, pull)
+            gain[row] = shortest_solution(inner, across)
+            level[row] = shortest_solution(inner, pull)
             information = information - across.T @ gain[row]
             right = right - across.T @ level[row]
         return cls(information, right, gain, level)
