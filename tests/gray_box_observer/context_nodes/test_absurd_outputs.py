@@ -28,7 +28,11 @@ def test_a_speed_that_no_rotor_can_have_ends_nothing(speed_name: str) -> None:
         observer.voltage('motor', k * PERIOD_NS, 5.0 + k % 7)
         observer.torque('motor', k * PERIOD_NS, 0.02 * (1.5 + k % 5), SPEEDS[speed_name](k))
     assert observer.incidents == {}
-    assert observer.motors['motor'].estimate.is_finite
+    assert all(estimate.is_finite for estimate in observer.estimates().values())
+    counts = observer.counts('motor')
+    refused = counts.refused['torque'].total()
+    assert counts.used + counts.waiting + refused == 600
+    assert (refused == 600) == (speed_name == 'huge'), 'only what cannot be is refused'
 
 
 def test_singular_equations_have_their_shortest_solution_and_broken_ones_none() -> None:

@@ -236,7 +236,8 @@ class FitMonitor:
         theta = estimate.value
         stretch = SampleWindow.newest(white_box, replay, count, one)
         drifting = nodes.is_drifting(motor)
-        analysis = analyse(white_box, to_coordinates(theta), stretch, drifting)
+        with np.errstate(all='ignore'):  # absurd samples; what is not finite is a misfit
+            analysis = analyse(white_box, to_coordinates(theta), stretch, drifting)
         judgement = judge(
             analysis,
             estimate.std[0] / theta[0],
