@@ -40,7 +40,7 @@ from gray_box_observer.safe_io.saved_state import (
     number,
     whole,
 )
-from gray_box_observer.samples.replay_buffer import ReplayBuffer, check_signals
+from gray_box_observer.samples.replay_buffer import SPEED, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import TERMS
 from gray_box_observer.white_box.interface import Array
@@ -74,6 +74,9 @@ twice as many, and for twice as many again each time, up to RAREST."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
+
+STILL = 1e-6
+"""Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
 _PREFIX = 'outputs.'
 _SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
@@ -247,9 +250,9 @@ class MeasuredSpeedUpdate:
         if fit is None or not fit.explains:
             self._failures += 1
             self._is_noisy &= self._failures < MOST_FAILURES
-            if samples.shape[1] >= FULL:
-                place = int(self._outputs.replay.received[0])
-                self._rest_until = place + min(FULL << min(self._failures, 8), RAREST)
+            place, count = int(self._outputs.replay.received[0]), samples.shape[1]
+            rest = FULL << min(self._failures, 8) if count >= FULL else count
+            self._rest_until = place + min(rest, RAREST)
             return False
         self._failures = 0
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
@@ -267,7 +270,7 @@ class MeasuredSpeedUpdate:
     def _is_worth_asking(self, samples: Array) -> bool:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
         place = int(self._outputs.replay.received[0])
-        if place < self._rest_until:
+        if place < self._rest_until or np.ptp(samples[SPEED]) <= STILL:
             return False
         residual = exact_residual(self._white_box, self._exact.theta[0], samples)
         if not whiteness(residual) < COLOURED:

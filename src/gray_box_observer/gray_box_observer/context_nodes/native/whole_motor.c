@@ -16,12 +16,14 @@ INLINE double fastest(const Linear *here)
 /* Equal steps from a start, as many as a stiffness asks for; `here` is the rate at the start. */
 static Linear in_steps(const double *p, double torque_constant, const double *start,
                        const Linear *rate, double voltage,
-                       double length, double stiffness, double largest_step, int64_t most_steps)
+                       double length, double stiffness, double largest_step, int64_t most_steps,
+                       int64_t *taken)
 {
     const double wanted = ceil(stiffness * length / largest_step);
     const int stiff = !(wanted <= (double)most_steps);
     const int64_t count = stiff ? most_steps : wanted < 1.0 ? 1 : (int64_t)wanted;
     const double step = length / (double)count;
+    *taken += count;
     Linear here = *rate, whole = {{0}, {{0}}, {{0}}};
     for (int s = 0; s < STATES; s++) whole.value[s] = start[s], whole.by_state[s][s] = 1.0;
     for (int64_t k = 0; k < count; k++) {
@@ -48,12 +50,14 @@ INLINE int passing(const double *start, const Linear *here, const double *end, d
 /* Move one interval on, again in shorter steps where a state has passed zero. */
 static Linear interval_moved(const double *p, double torque_constant, const double *start,
                              double voltage,
-                             double length, double largest_step, int64_t most_steps)
+                             double length, double largest_step, int64_t most_steps,
+                             int64_t *taken)
 {
     const Linear here = rate_of(p, torque_constant, start, voltage);
     const double away = fastest(&here);
     const Linear moved =
-        in_steps(p, torque_constant, start, &here, voltage, length, away, largest_step, most_steps);
+        in_steps(p, torque_constant, start, &here, voltage, length, away, largest_step, most_steps,
+                 taken);
     const int passes = passing(start, &here, moved.value, length);
     if (!passes) return moved;
     double at[STATES];
@@ -62,7 +66,8 @@ static Linear interval_moved(const double *p, double torque_constant, const doub
     const double steepest = fastest(&there);
     if (!(steepest > away)) return moved;
     return in_steps(
-        p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps);
+        p, torque_constant, start, &here, voltage, length, steepest, largest_step, most_steps,
+        taken);
 }
 
 int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
@@ -71,12 +76,14 @@ int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
  * acceleration over every interval. `states` has room for [count + 1][STATES], `slopes` for
  * [count + 1][STATES][COLUMNS], derivatives by both first states and every coordinate, and
  * `transitions` for [count][STATES][STATES]. Returns how many intervals were followed before a
- * state was beyond its limit. */
+ * state was beyond its limit, or before all took more than `patience` steps together. */
 int64_t whole_motor_follow(const double *p, double torque_constant, const double *start,
                            int64_t count, const double *voltage, const double *length,
                            const double *load, const double *limits, double largest_step,
-                           int64_t most_steps, double *states, double *slopes, double *transitions)
+                           int64_t most_steps, int64_t patience, double *states, double *slopes,
+                           double *transitions)
 {
+    int64_t taken = 0;
     double loaded[COORDINATES];
     for (int j = 0; j < COORDINATES; j++) loaded[j] = p[j];
     for (int s = 0; s < STATES; s++) {
@@ -87,7 +94,8 @@ int64_t whole_motor_follow(const double *p, double torque_constant, const double
         if (load) loaded[LOAD_TORQUE] = p[LOAD_TORQUE] + load[k];
         const Linear moved =
             interval_moved(loaded, torque_constant, states + k * STATES, voltage[k], length[k],
-                           largest_step, most_steps);
+                           largest_step, most_steps, &taken);
+        if (taken > patience) return k;
         const double *before = slopes + k * STATES * COLUMNS;
         double *after = slopes + (k + 1) * STATES * COLUMNS;
         for (int s = 0; s < STATES; s++) {

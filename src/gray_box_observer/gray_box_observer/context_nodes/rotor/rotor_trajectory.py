@@ -37,6 +37,10 @@ LARGEST_STEP = 0.5
 MOST_STEPS = 256
 """Steps in an interval; where more were needed, as many exponential ones are taken."""
 
+PATIENCE, LEAST_PATIENCE = 128, 16384
+"""Steps an interval, on average, and steps in all, beyond which a run is given up: such a motor is
+too fast for its samples, and a search that tries it would hold everybody up."""
+
 
 @dataclass(frozen=True, slots=True)
 class Run:
@@ -75,7 +79,8 @@ def run(
         start: shape (state,): first current in A and speed in rad/s.
         voltage_v: shape (k,): voltage held over every interval.
         interval_s: shape (k,): how long each lasts.
-        limits: shape (state,): absolute values at which the run is given up.
+        limits: shape (state,): absolute values at which the run is given up; it is too where it
+            takes too many steps.
         load_rad_s2: shape (k,): what a load takes of the acceleration over every interval, beside
             that of the coordinates; None: nothing.
         compiled: whether compiled code is used where there is any.
@@ -109,6 +114,7 @@ def run(
         to_limits,
         LARGEST_STEP,
         MOST_STEPS,
+        max(PATIENCE * count, LEAST_PATIENCE),
         *map(native.pointer, (states, derivatives, transitions)),
     )
     return Run(states, derivatives, transitions, path == count)
@@ -160,9 +166,13 @@ def _run(
     coefficients = dict(enumerate(p.tolist()))
     with np.errstate(all='ignore'):
         signals_at = zip(*(signal.tolist() for signal in signals), strict=True)
+        patience = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE)
         for k, (volt, length, load) in enumerate(signals_at):
             coefficients[LOAD] = float(p[LOAD]) + load
-            motion = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
+            motion, taken = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
+            patience -= taken
+            if patience < 0:
+                return k
             if not all(abs(x) <= most for x, most in zip(motion.value, limits, strict=True)):
                 return k
             states[k + 1] = motion.value
@@ -174,8 +184,12 @@ def _run(
 
 def _interval_moved(
     motor: Any, coefficients: dict[int, float], start: list[float], volt: float, length: float
-) -> Linear:
-    """Move one interval on, again in shorter steps where a state has passed zero."""
+) -> tuple[Linear, int]:
+    """Move one interval on, again in shorter steps where a state has passed zero.
+
+    Returns:
+        The motion, and how many steps were taken.
+    """
 
     def rate_at(at: Any, speed_rad_s: Any) -> Linear:
         return rate(_FLOATS, motor, coefficients, at, volt, speed_rad_s)
@@ -183,22 +197,29 @@ def _interval_moved(
     here = rate_at(start, 0.0)
     away = _fastest(here)
     interval = Interval(volt, 0.0, 0.0, length)  # type: ignore[arg-type]
-    motion = _in_steps(rate_at, start, here, interval, away)
+    motion, taken = _in_steps(rate_at, start, here, interval, away)
     passes = [
         abs(x) <= length * abs(slope) or x * end <= 0.0
         for x, slope, end in zip(start, here.value, motion.value, strict=True)
     ]
     if not any(passes):
-        return motion
+        return motion, taken
     at = [0.0 if passed else x for passed, x in zip(passes, start, strict=True)]
     steepest = _fastest(rate_at(at, 0.0))
-    return _in_steps(rate_at, start, here, interval, steepest) if steepest > away else motion
+    if not steepest > away:
+        return motion, taken
+    motion, again = _in_steps(rate_at, start, here, interval, steepest)
+    return motion, taken + again
 
 
 def _in_steps(
     rate_at: Any, start: list[float], here: Linear, interval: Interval, stiffness: float
-) -> Linear:
-    """Equal steps from a start, as many as a stiffness asks for; ``here`` is the rate there."""
+) -> tuple[Linear, int]:
+    """Equal steps from a start, as many as a stiffness asks for; ``here`` is the rate there.
+
+    Returns:
+        The motion, and how many steps were taken.
+    """
     length: Any = interval.length_s
     share = stiffness * length / LARGEST_STEP
     step_count = math.ceil(share) if math.isfinite(share) else MOST_STEPS + 1
@@ -210,7 +231,7 @@ def _in_steps(
     whole = step(rate_at, start, here, part)
     for _ in range(count - 1):
         whole = joined(whole, step(rate_at, whole.value, rate_at(whole.value, 0.0), part))
-    return whole  # type: ignore[no-any-return]
+    return whole, count
 
 
 def _fastest(here: Linear) -> float:
