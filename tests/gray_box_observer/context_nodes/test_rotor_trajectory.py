@@ -53,7 +53,7 @@ def test_what_was_compiled_of_another_motor_is_not_used(monkeypatch: pytest.Monk
 def test_compiled_code_and_python_give_the_same(interval_s: float) -> None:
     if whole_motor.library() is None:
         pytest.skip('no compiled code')
-    volts = steps(160, hold=20)
+    volts = steps(160, hold=20)[: 30 if interval_s > 0.1 else 160]  # more, and it is given up
     fast = free_run(THETA, volts, interval_s)
     slow = free_run(THETA, volts, interval_s, compiled=False)
     assert fast.is_bounded
@@ -62,6 +62,13 @@ def test_compiled_code_and_python_give_the_same(interval_s: float) -> None:
     np.testing.assert_allclose(fast.transitions, slow.transitions, rtol=1e-11, atol=1e-12)
     scale = np.abs(slow.slopes).max(axis=0)
     assert (np.abs(fast.slopes - slow.slopes).max(axis=0) <= 1e-11 * scale).all()
+
+
+@pytest.mark.parametrize('compiled', [True, False])
+def test_a_run_that_takes_too_many_steps_is_given_up(compiled: bool) -> None:
+    volts = steps(160, hold=20)
+    assert free_run(THETA, volts, 1e-2, compiled=compiled).is_bounded
+    assert not free_run(THETA, volts, 0.3, compiled=compiled).is_bounded
 
 
 @pytest.mark.parametrize('node', range(len(NODES)))
