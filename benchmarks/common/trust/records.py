@@ -17,6 +17,9 @@ from common.trust.plant import Motor, Plant
 SUBSTEPS = 10
 NODES = ('inductance', 'resistance', 'hysteresis')
 NODES_WITH_SPEED = ('inductance', 'resistance', 'back_emf_constant')
+
+ROTOR = ('inertia', 'viscous_friction', 'coulomb_friction')
+"""What else the observer may tell of a rotor that it has found by itself."""
 GEAR_START = {'inductance': 0.01, 'resistance': 5.0}
 """What somebody who knows motors of this size would begin with."""
 
@@ -200,7 +203,8 @@ def _closed_loop(
 
 
 def _truth(motor: Motor) -> dict[str, float]:
-    return {name: float(getattr(motor, name)) for name in {*NODES, *NODES_WITH_SPEED, 'brush_drop'}}
+    names = {*NODES, *NODES_WITH_SPEED, *ROTOR, 'brush_drop'}
+    return {name: float(getattr(motor, name)) for name in names}
 
 
 def _parameters(scenario: Scenario, motor: Motor) -> dict[str, object]:
