@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
-from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.context_nodes.update_rule import check_parameters
+from gray_box_observer.errors import CheckpointError
 from gray_box_observer.safe_io.saved_state import (
     LATEST_NS,
     MOST,
@@ -196,11 +196,7 @@ class GradientUpdate:
             ConfigurationError: it was learnt of other parameters.
             CheckpointError: it is no state that could have been learnt.
         """
-        names = [p.name for p in self._white_box.parameters]
-        if plain['parameters'] != names:
-            raise ConfigurationError(
-                f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
-            )
+        check_parameters(plain, self._white_box.parameters)
         self._check(plain, arrays)
         self._random.bit_generator.state = plain['random']
         self._new, self._stamp_ns = int(plain['new']), int(plain['stamp_ns'])

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
-from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.interface import Array, Parameter
 
 
 class ContextUpdate(Protocol):
@@ -56,3 +59,20 @@ class ContextUpdate(Protocol):
 
     def freeze(self, frozen: bool) -> None:
         """Stop or resume learning; what was learnt stays."""
+
+
+def check_parameters(plain: Mapping[str, Any], parameters: Sequence[Parameter]) -> None:
+    """Refuse a saved state of other parameters than those of a rule.
+
+    Args:
+        plain: the state, with the ``parameters`` that it was learnt of.
+        parameters: those of the rule.
+
+    Raises:
+        ConfigurationError: they are others.
+    """
+    names = [parameter.name for parameter in parameters]
+    if plain['parameters'] != names:
+        raise ConfigurationError(
+            f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
+        )

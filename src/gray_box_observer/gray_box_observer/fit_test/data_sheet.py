@@ -53,9 +53,9 @@ def contradiction(
         both = math.hypot(spread, float(estimate.std[0, j]) / value)
         away = abs(math.log(value / initial)) / both
         if away > FAR:
-            given = f'{parameter.name} of {value:.3g} {parameter.unit} is '
-            given += _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
-            findings.append(given)
+            finding = f'{parameter.name} of {value:.3g} {parameter.unit} is '
+            finding += _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
+            findings.append(finding)
             if parameter.name in SCALED_BY_CURRENT:
                 hint = hint or _quantity_hint(motor, quantity, math.log(value / initial), both)
     if not findings:

@@ -184,17 +184,17 @@ def _identify_log(options: argparse.Namespace, parameter_values: dict[str, Any])
     mapping = read_mapping(options.columns)
     configuration = configure(parameter_values, mapping.parameters(), '--columns')
     new_parents = [p for bag in options.bags for p in bag.absolute().parents if not p.exists()]
-    made: list[Path] = []
+    new_bags: list[Path] = []
     try:
         with ended_by_exception():
             for log, bag in zip(options.from_csv, options.bags, strict=True):
                 summary = _convert(log, bag, mapping)
-                made.append(bag)
+                new_bags.append(bag)
                 _refuse_gaps(log, summary, configuration)
                 mapping = mapping.after(summary.duration_s + 2.0 * configuration['gap_s'])
             return _identify(options, configuration)
     except BaseException:  # the next try must not find the folders in its way
-        for bag in made:
+        for bag in new_bags:
             shutil.rmtree(bag, ignore_errors=True)
         for parent in new_parents:  # deepest first
             with suppress(OSError):

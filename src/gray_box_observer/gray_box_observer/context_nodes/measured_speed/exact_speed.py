@@ -44,8 +44,8 @@ def exact_residual(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Ar
             maps = linearise(white_box, coordinates, stretch, np.clip(about, -limit, limit))
             path = follow(maps, stretch, start, np.zeros_like(stretch.state))
             by_start = path.by_start[0]
-            left = stretch.state[0] - path.state[0]
-            shift = float(by_start @ left) / float(by_start @ by_start)
+            remainder = stretch.state[0] - path.state[0]
+            shift = float(by_start @ remainder) / float(by_start @ by_start)
             start = start + shift
             about = path.state + shift * by_start
     residual: Array = stretch.state[0] - about[0]

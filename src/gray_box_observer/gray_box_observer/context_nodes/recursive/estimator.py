@@ -49,8 +49,7 @@ from gray_box_observer.context_nodes.recursive.sample_windows import MotorSelect
 from gray_box_observer.context_nodes.recursive.saved_estimator import check, restored, saved_arrays
 from gray_box_observer.context_nodes.recursive.schedule import UpdateSchedule
 from gray_box_observer.context_nodes.recursive.trajectory import COORDINATES
-from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.context_nodes.update_rule import check_parameters
 from gray_box_observer.samples.replay_buffer import ReplayBuffer
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.flow import parameter_covariance, to_coordinates, to_parameters
@@ -289,13 +288,10 @@ class RecursiveEstimator:
             ConfigurationError: it was learnt of other parameters.
             CheckpointError: it is no state that could have been learnt.
         """
-        names = [p.name for p in self._white_box.parameters]
+        parameters = self._white_box.parameters
         selection = motor if isinstance(motor, slice) else slice(motor, motor + 1)
-        if plain['parameters'] != names:
-            raise ConfigurationError(
-                f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
-            )
-        check(plain, arrays, len(names))
+        check_parameters(plain, parameters)
+        check(plain, arrays, len(parameters))
         content, begin, new = arrays['replay'], plain['begin'], plain['new']
         if new > min(content.shape[2], self.replay.capacity // 2):  # from a larger memory
             new = 0

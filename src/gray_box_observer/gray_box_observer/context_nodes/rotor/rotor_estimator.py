@@ -28,8 +28,8 @@ from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import Fit, LogPrior, fit_window
+from gray_box_observer.context_nodes.update_rule import check_parameters
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
     LATEST_NS,
     MOST,
@@ -389,11 +389,7 @@ class RotorUpdate:
             ConfigurationError: it was learnt of other parameters.
             CheckpointError: it is no state that could have been learnt.
         """
-        names = [p.name for p in self._white_box.parameters]
-        if plain['parameters'] != names:
-            raise ConfigurationError(
-                f'the checkpoint holds {printable(plain["parameters"], 200)}, expected {names}'
-            )
+        check_parameters(plain, self._white_box.parameters)
         self._check(plain, arrays)
         self.replay.refill(arrays['replay'], dropped_count=plain['gone'], begin=plain['begin'])
         self._place = received_count = int(self.replay.received[0])

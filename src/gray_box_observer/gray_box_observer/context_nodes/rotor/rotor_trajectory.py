@@ -91,9 +91,9 @@ def run(
     transitions = np.empty((count, STATES, STATES))
     library = native.library() if compiled else None
     if library is None:
-        held = np.zeros(count) if load_rad_s2 is None else load_rad_s2
+        loads = np.zeros(count) if load_rad_s2 is None else load_rad_s2
         path = _run(
-            torque_constant, p, start, (voltage_v, interval_s, held), limits,
+            torque_constant, p, start, (voltage_v, interval_s, loads), limits,
             (states, derivatives, transitions),
         )  # fmt: skip
         return Run(states, derivatives, transitions, path == count)
