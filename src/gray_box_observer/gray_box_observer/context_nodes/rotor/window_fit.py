@@ -276,7 +276,9 @@ class _Search:
     def _run(self, logarithms: Array, starts: Array) -> FreeRuns | None:
         with np.errstate(all='ignore'):
             runs = free_runs(self.white_box, np.exp(logarithms), self.window, starts)
-        return runs if runs.is_bounded and np.isfinite(runs.by_parameter).all() else None
+            is_usable = runs.is_bounded and np.isfinite(runs.by_logarithm).all()
+            is_usable = is_usable and all(np.isfinite(one.slopes[-1]).all() for one in runs.runs)
+        return runs if is_usable else None
 
     def _scale(self, residual: Array) -> float:
         """Noise of the current by its residuals, in whose unit those of the speed are."""
