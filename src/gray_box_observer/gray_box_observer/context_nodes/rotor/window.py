@@ -130,6 +130,11 @@ class Window:
         return float(quantisation_step(self.current_a[None])[0]) * STEP_TO_STD
 
     @cached_property
+    def interval_s(self) -> float:
+        """Median of all intervals."""
+        return float(np.median(np.concatenate([h.interval_s for h in self.histories])))
+
+    @cached_property
     def currents(self) -> Any:
         """Which of a window's residuals are those of currents: an index of them."""
         if self.speed_output is None:
@@ -190,6 +195,11 @@ class FreeRuns:
     starts: Array
     by_logarithm: Array
     is_bounded: bool
+
+    @property
+    def work(self) -> int:
+        """Steps of the integration."""
+        return sum(path.steps for path in self.runs)
 
     @cached_property
     def _loads(self) -> tuple[Array | None, ...]:
@@ -309,9 +319,7 @@ def _by_start(
     return np.concatenate([current_by_unknown(path, knots), speed])
 
 
-def _by_coordinate(
-    history: History, path: Run, start: Array, output: SpeedOutput | None
-) -> Array:
+def _by_coordinate(history: History, path: Run, start: Array, output: SpeedOutput | None) -> Array:
     """Derivatives of a history's readings by the coordinates, shape (reading, coordinate)."""
     current = path.slopes[:, State.CURRENT, STATES:]
     if output is None or history.speed_rad_s is None:
