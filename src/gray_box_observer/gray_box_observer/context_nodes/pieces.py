@@ -1,8 +1,8 @@
 """Work in pieces: what a fit costs is spread over the samples that follow, by their number.
 
-A piece says how much work it was, in steps of an integration: about a third of a microsecond
-each, with what comes along. A :class:`WorkBudget` grants every sample its share, never by a clock,
-so that every door leads to the same results at the same sample.
+A piece says how much work it was, in units of about a third of a microsecond. A
+:class:`WorkBudget` grants every sample its share, never by a clock, so that every door leads to the
+same results at the same sample.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ Result = TypeVar('Result')
 Pieces = Generator[int, None, Result]
 """A piece of work at each ``next``, which gives its size; the result at the end."""
 
-SHARE = 256
+SHARE = 192
 """Work that every sample grants."""
 
-SAVED = 65536
+SAVED = 262144
 """Work that samples at which nothing was to be done have saved up, at most."""
 
 MOST_PIECES = 100_000

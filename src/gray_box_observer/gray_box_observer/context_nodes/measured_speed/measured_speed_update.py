@@ -70,7 +70,8 @@ first samples, then each time they have doubled."""
 
 FULL = 1024
 """Samples that tell for good that the whole motor does not explain them: then it is not asked for
-twice as many, and for twice as many again each time, up to RAREST."""
+twice as many, and for twice as many again each time, up to RAREST. Nor is it asked for as long as
+the search has taken, after the next failure for twice as long, and so on."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
@@ -257,9 +258,10 @@ class MeasuredSpeedUpdate:
         if fit is None or not fit.explains:
             self._failures += 1
             self._is_noisy &= self._failures < MOST_FAILURES
-            count = samples.shape[1]
+            count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
-            self._rest_until = place + min(rest, RAREST)
+            rest = max(rest, self._failures * (now - place))
+            self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)

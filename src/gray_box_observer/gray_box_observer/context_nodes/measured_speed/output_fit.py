@@ -191,17 +191,55 @@ def fit_outputs(
     return loaded if loaded is not None and loaded.explains else steady
 
 
+@dataclass(frozen=True, slots=True)
+class FitBefore:
+    """What a fit of the window before has left.
+
+    Attributes:
+        theta: shape (parameter,).
+        walk: variance that the load gains in a second; 0 where it is constant.
+        unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
+        has_rivals: whether other ends were as likely.
+    """
+
+    theta: Array
+    walk: float
+    unit_a_s: float
+    has_rivals: bool
+
+
+def fit_outputs_again(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, before: FitBefore
+) -> Pieces[OutputFit | None]:
+    """Fit a further window from where the one before has ended, and from nowhere else.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: samples with speed.
+        prior: decides what the samples leave open.
+        before: what is known of the motor.
+    """
+    floor = _floor(window)
+    if before.walk > 0.0:
+        loaded = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
+        if loaded is not None and loaded.explains:
+            return loaded
+    return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
+
+
 def _settled(
     white_box: MotorWhiteBox,
     window: Window,
     prior: LogPrior,
     starts: Sequence[Array],
     floor: OutputNoise,
+    known: FitBefore | None = None,
 ) -> Pieces[OutputFit | None]:
     """Fit with a constant load until the noise of either output agrees with its residual."""
     result = None
-    output = SpeedOutput(floor.unit_a_s)
-    tries_others = True
+    is_known = known is not None and known.unit_a_s > 0.0
+    output = SpeedOutput(known.unit_a_s if known is not None and is_known else floor.unit_a_s)
+    tries_others = known is None or known.has_rivals
     for _ in range(ROUNDS):
         window = replace(window, speed_output=output)
         fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
@@ -213,7 +251,7 @@ def _settled(
             return result
         ratio = result.noise.unit_a_s / output.unit_a_s
         settled = 1.0 / AGREES < ratio < AGREES
-        if settled and before is not None and _is_near(before.fit, fit):
+        if settled and (is_known or (before is not None and _is_near(before.fit, fit))):
             break
         if settled:
             ratio = 1.0

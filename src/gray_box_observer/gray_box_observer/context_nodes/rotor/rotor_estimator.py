@@ -88,6 +88,9 @@ SEARCHED = 1024
 POOR = 1.5
 """Noise of a fit, over that of second differences, from which another start is looked for."""
 
+HOPELESS = 4.5
+"""The same from which the motor is called a misfit, and more samples are not asked."""
+
 HELD = 0.01
 """Range of the voltage, as a share of its largest value, in which it is held: a rotor that has
 settled tells its level alone, which says nothing of any parameter."""
@@ -158,6 +161,7 @@ class RotorUpdate:
         self._due = FIRST_FIT
         self._wait = AGAIN
         self._is_settled = False
+        self._has_rivals = True  # other ends that explain the samples as well
         self._counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
         self._stamp_ns = 0
         self._frozen = False
@@ -316,6 +320,7 @@ class RotorUpdate:
             self._covariance += SHARP**2 * np.eye(prior.size)
             self._share, self._reach = np.zeros_like(prior), np.zeros_like(prior)
         self._noise_a = fit.noise_a
+        self._has_rivals = bool(fit.spread.any())
         if self._is_settled and count >= WINDOW:
             self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
             self._mark = place
@@ -338,6 +343,16 @@ class RotorUpdate:
     ) -> Pieces[Fit | None]:
         """Search from some starts for what explains a window."""
         return fit_window(self._white_box, window, prior, starts)
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        """Search from where the motor stands, and elsewhere where that was not the only end."""
+        return fit_window(
+            self._white_box,
+            window,
+            self._prior(),
+            [self.theta[0]],
+            tries_others=self._has_rivals,
+        )
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.
@@ -374,7 +389,7 @@ class RotorUpdate:
         """Fit a window from where the motor stands, or from anywhere where that does not fit."""
         fit = None
         if self._is_settled:
-            fit = yield from self._fitted(window, self._prior(), [self.theta[0]])
+            fit = yield from self._fitted_again(window)
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
                 return fit
         other = yield from self._searched_anywhere(window)
@@ -390,13 +405,19 @@ class RotorUpdate:
         newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
         starts = [self.theta[0], *weak_starts(self._white_box, newest)]
         fit = yield from self._fitted(newest, self._data_sheet, starts)
-        if fit is None or newest is window:
+        if fit is None or newest is window or self._is_hopeless(fit):
             return fit
         return (yield from self._fitted(window, self._data_sheet, [fit.theta]))
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
         return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
+
+    def _is_hopeless(self, fit: Fit) -> bool:
+        """Tell whether the newest samples alone are so badly explained that more are no help."""
+        return fit.noise_a > HOPELESS * max(
+            difference_noise(fit.runs.residual_a), fit.least_noise_a
+        )
 
     def _contradicts(self, fit: Fit) -> bool:
         """Tell whether a window says other than what was known before it."""
@@ -423,6 +444,7 @@ class RotorUpdate:
             'begin': int(self.replay.begin()[0]),
             'settled': self._is_settled,
             'resumes': self._resumes,
+            'rivals': self._has_rivals,
             'remembers': self._memory is not None,
             'credit': self._budget.credit,
         }
@@ -468,6 +490,7 @@ class RotorUpdate:
         self._memory = None
         if plain['remembers']:
             self._memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
+        self._has_rivals = plain.get('rivals', True)
         self._budget = WorkBudget.restored(plain)
         self._fitting = None
         if 'fitting' in plain:
@@ -510,6 +533,8 @@ class RotorUpdate:
         whole(plain, 'begin', 0, dropped_count + arrays['replay'].shape[2])
         for name in ('settled', 'resumes', 'remembers'):
             flag(plain, name)
+        if 'rivals' in plain:  # not in files of releases that did not remember it
+            flag(plain, 'rivals')
 
 
 def _inverse(matrix: Array) -> Array:

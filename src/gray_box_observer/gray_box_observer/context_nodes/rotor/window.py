@@ -40,6 +40,10 @@ LEAST_REACH_V = 1.0
 """Back-EMF that a rotor may have beside that, whatever the voltage: it may have turned before."""
 
 
+WORK_A_RUN, STEPS_A_WORK = 1000, 4
+"""Work of a run, however few its samples are, and steps of the integration that are one piece of
+work; a reading is another one."""
+
 MOVE = 0.1
 """Share of its range by which a voltage has moved."""
 
@@ -198,8 +202,10 @@ class FreeRuns:
 
     @property
     def work(self) -> int:
-        """Steps of the integration."""
-        return sum(path.steps for path in self.runs)
+        """Work of the runs and of what is made of them, see :mod:`pieces`."""
+        outputs = 1 if self.window.speed_output is None else len(State)
+        readings = outputs * sum(int(path.states.shape[0]) for path in self.runs)
+        return WORK_A_RUN + readings + sum(path.steps for path in self.runs) // STEPS_A_WORK
 
     @cached_property
     def _loads(self) -> tuple[Array | None, ...]:
