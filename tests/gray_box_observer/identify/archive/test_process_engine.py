@@ -63,6 +63,7 @@ def doors(kind: str) -> set[tuple[int, object]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize('engine', ['processes', 'dask'])
 def test_processes_give_the_table_of_a_serial_run_and_leave_nothing_behind(
@@ -92,6 +93,7 @@ def test_nobody_can_connect_to_a_run_for_no_process_of_it_opens_an_address(
     assert during <= before
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, params: Path) -> None:
     bag_work = BagWork(read_parameter_file(params))
@@ -123,6 +125,7 @@ def test_workers_leave_an_interruption_to_the_command(work: ModuleType) -> None:
     assert len(set(digests)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_bag_that_kills_every_worker_has_a_row_and_takes_no_other_with_it(
     work: ModuleType,
