@@ -22,7 +22,8 @@ from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts
+from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
+from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
     RATIO_MISFIT,
@@ -32,6 +33,7 @@ from gray_box_observer.fit_test.policy import (
     judge,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import (
@@ -134,12 +136,17 @@ class FitMonitor:
     Args:
         motors: their configurations, in the order of the motor axis.
         white_boxes: physics of each.
+        quantity: what the torque signal is taken for: ``torque`` or ``current``.
     """
 
     def __init__(
-        self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]
+        self,
+        motors: Sequence[MotorConfiguration],
+        white_boxes: Sequence[MotorWhiteBox],
+        quantity: str = 'torque',
     ) -> None:
         self._motors = motors
+        self._quantity = quantity
         self._white_boxes = white_boxes
         self._results: list[_Tested | None] = [None] * len(motors)
         self._due = np.full(len(motors), FEWEST)
@@ -247,8 +254,14 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
         )
+        shift = inductance_shift(white_box, samples[:, 0], theta[0])
+        judgement = judgement.widened('inductance', white_box.context_nodes, shift)
         suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         content = replay.newest(min(replay.stored(motor), WINDOW), one)
+        is_duty = may_be_duty(content[VOLTAGE, 0])
+        sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
+        if sheet is not None and not suspicions:
+            suspicions.append(sheet)
         clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
         if clipped is not None:
             suspicions.append(clipped)

@@ -8,7 +8,8 @@ which nothing is identified. Thresholds were chosen on one half of the scenarios
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -91,6 +92,21 @@ class Judgement:
     def widens(self) -> bool:
         """Whether an estimate knows less than its rule says."""
         return bool((self.factor > 1.0).any() or self.spread.any())
+
+    def widened(self, name: str, names: Sequence[str], shift: float) -> Judgement:
+        """Return the same with one parameter known less well.
+
+        Args:
+            name: of the parameter.
+            names: of all parameters, in order.
+            shift: by how much it may be off, relative to it.
+        """
+        if shift == 0.0:
+            return self
+        place = list(names).index(name)
+        spread = self.spread.copy()
+        spread[place, place] += min(shift, LARGEST_SHIFT) ** 2
+        return replace(self, spread=spread)
 
 
 def judge(
