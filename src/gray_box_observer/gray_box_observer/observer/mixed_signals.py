@@ -25,13 +25,14 @@ COMPARED = 2048
 SUM = 4
 """Samples that are summed to a row."""
 
-CLOSED = 0.1
-"""Share of the squared voltage that a balance may leave where it closes."""
+CLOSED, CLOSED_UNMEASURED = 0.1, 0.2
+"""Share of the squared voltage that a balance may leave where it closes, with and without a measured
+speed."""
 
 TIMES = 5.0
 """How many times less it must leave than a motor's own signals do."""
 
-PACE = (2.0, 6.0, 20.0, 60.0, 200.0, 600.0)
+PACE = (16.0, 64.0, 256.0, 1024.0, 4096.0, 65536.0)
 """Time constants in samples of the leaky integrals that stand for the speed of a rotor."""
 
 MOST_MOTORS = 16
@@ -79,6 +80,7 @@ def mix_up(motor: str, samples: Mapping[str, Array]) -> MixUp | None:
     if own.shape[1] < FEWEST:
         return None
     own_left = _left(own[VOLTAGE], own[TORQUE], own)
+    limit = CLOSED if np.isfinite(own[SPEED]).all() else CLOSED_UNMEASURED
     best: MixUp | None = None
     others = [name for name in samples if name != motor][:MOST_MOTORS]
     for name in others:
@@ -89,7 +91,7 @@ def mix_up(motor: str, samples: Mapping[str, Array]) -> MixUp | None:
             ('voltage', _left(other[VOLTAGE], own[TORQUE], own)),
             ('current', _left(own[VOLTAGE], other[TORQUE], own)),
         ):
-            if left < CLOSED and TIMES * left < own_left and (best is None or left < best.left):
+            if left < limit and TIMES * left < own_left and (best is None or left < best.left):
                 best = MixUp(motor, name, signal, left, own_left)
     return best
 
@@ -108,8 +110,8 @@ def _left(voltage_v: Array, torque_nm: Array, own: Array) -> float:
     columns = [np.diff(torque_nm), means * interval_s]
     if np.isfinite(speed).all() and np.ptp(speed) > 0.0:
         columns.append(0.5 * (speed[1:] + speed[:-1]) * interval_s)
-    else:  # a rotor's back-EMF is near a sum of leaky integrals of the current
-        columns += list(leaky_mean(means, PACE) * interval_s)
+    else:  # the speed is near a sum of leaky integrals of the current
+        columns += [interval_s, *(leaky_mean(means, PACE) * interval_s)]
     target = voltage_v[1:] * interval_s
     rows = np.stack([*columns, target], axis=1)
     rows = np.where((interval_s > 0.0)[:, None], rows, 0.0)
