@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
@@ -92,7 +93,7 @@ def fitted(window: Window) -> OutputFit:
     mean = np.log([parameter.initial for parameter in BOX.parameters])
     start = speed_start(BOX, window, np.exp(mean))
     assert start is not None
-    fit = fit_outputs(BOX, window, LogPrior(mean, np.eye(mean.size) / 25.0), [start])
+    fit = completed(fit_outputs(BOX, window, LogPrior(mean, np.eye(mean.size) / 25.0), [start]))
     assert fit is not None
     return fit
 

@@ -65,6 +65,9 @@ SHORTEST_WAIT = 64
 LONGEST_WAIT = 2048
 """Samples between two tests of a motor."""
 
+LONGEST_SOON = 512
+"""Samples between two tests, at most, of a motor that does not fit and has become another one."""
+
 UNASKED = 256
 """Samples after which a motor is tested though nothing of it would be called identified."""
 
@@ -309,7 +312,7 @@ class FitMonitor:
         result = self._results[motor]
         assert result is not None
         self._due[motor] = result.place + result.wait
-        self._soon[motor] = result.place + SHORTEST_WAIT
+        self._soon[motor] = result.place + _soonest(result.misfits)
         self._begin[motor] = result.begin
         judgement = result.judgement
         self._limits[motor] = judgement.widens or judgement.verdict is FitVerdict.MISFIT
@@ -457,6 +460,14 @@ class FitMonitor:
         self._due[motor] = plain['due'] + received_count
         if plain.get('soon') is not None:
             self._soon[motor] = plain['soon'] + received_count
+
+
+def _soonest(misfits: int) -> int:
+    """Samples to a test of a motor that has become another one, after so many misfits in a row.
+
+    One that goes on changing without ever fitting is asked less and less often.
+    """
+    return min(SHORTEST_WAIT << min(max(misfits - PASSING, 0), 8), LONGEST_SOON)
 
 
 def _check_saved(plain: dict[str, Any], parameters: int) -> None:
