@@ -32,6 +32,8 @@ from gray_box_observer.predictor import (
     AlarmSettings,
     Predictor,
     ResidualAlarm,
+    RotorPredictor,
+    TorquePredictor,
     Training,
     TrainingSettings,
     Variant,
@@ -112,10 +114,11 @@ def _form(
         )
 
     def forecasting() -> Forecasting:
-        if training is None or white_box.has_rotor:  # the network knows no hidden speed
-            return None, None
+        is_physics = configuration['variant'] == Variant.PHYSICS.value
+        if training is None or (white_box.has_rotor and not is_physics):
+            return None, None  # the networks of the thesis know no hidden speed
         predictor = _predictor(configuration, motors, white_box, training)
-        if configuration['variant'] != Variant.PHYSICS.value:
+        if not is_physics:
             return predictor, None
         return predictor, ResidualAlarm(len(motors), alarm_rules(configuration))
 
@@ -246,7 +249,7 @@ def _predictor(
     motors: Sequence[MotorConfiguration],
     white_box: MotorWhiteBox,
     training: TrainingFactory,
-) -> Predictor:
+) -> TorquePredictor:
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
@@ -266,6 +269,8 @@ def _predictor(
         'theta_reference': initial.tolist(),
         'seed': seed,
     }
+    if white_box.has_rotor:
+        return RotorPredictor(white_box, rules, training(job))
     speed_measured = white_box.speed_measured
     return Predictor(
         white_box, count, initial, rules, training(job), speed_measured=speed_measured, seed=seed,

@@ -23,7 +23,7 @@ from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
-from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
+from gray_box_observer.predictor import AlarmSettings, Prediction, ResidualAlarm, TorquePredictor
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.settings.configuration import MotorConfiguration
@@ -41,6 +41,7 @@ class DeferredUpdate:
         theta, covariance, identified: what was believed before it was learnt.
         followed: whether the predictor has gone on from it.
         speed: of a motor with a rotor, at the sample; None where none may be believed.
+        followed_speed: the same, believed or not: where a prediction may begin.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
             sample; None: to be done.
     """
@@ -51,6 +52,7 @@ class DeferredUpdate:
     covariance: Array
     identified: NDArray[np.bool_]
     speed: SpeedEstimate | None = None
+    followed_speed: SpeedEstimate | None = None
     is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
@@ -167,6 +169,7 @@ class MotorObserver:
         estimate = self.update_parameters(sample)
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
+            deferred.followed_speed = self._speed.followed
         self._deferred = deferred
         return deferred, estimate
 
@@ -218,7 +221,9 @@ class MotorObserver:
         deferred.is_followed = True
         if self._predictor is not None and deferred.prediction is not None:
             try:
-                self._predictor.advance(deferred.sample, deferred.prediction)
+                self._predictor.advance(
+                    deferred.sample, deferred.prediction, deferred.followed_speed
+                )
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
@@ -226,7 +231,7 @@ class MotorObserver:
                 raise
 
     @property
-    def predictor(self) -> Predictor | None:
+    def predictor(self) -> TorquePredictor | None:
         """Forecasts torque, all samples learnt; None where there is none."""
         self.run_deferred()
         return self._predictor
