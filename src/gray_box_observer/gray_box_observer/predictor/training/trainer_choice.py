@@ -20,7 +20,7 @@ def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
     Raises:
         ImportError: no torch, which the thesis's variants need from the first job on.
     """
-    if MotorWhiteBox.from_dict(configuration['white_box'], lambda value: value).has_rotor:
+    if MotorWhiteBox.from_dict(configuration['white_box']).has_rotor:
         from gray_box_observer.predictor.training.rotor_trainer import RotorTrainer
 
         return RotorTrainer(configuration)
