@@ -23,11 +23,19 @@ import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
 from common.rotor.records import NODES, draw
+from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor, sticky_motor, thesis_like_motor
-from real_motors import DEAD_CURRENT_SENSOR, DEFAULT_DATA, Case, cases, identify
+from real_motors import (
+    DEAD_CURRENT_SENSOR,
+    DEFAULT_DATA,
+    ROBOT_TORQUE_CONSTANT,
+    Case,
+    cases,
+    identify,
+)
 from scipy.stats import chi2
 
 from gray_box_observer.context_nodes import Verdict
@@ -61,6 +69,9 @@ def main() -> int:
     parser.add_argument(
         '--speed', action='store_true', help='only motors whose speed is measured, badly'
     )
+    parser.add_argument(
+        '--predict', action='store_true', help='only the prediction of robots never seen'
+    )
     parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
     options = parser.parse_args()
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
@@ -71,6 +82,11 @@ def main() -> int:
         print(f'\n{figure_table(figures)}')
         print(last_line('rotor', seeds, figures))
         return 0
+    if options.predict:
+        figures = prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', 1, figures))
+        return 0
     figures = [
         *fast_figures(seeds, length_s, counts=counts),
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
@@ -80,6 +96,7 @@ def main() -> int:
     ]
     try:
         figures += robot_figures(options.data or DEFAULT_DATA)
+        figures += prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
     except GrayBoxError as error:
         print(f'rotor: error: {" ".join(str(error).split())}', file=sys.stderr)
         return 2
@@ -258,6 +275,45 @@ def robot_figures(data: Path) -> list[Figure]:
         Figure('robots: lowest R, ohm', min(healthy, default=None), band),
         Figure('robots: highest R, ohm', max(healthy, default=None), band),
         Figure('robots: identified and wrong', float(false) if healthy else None, 0.0),
+    ]
+
+
+def prediction_figures(data: Path, *, quick: bool) -> list[Figure]:
+    """Predict the torque of robots that taught nothing, from their voltage alone.
+
+    Args:
+        data: folder with regbot_rev2b.
+        quick: one robot is asked of.
+    """
+    logs = robot_logs(data / 'regbot_rev2b')
+    robots = sorted({log.robot for log in logs})[: 1 if quick else None]
+    found = [
+        errors
+        for robot in robots
+        for errors in robot_errors(logs, robot, ROBOT_TORQUE_CONSTANT)
+        if len(robots) > 1 or quick
+    ]
+    if not found:
+        return [Figure('robots never seen: error of the torque', None, 0.24)]
+    rows = [
+        [name, *(number(errors[one]) for one in PREDICTORS), f'{100.0 * scored:.0f} %']
+        for name, errors, scored in found
+    ]
+    medians = {one: float(np.median([errors[one] for _, errors, _ in found])) for one in PREDICTORS}
+    rows.append(['median', *(number(medians[one]) for one in PREDICTORS), ''])
+    print(f'\n{table(["free run of the torque", *PREDICTORS, "scored"], rows)}')
+    rivals = PREDICTORS[2:]
+    return [
+        Figure('robots never seen: error of the torque', medians['observer'], 0.24, not quick),
+        *(
+            Figure(
+                f'robots never seen: error over {rival}',
+                medians['observer'] / medians[rival],
+                1.0,
+                not quick,
+            )
+            for rival in rivals
+        ),
     ]
 
 

@@ -132,10 +132,15 @@ class TorquePredictor(ABC):
         """
 
     def learn(
-        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
+        self,
+        sample: Sample,
+        prediction: Prediction,
+        theta: Array,
+        covariance: Array | None = None,
+        speed: SpeedEstimate | None = None,
     ) -> None:
         """Go on from a sample and learn it: :meth:`advance` and :meth:`score_and_train`."""
-        self.advance(sample, prediction)
+        self.advance(sample, prediction, speed)
         self.score_and_train(sample, prediction, theta, covariance)
 
     def score_and_train(
