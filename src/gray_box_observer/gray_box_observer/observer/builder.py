@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes import (
     GradientSettings,
     GradientUpdate,
     MeasuredSpeedUpdate,
+    Mechanics,
     RecursiveEstimator,
     RecursiveSettings,
     RotorUpdate,
@@ -101,6 +102,7 @@ def _form(
     boxes = [motor.white_box(speed_measured=speed_measured) for motor in motors]
     white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
     nodes = context_nodes(configuration, motors, white_box)
+    motors = [motor.without_mechanics() for motor in motors]
 
     def watch(motor: int) -> DelayWatch:
         initial, estimates_delay = np.array([motors[motor].initial()]), first.estimates_delay
@@ -178,7 +180,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         or configuration['variant'] != Variant.PHYSICS.value
     )
     alone = rules_alone or configuration.has_own_speed or motor.has_rotor
-    if alone or motor.estimates_delay:
+    if alone or motor.estimates_delay or motor.mechanical_nodes:
         return None
     values = motor.values
     constants = frozenset(
@@ -207,6 +209,8 @@ def context_nodes(
 ) -> ContextUpdate:
     """Build context nodes that know nothing yet, under the rule that the configuration names."""
     verdicts = verdict_rules(configuration)
+    mechanics = _mechanics(motors[0])
+    motors = [motor.without_mechanics() for motor in motors]
     initial, seed = np.array([motor.initial() for motor in motors]), _seed(configuration, motors[0])
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(
@@ -217,14 +221,33 @@ def context_nodes(
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
-        return MeasuredSpeedUpdate(white_box, initial, seed, rules, verdicts, relative_std)
+        return MeasuredSpeedUpdate(
+            white_box, initial, seed, rules, verdicts, relative_std, mechanics
+        )
     return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
+
+
+def _mechanics(motor: MotorConfiguration) -> Mechanics | None:
+    """Return what is asked of a rotor whose speed is measured; None where nothing is."""
+    nodes = motor.mechanical_nodes
+    if not nodes:
+        return None
+    return Mechanics(
+        nodes,
+        [float(motor.values[f'initial.{name}']) for name in nodes],
+        [float(motor.values[f'initial_relative_std.{name}']) for name in nodes],
+        motor.known_mechanics,
+    )
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
     """Return a motor's belief before its first sample: initial values and their uncertainty."""
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
-    return context_nodes(configuration, [motor], white_box).estimate()
+    nodes = context_nodes(configuration, [motor], white_box)
+    estimate = nodes.estimate()
+    if isinstance(nodes, MeasuredSpeedUpdate):
+        return nodes.with_mechanics(estimate, is_believed=True)
+    return estimate
 
 
 def pairing_rules(configuration: Configuration) -> PairingSettings:
