@@ -46,8 +46,11 @@ LONG_S, QUICK_S = 20.0, 4.0
 ROBOT_OHM, ROBOT_REACH_OHM = 4.25, 0.3
 CONFIDENCE = 0.95
 WITHIN_STDS = 3.0
+FINE_SENSOR = SpeedSensor('speed with 0.5 % noise', noise=0.005)
+"""With it the rotor's own parameters are asked for too."""
+
 SPEED_SENSORS = (
-    (SpeedSensor('speed with 0.5 % noise', noise=0.005), 1000.0),
+    (FINE_SENSOR, 1000.0),
     (SpeedSensor('speed with 1 % noise', noise=0.01), 1000.0),
     (SpeedSensor('speed with 3 % noise', noise=0.03), 1000.0),
     (SpeedSensor('encoder of 64 counts', counts=64), 1000.0),
@@ -70,6 +73,9 @@ def main() -> int:
         '--speed', action='store_true', help='only motors whose speed is measured, badly'
     )
     parser.add_argument(
+        '--mechanics', action='store_true', help='only inertia and frictions from a measured speed'
+    )
+    parser.add_argument(
         '--predict', action='store_true', help='only the prediction of robots never seen'
     )
     parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
@@ -79,6 +85,11 @@ def main() -> int:
     counts = not options.quick
     if options.speed:
         figures = speed_figures(seeds, length_s, counts=counts)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', seeds, figures))
+        return 0
+    if options.mechanics:
+        figures = mechanical_figures(seeds, length_s, counts=counts)
         print(f'\n{figure_table(figures)}')
         print(last_line('rotor', seeds, figures))
         return 0
@@ -227,7 +238,7 @@ def show_choices(title: str, choices: Sequence[Choice]) -> None:
 
 def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
     """Run gear motors whose speed is measured with noise, by an encoder, or late."""
-    figures = []
+    figures = mechanical_figures(seeds, length_s, counts=counts)
     for sensor, rate_hz in SPEED_SENSORS:
         name = f'{sensor.name}, {rate_hz:g} Hz'
         trials = [
@@ -246,6 +257,30 @@ def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
             Figure(f'{name}: misfit, share', _share_misfit(trials), 0.0, counts),
         ]
     return figures
+
+
+def mechanical_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Ask for inertia and frictions of gear motors whose speed is measured with little noise."""
+    trials = [
+        run_trial(draw_with_speed(FINE_SENSOR, seed, 1000.0, length_s, NODES))
+        for seed in range(seeds)
+    ]
+    name = f'{FINE_SENSOR.name}, rotor asked for'
+    show(name, trials)
+    right = [
+        bool((np.abs(trial.z) <= WITHIN_STDS).all() and trial.identified.all()) for trial in trials
+    ]
+    freedom = seeds * len(NODES)
+    band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+    return [
+        *(
+            Figure(f'{name}: RMSE of {node} over the bound', float(value), 1.3, counts)
+            for node, value in zip(NODES, over_bound(trials), strict=True)
+        ),
+        Figure(f'{name}: NEES', float(np.mean([t.nees for t in trials])), (band[0], band[1])),
+        Figure(f'{name}: false of all identified', share_false(trials), 0.0, counts),
+        Figure(f'{name}: not all identified and right, share', 1.0 - float(np.mean(right)), None),
+    ]
 
 
 def _share_misfit(trials: Sequence[Trial]) -> float:

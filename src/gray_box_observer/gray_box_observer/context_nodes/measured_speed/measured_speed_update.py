@@ -22,7 +22,10 @@ from gray_box_observer.context_nodes.measured_speed.exact_speed import (
 )
 from gray_box_observer.context_nodes.measured_speed.mechanics import (
     DEFAULT_MECHANICS,
+    WIDEST,
     Mechanics,
+    limited,
+    load_spread,
 )
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
 from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
@@ -76,11 +79,16 @@ twice as many, and for twice as many again each time, up to RAREST."""
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
 
+FORGOTTEN, LEAST_SPREAD = 0.7, 1e-3
+"""Share of what a varying load may have done that is left after a window whose load is constant,
+and the least of it that counts."""
+
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
 _PREFIX = 'outputs.'
 _SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
+_SPREAD = 'measured_speed.load_spread'
 
 
 def can_be_output(white_box: MotorWhiteBox) -> bool:
@@ -137,7 +145,8 @@ class MeasuredSpeedUpdate:
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
         self._failures = 0
-        self._explains_mechanics = True
+        self._explained = 0  # samples in the largest window explained; -1: the newest was not
+        self._load_spread = np.zeros(len(rotor.nodes))
         self._evidence = 0.0
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
@@ -255,17 +264,26 @@ class MeasuredSpeedUpdate:
             return estimate
         both = self._outputs.estimate()
         rotor = slice(self._nodes.stop, None)
+        own = Estimate(
+            both.stamp_ns,
+            both.parameters[rotor],
+            both.value[:, rotor],
+            both.covariance[:, rotor, rotor],
+            (both.verdicts[0][rotor],),
+        )
+        is_settled = self._explained >= FULL
+        own = limited(own, self._load_spread, self.verdict_rules, is_settled=is_settled)
         count = len(self.published_parameters)
         covariance = np.zeros((1, count, count))
         covariance[:, self._nodes, self._nodes] = estimate.covariance
-        covariance[:, rotor, rotor] = both.covariance[:, rotor, rotor]
-        verdicts = both.verdicts[0][rotor]
-        if not (is_believed and self._explains_mechanics):
+        covariance[:, rotor, rotor] = own.covariance
+        verdicts = own.verdicts[0]
+        if not (is_believed and self._explained >= 0):
             verdicts = tuple(map(misfit, verdicts))
         return Estimate(
             estimate.stamp_ns,
             self.published_parameters,
-            np.concatenate([estimate.value, both.value[:, rotor]], axis=1),
+            np.concatenate([estimate.value, own.value], axis=1),
             covariance,
             (estimate.verdicts[0] + verdicts,),
         )
@@ -296,14 +314,14 @@ class MeasuredSpeedUpdate:
             return False
         if fit is None or not fit.explains:
             self._failures += 1
-            self._explains_mechanics = False
+            self._explained = -1
             self._is_noisy &= self._failures < MOST_FAILURES
             place, count = int(self._outputs.replay.received[0]), samples.shape[1]
             rest = FULL << min(self._failures, 8) if count >= FULL else count
             self._rest_until = place + min(rest, RAREST)
             return False
         self._failures = 0
-        self._explains_mechanics = True
+        self._take_mechanics(fit, samples.shape[1])
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
         if not (self._is_noisy or is_noisy or self._is_late(fit)):
             return False
@@ -315,6 +333,15 @@ class MeasuredSpeedUpdate:
         self._samples = remembering(samples, place, begin)
         self._shares = self._measured_shares(samples, fit)
         return True
+
+    def _take_mechanics(self, fit: OutputFit, count: int) -> None:
+        """Note how many samples a fit explains, and what its load leaves of the mechanics."""
+        if self._mechanics is None:
+            return
+        self._explained = max(self._explained, count)
+        now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
+        self._load_spread = np.maximum(now, FORGOTTEN * self._load_spread)
+        self._load_spread[self._load_spread < LEAST_SPREAD] = 0.0
 
     def _is_worth_asking(self, samples: Array) -> bool:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
@@ -364,7 +391,7 @@ class MeasuredSpeedUpdate:
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
             'failures': self._failures,
-            'explains_mechanics': self._explains_mechanics,
+            'explained': self._explained,
             'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
             'ask_at': self._ask_at - received,
             'rest_until': self._rest_until - received,
@@ -373,6 +400,8 @@ class MeasuredSpeedUpdate:
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
+        if self._mechanics is not None:
+            arrays[_SPREAD] = self._load_spread.copy()
         if self._is_noisy:
             arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
             arrays[_SHARES] = self._shares.copy()
@@ -397,8 +426,10 @@ class MeasuredSpeedUpdate:
         self._outputs.restore(dict(group(own, 'outputs')), output_arrays)
         received = int(self._outputs.replay.received[0])
         self._failures = whole(own, 'failures', 0, MOST)
-        if 'explains_mechanics' in own:  # not in files of releases that published none
-            self._explains_mechanics = flag(own, 'explains_mechanics')
+        if self._mechanics is not None:
+            self._explained = whole(own, 'explained', -1, MOST)
+            check_arrays(arrays, {_SPREAD: ArrayRule(self._load_spread.shape, 0.0, WIDEST)})
+            self._load_spread = arrays[_SPREAD]
         self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
         self._ask_at = received + whole(own, 'ask_at', -MOST, RAREST)
         self._rest_until = received + whole(own, 'rest_until', -MOST, RAREST)
