@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict, misfit
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
@@ -392,7 +392,7 @@ class FitMonitor:
                     estimate.parameters, value, std, frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
-                verdicts[row] = tuple(map(_misfit, verdicts[row]))
+                verdicts[row] = tuple(map(misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
 
     def forget(self) -> None:
@@ -568,10 +568,6 @@ def _widened(judgement: Judgement, value: Array, covariance: Array) -> Array | N
 
 def _at_most_converging(verdict: Verdict) -> Verdict:
     return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
-
-
-def _misfit(verdict: Verdict) -> Verdict:
-    return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
 
 
 def _without_repetition(suspicions: Sequence[Suspect]) -> tuple[Suspect, ...]:

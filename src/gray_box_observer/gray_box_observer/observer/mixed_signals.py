@@ -26,8 +26,8 @@ SUM = 4
 """Samples that are summed to a row."""
 
 CLOSED, CLOSED_UNMEASURED = 0.1, 0.2
-"""Share of the squared voltage that a balance may leave where it closes, with and without a measured
-speed."""
+"""Share of the squared voltage that a balance may leave where it closes, with a measured speed and
+without."""
 
 TIMES = 5.0
 """How many times less it must leave than a motor's own signals do."""
