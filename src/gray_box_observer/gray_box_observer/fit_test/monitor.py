@@ -24,7 +24,7 @@ from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts
+from gray_box_observer.fit_test.data_doubts import KB, doubt_of_range, doubts
 from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
     RATIO_MISFIT,
@@ -32,6 +32,7 @@ from gray_box_observer.fit_test.policy import (
     WHITENESS_DOUBT,
     Judgement,
     judge,
+    with_shift,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
@@ -265,6 +266,7 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
         )
+        judgement = self._without_seen_rotor(judgement, theta[0], motor)
         suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         content = replay.newest(min(replay.stored(motor), WINDOW), one)
         clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
@@ -304,6 +306,21 @@ class FitMonitor:
                 assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits
             )
         self._follow(motor)
+
+    def _without_seen_rotor(self, judgement: Judgement, theta: Array, motor: int) -> Judgement:
+        """Leave the resistance open by Kb Kt where a speed of Kt i is nothing but a guess.
+
+        A rotor that is blocked has no back-EMF, and leaves as white a residual.
+        """
+        white_box = self._white_boxes[motor]
+        nodes = white_box.context_nodes
+        is_guess = self._motors[motor].values['speed_source'] != 'torque_constant'
+        knows_speed = white_box.speed_measured or white_box.has_rotor
+        if knows_speed or not is_guess or 'resistance' not in nodes:
+            return judgement
+        place = nodes.index('resistance')
+        back_emf_ohm = float(white_box.known.get(KB, 0.0)) * float(white_box.torque_constant)
+        return with_shift(judgement, place, back_emf_ohm / float(theta[place]))
 
     def _put_off(self, motor: int, place: int) -> None:
         """Ask again at a place where there may be more to tell by."""
