@@ -14,7 +14,7 @@ from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.predictor import Predictor, ResidualAlarm
+from gray_box_observer.predictor import ResidualAlarm, TorquePredictor
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
@@ -24,7 +24,7 @@ from gray_box_observer.white_box.interface import Array
 WORK_A_SAMPLE = 8
 """Work of a fit of the thesis's form, and of a test of the fit, for each of its samples."""
 
-Forecasting = tuple[Predictor | None, ResidualAlarm | None]
+Forecasting = tuple[TorquePredictor | None, ResidualAlarm | None]
 """What predicts torque, and what watches the prediction."""
 
 
