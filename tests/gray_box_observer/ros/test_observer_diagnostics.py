@@ -116,7 +116,8 @@ def test_refusals_name_what_to_look_at(rig, record):
             rig.state('motor', START_NS + int(recording.stamp_ns[k]))
         )  # a name without a value
     rig.wait_for_level(
-        DiagnosticStatus.WARN, 'messages refused in 1 s: see rejected (names and values differ'
+        DiagnosticStatus.WARN,
+        'messages refused in 1 s: see rejected (1 names but 0 values of effort: names and values',
     )
     rig.wait_for_level(
         DiagnosticStatus.ERROR, 'could be read: see rejected (1 names but 0 values of effort)'

@@ -256,7 +256,8 @@ def _judge_refusals(motor: str, now: Situation) -> Judgement | None:
         reason = Rejection.STALE_INPUT
     period = f'{max(1.0, now.traffic.period_s):.0f} s'
     cause = REJECTIONS[reason]
-    if reason is Rejection.STALE_INPUT:  # which of them, and how old it is
+    complains = reason in (Rejection.STALE_INPUT, Rejection.MALFORMED)
+    if complains and now.message_input.complaints:  # which of them, how old, what does not fit
         cause = f'{printable("; ".join(now.message_input.complaints.values()))}: {cause}'
     return DiagnosticStatus.WARN, f'{count} messages refused in {period}: see rejected ({cause})'
 
