@@ -63,7 +63,8 @@ REJECTIONS = {
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
     Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of '
     'the same clock?',
-    Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
+    Rejection.NO_SPEED: 'torque without speed, which came at first or is needed: does the encoder '
+    'run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STALE_INPUT: 'an input of the expression is silent: does its driver run?',
@@ -190,7 +191,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
             '',
         )
         return _judge_refusals(motor, now) or (
-            DiagnosticStatus.STALE,
+            DiagnosticStatus.ERROR if complaint else DiagnosticStatus.STALE,
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
     topics = ' and '.join(now.message_input.signals[n].topic for n in silent)
