@@ -18,6 +18,7 @@ from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.configuration import read_parameter_file
 
+STDIN = 0
 LARGEST_SETTINGS = 16_000_000
 
 _DESCRIPTION = """Show observers in a browser while they run: estimates with bands, voltage, torque
@@ -86,16 +87,36 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
         'parameters': parameters,
     }
     if options.of_observer:
-        told = json.loads(sys.stdin.buffer.readline(LARGEST_SETTINGS))
+        told = json.loads(_first_line(STDIN))
         settings |= {'parameters': told['parameters'], 'resolved': told['resolved']}
         threading.Thread(target=_end_with_observer, daemon=True, name='observer').start()
+        _give_way()
     return settings
+
+
+def _first_line(descriptor: int) -> bytes:
+    """Read up to a line feed, by the system itself: at the end a thread may still be reading."""
+    line = bytearray()
+    while not line.endswith(b'\n') and len(line) < LARGEST_SETTINGS:
+        part = os.read(descriptor, 65_536)
+        if not part:
+            break
+        line += part
+    return bytes(line)
 
 
 def _end_with_observer() -> None:
     """Ask for the end when the observer that has started this has ended, however it did."""
-    sys.stdin.buffer.read()
+    while os.read(STDIN, 4096):
+        pass
     os.kill(os.getpid(), signal.SIGTERM)
+
+
+def _give_way() -> None:
+    """Give sampling precedence: low priority, never the real-time one of the observer."""
+    if hasattr(os, 'SCHED_BATCH'):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    os.nice(10)
 
 
 if __name__ == '__main__':

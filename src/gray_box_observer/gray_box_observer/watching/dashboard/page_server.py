@@ -248,8 +248,10 @@ class _EventHandler(_Handler):
             self.get_query_argument(name, '')[:LONGEST_NAME] for name in ('observer', 'motor')
         )
         if len(self._pages) >= MOST_PAGES:
+            self.set_status(503)
             self.set_header('Retry-After', '10')
-            raise HTTPError(503)
+            self.finish('503\n')
+            return
         self._pages.add(self)
         try:
             self.set_header('Content-Type', 'text/event-stream')
@@ -259,7 +261,8 @@ class _EventHandler(_Handler):
                 self.write(f'data: {told}\n\n')
                 await asyncio.wait_for(self.flush(), STALLED_S)
                 await asyncio.sleep(UPDATE_S)
-        except (StreamClosedError, asyncio.TimeoutError):
+        except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):
+            # the page has gone, does not read, or the server ends
             stream = getattr(self.request.connection, 'stream', None)
             if stream is not None:
                 stream.close()
