@@ -156,16 +156,19 @@ class Outcome:
     Attributes:
         lost: samples of all motors.
         cores: of the observer's process.
-        watch, dashboard: first numbers in s and share of a core; None where they did not run.
+        watch, dashboard: first numbers in s, share of a core, and CPU time until then in s; None
+            where they did not run.
     """
 
     lost: int
     cores: float
-    watch: tuple[float, float] | None = None
-    dashboard: tuple[float, float] | None = None
+    watch: tuple[float, float, float] | None = None
+    dashboard: tuple[float, float, float] | None = None
 
 
-def run(motors: int, rate_hz: float, duration_s: float, *, is_watched: bool) -> Outcome:
+def run(
+    motors: int, rate_hz: float, duration_s: float, *, is_watched: bool, realtime: bool
+) -> Outcome:
     """Run simulator and observer, watched or not."""
     counts = Counts()
     named = {'motors': f"['m[1..{motors}]']"}
@@ -177,7 +180,10 @@ def run(motors: int, rate_hz: float, duration_s: float, *, is_watched: bool) -> 
         'torque_noise_relative': 0.01,
         'wait_for_subscribers': 1,
     }
-    with running(OBSERVER, **named) as started, running(SIMULATOR, **simulated) as simulator:
+    with (
+        running(OBSERVER, realtime=realtime, **named) as started,
+        running(SIMULATOR, realtime=realtime, **simulated) as simulator,
+    ):
         observer = psutil.Process(started.pid)
         _spin_until(counts, lambda: any(counts.used.values()))
         began_s, before_s = time.monotonic(), cpu_s([observer])
@@ -186,7 +192,8 @@ def run(motors: int, rate_hz: float, duration_s: float, *, is_watched: bool) -> 
             with watching() as table_of, page_open() as page:
                 _spin_until(counts, lambda: simulator.poll() is not None, duration_s + PATIENCE_S)
                 watch, dashboard = (
-                    (watcher.first_s, watcher.cores()) for watcher in (table_of, page)
+                    (watcher.first_s, watcher.cores(), watcher.cpu_s)
+                    for watcher in (table_of, page)
                 )
         else:
             _spin_until(counts, lambda: simulator.poll() is not None, duration_s + PATIENCE_S)
@@ -213,12 +220,23 @@ def main() -> int:
     parser.add_argument('--duration', type=float, default=0.0, metavar='S', help='default: 60 s')
     parser.add_argument('--rate', type=float, default=1000.0, help='samples a second')
     parser.add_argument('--motors', type=int, default=10, help='motors in every message')
+    parser.add_argument(
+        '--realtime',
+        action='store_true',
+        help='observer and simulator before every other program: for a machine that others use',
+    )
     options = parser.parse_args()
     duration_s = options.duration or (15.0 if options.quick else 60.0)
     own_domain()
     rclpy.init()
     alone, watched = (
-        run(options.motors, options.rate, duration_s, is_watched=is_watched)
+        run(
+            options.motors,
+            options.rate,
+            duration_s,
+            is_watched=is_watched,
+            realtime=options.realtime,
+        )
         for is_watched in (False, True)
     )
     rclpy.shutdown()
@@ -226,6 +244,8 @@ def main() -> int:
     figures = [
         Figure('watch: first numbers after its start, s', watched.watch[0], GOAL_START_S),
         Figure('dashboard: the same, s', watched.dashboard[0], GOAL_START_S),
+        Figure('watch: CPU until then, s', watched.watch[2], None),
+        Figure('dashboard: the same, s', watched.dashboard[2], None),
         Figure('watch: share of a core', watched.watch[1], None),
         Figure('dashboard with an open page: share of a core', watched.dashboard[1], None),
         Figure('both: share of a core', watched.watch[1] + watched.dashboard[1], GOAL_CORES),
