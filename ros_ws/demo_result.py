@@ -140,7 +140,8 @@ def prediction_scores(bag: Path) -> dict[str, dict[str, float | int | None]]:
             if topic.endswith(('/motor/torque', '/predicted_torque'))
             or (topic.endswith('/identified') and topic.count('/') == IDENTIFIED_DEPTH)
         }
-        for message in reader.messages(wanted):
+        # in the order of publication, for a recorder takes topics one after another
+        for message in sorted(reader.messages(wanted), key=lambda one: one.publish_time_ns):
             kind = wanted[message.topic]
             if kind == 'identified':
                 if message.data[CDR_HEADER_BYTES]:
@@ -151,7 +152,8 @@ def prediction_scores(bag: Path) -> dict[str, dict[str, float | int | None]]:
             if kind == 'torque':
                 newest_ns, first_ns = view.stamp_ns, first_ns or view.stamp_ns
             for name, value in zip(view.names, view.effort, strict=True):
-                courses.setdefault(name, {})[view.stamp_ns] = value
+                if kind == 'torque' or name in since_ns:  # the form may change with the verdicts
+                    courses.setdefault(name, {})[view.stamp_ns] = value
     scores: dict[str, dict[str, float | int | None]] = {}
     for motor, measured in torque.items():
         begin_ns = since_ns.get(motor)

@@ -31,6 +31,8 @@ WITHOUT_ROSDEP_KEY = {
         'dask',
         'distributed',
         'pyarrow',
+        'rich',
+        'tornado',
     )
 } | {'mcap_ros2': 'mcap-ros2-support'}
 
