@@ -63,8 +63,8 @@ TOPICS_OF_A_BAG = {
 """Of the two nodes whose topics depend on a bag."""
 
 WATCHED = {
-    'watch': 'Subscribes to `/diagnostics`, and to `~/estimates` of every observer that it finds, or '
-    'of those that `--observer` names. It has no parameters and no services.',
+    'watch': 'Subscribes to `/diagnostics`, and to `~/estimates` of every observer that it finds, '
+    'or of those that `--observer` names. It has no parameters and no services.',
     'dashboard': 'Subscribes to the same, and by best effort to `~/predicted_torque` and `~/speed` '
     'of these observers and to voltage and torque as `--params` has them. It has no parameters '
     'and no services.',

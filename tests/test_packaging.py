@@ -32,6 +32,7 @@ WITHOUT_ROSDEP_KEY = {
         'distributed',
         'pyarrow',
         'rich',
+        'scipy',
         'tornado',
     )
 } | {'mcap_ros2': 'mcap-ros2-support'}
