@@ -64,6 +64,10 @@ RESOLVED = 2.0
 OTHERS = (0.2, 0.45, 3.0)
 """Times the inductance found from which it is searched again then."""
 
+SETTLED = 0.05
+"""Standard deviation of the inductance's logarithm, known before, from which it is not: then the
+other ends of a search lie ten of these away."""
+
 RIVAL = 9.0
 """Difference of chi-square up to which another optimum is as likely as not."""
 
@@ -155,6 +159,8 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
     interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
     if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
         return []
+    if _is_told(prior, white_box.context_nodes.index('inductance')):
+        return []
     fits = []
     for factor in OTHERS:
         neighbour = fit.logarithms.copy()
@@ -164,6 +170,14 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
             search.run()
             fits.append(search.result())
     return [other for other in fits if other is not None]
+
+
+def _is_told(prior: LogPrior, place: int) -> bool:
+    """Tell whether a parameter was known so well before that no other optimum is in question."""
+    unit = np.sqrt(np.maximum(np.diagonal(prior.precision), 1e-300))
+    scaled = prior.precision / unit[:, None] / unit
+    variance = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)[place, place] / unit[place] ** 2
+    return bool(0.0 < variance < SETTLED**2)
 
 
 def _size(fit: Fit) -> float:
