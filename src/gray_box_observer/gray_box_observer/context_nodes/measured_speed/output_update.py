@@ -77,7 +77,14 @@ class OutputUpdate(RotorUpdate):
     def _window(self, samples: Array) -> Window:
         return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
 
-    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
+    def _fitted(
+        self,
+        window: Window,
+        prior: LogPrior,
+        starts: Sequence[Array],
+        *,
+        is_resolved: bool = False,
+    ) -> Fit | None:
         self.output_fit = fit_outputs(self._white_box, window, prior, starts, self._walk)
         if self.output_fit is None:
             return None

@@ -71,6 +71,10 @@ MEMORY = 0.98
 SHARP = 0.3
 """Standard deviation of a logarithm up to which it is near enough to Gaussian to be remembered."""
 
+RESOLVED = 0.05
+"""Standard deviation of the inductance's logarithm up to which no other one is in question: other
+ends of a search lie ten of these away."""
+
 FEWEST_MOVES = 3
 """Moves of the voltage from which a motor is told: of a step or two a search may end at another
 motor that fits as well."""
@@ -279,9 +283,23 @@ class RotorUpdate:
         """Cut samples, shape (signal, n), into signal histories."""
         return Window.from_samples(self._white_box, samples)
 
-    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
+    def _fitted(
+        self,
+        window: Window,
+        prior: LogPrior,
+        starts: Sequence[Array],
+        *,
+        is_resolved: bool = False,
+    ) -> Fit | None:
         """Search from some starts for what explains a window."""
-        return fit_window(self._white_box, window, prior, starts)
+        return fit_window(self._white_box, window, prior, starts, is_resolved=is_resolved)
+
+    def _is_resolved(self) -> bool:
+        """Tell whether the inductance is known too well for another one to be in question."""
+        if 'inductance' not in self._white_box.context_nodes:
+            return True
+        place = self._white_box.context_nodes.index('inductance')
+        return bool(self._covariance[place, place] < RESOLVED**2)
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.
@@ -318,7 +336,9 @@ class RotorUpdate:
         """Fit a window from where the motor stands, or from anywhere where that does not fit."""
         fit = None
         if self._is_settled:
-            fit = self._fitted(window, self._prior(), [self.theta[0]])
+            fit = self._fitted(
+                window, self._prior(), [self.theta[0]], is_resolved=self._is_resolved()
+            )
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
                 return fit
         other = self._searched_anywhere(window)

@@ -64,10 +64,6 @@ RESOLVED = 2.0
 OTHERS = (0.2, 0.45, 3.0)
 """Times the inductance found from which it is searched again then."""
 
-SETTLED = 0.05
-"""Standard deviation of the inductance's logarithm, known before, from which it is not: then the
-other ends of a search lie ten of these away."""
-
 RIVAL = 9.0
 """Difference of chi-square up to which another optimum is as likely as not."""
 
@@ -131,7 +127,12 @@ class Fit:
 
 
 def fit_window(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, starts: Sequence[Array]
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    *,
+    is_resolved: bool = False,
 ) -> Fit | None:
     """Fit the context nodes to a window; None where no start can be run.
 
@@ -140,6 +141,7 @@ def fit_window(
         window: the samples.
         prior: decides what the samples leave open.
         starts: shape (parameter,) each: where to search from; the best few of many are taken.
+        is_resolved: whether the inductance is known too well for another one to be in question.
     """
     tried = [_Search(white_box, window, prior, np.log(start)) for start in starts]
     tried = [search for search in tried if search.is_valid]
@@ -147,7 +149,8 @@ def fit_window(
     ended = [fit for fit in (_searched(search) for search in tried[:PROMISING]) if fit is not None]
     if not ended:
         return None
-    ended += _unresolved(white_box, window, prior, min(ended, key=_size))
+    if not is_resolved:
+        ended += _unresolved(white_box, window, prior, min(ended, key=_size))
     noise = min(fit.noise_a for fit in ended)
     ended.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
     return _with_rivals(ended, prior)
@@ -159,8 +162,6 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
     interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
     if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
         return []
-    if _is_told(prior, white_box.context_nodes.index('inductance')):
-        return []
     fits = []
     for factor in OTHERS:
         neighbour = fit.logarithms.copy()
@@ -170,14 +171,6 @@ def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: 
             search.run()
             fits.append(search.result())
     return [other for other in fits if other is not None]
-
-
-def _is_told(prior: LogPrior, place: int) -> bool:
-    """Tell whether a parameter was known so well before that no other optimum is in question."""
-    unit = np.sqrt(np.maximum(np.diagonal(prior.precision), 1e-300))
-    scaled = prior.precision / unit[:, None] / unit
-    variance = np.linalg.pinv(scaled, rcond=1e-13, hermitian=True)[place, place] / unit[place] ** 2
-    return bool(0.0 < variance < SETTLED**2)
 
 
 def _size(fit: Fit) -> float:
