@@ -126,7 +126,8 @@ def _form(
 
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
-    return MotorForm(white_box, nodes, delay, FitMonitor(motors, boxes), forecasting, scales)
+    fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
+    return MotorForm(white_box, nodes, delay, fit, forecasting, scales)
 
 
 def _speed_choice(

@@ -209,10 +209,9 @@ class MotorObserver:
 
     def _try_other_form(self, stamp_ns: int) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        nodes = self.context_nodes
-        if not self.speed_choice.is_due(nodes, self._fit.assessment(0)):
-            return
-        form = self.speed_choice.try_other(self.white_box, nodes, stamp_ns)
+        form = self.speed_choice.step(
+            self.white_box, self.context_nodes, self._fit.assessment(0), stamp_ns
+        )
         if form is None:
             return
         if self._predictor is not None:
@@ -467,18 +466,19 @@ class MotorObserver:
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
         received = int(self.context_nodes.replay.received[motor])
+        speed, trial = self.speed_choice.state(received)
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
             **({'mechanics': list(self._mechanics)} if self._mechanics else {}),
             'delay': delay,
             'fit': self._fit.state(motor, received),
-            'speed': self.speed_choice.state(received),
+            'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
         alarm = {} if self.alarm is None else self.alarm.state(motor)
-        groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
+        groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
         return content, {
             f'{group}/{name}': array
             for group, part in groups.items()
@@ -518,7 +518,7 @@ class MotorObserver:
         received = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, received)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(group(plain, 'speed'), received)
+            self.speed_choice.restore(group(plain, 'speed'), _group(arrays, 'speed'), received)
         self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()

@@ -74,7 +74,8 @@ first samples, then each time they have doubled."""
 
 FULL = 1024
 """Samples that tell for good that the whole motor does not explain them: then it is not asked for
-twice as many, and for twice as many again each time, up to RAREST."""
+twice as many, and for twice as many again each time, up to RAREST. Nor is it asked for as long as
+the search has taken, after the next failure for twice as long, and so on."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
@@ -86,6 +87,7 @@ and the least of it that counts."""
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
+_CHANGED, _UNCHANGED = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 _PREFIX = 'outputs.'
 _SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
 _SPREAD = 'measured_speed.load_spread'
@@ -294,38 +296,45 @@ class MeasuredSpeedUpdate:
         has_changed = self._exact.learn(sample)
         self._outputs.remember(sample)
         fits = self._outputs.counters()
-        has_fitted = self._outputs.is_due and self._ask()
+        if self._outputs.is_due:
+            self._ask()
+        has_fitted = self._has_fitted()
         if self._is_noisy or was_noisy:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
             has_changed |= self._outputs.counters() != fits
-        self._changed = np.array([has_changed])
+        self._changed = _CHANGED if has_changed else _UNCHANGED
         return has_changed
 
-    def _ask(self) -> bool:
-        """Fit both outputs where there is reason to, and settle which rule is believed."""
-        samples = self._outputs.unfitted.copy()
-        if not self._is_noisy and not self._is_worth_asking(samples):
+    def _ask(self) -> None:
+        """Begin to fit both outputs where there is reason to."""
+        if self._is_noisy or self._is_worth_asking(self._outputs.unfitted):
+            self._outputs.begin_fit()
+        else:
             self._outputs.postpone()
+
+    def _has_fitted(self) -> bool:
+        """Go on with the fit of both outputs; tell whether it has ended and is believed."""
+        fitting = self._outputs.fitting
+        has_ended = self._outputs.advance()
+        if fitting is None or not has_ended:  # a voltage that is held tells nothing
             return False
-        has_fitted = self._outputs.fit()
+        place, samples = fitting
         fit = self._outputs.output_fit
-        if not has_fitted:  # a voltage that is held tells nothing
-            return False
         if fit is None or not fit.explains:
             self._failures += 1
             self._explained = -1
             self._is_noisy &= self._failures < MOST_FAILURES
-            place, count = int(self._outputs.replay.received[0]), samples.shape[1]
+            count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
-            self._rest_until = place + min(rest, RAREST)
+            rest = max(rest, self._failures * (now - place))
+            self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
         self._take_mechanics(fit, samples.shape[1])
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
         if not (self._is_noisy or is_noisy or self._is_late(fit)):
             return False
-        place = int(self._outputs.replay.received[0])
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
