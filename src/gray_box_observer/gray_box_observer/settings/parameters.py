@@ -281,6 +281,19 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         1e6,
         live=True,
     ),
+    ParameterSpec(
+        'dashboard.port',
+        0,
+        'Port of a page that shows the motors live in a browser; 0: none.',
+        0,
+        65_535,
+    ),
+    ParameterSpec(
+        'dashboard.address',
+        '127.0.0.1',
+        'Address that this page is served on: this host only; whoever reaches another one may '
+        'look.',
+    ),
 )
 """Parameters of the node as a whole."""
 
