@@ -346,14 +346,15 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first. With speed_source rotor hysteresis gives way to '
-        'inertia, viscous_friction and coulomb_friction unless it is stated.',
+        'inertia, viscous_friction and coulomb_friction unless it is stated. With speed_source '
+        'measured these three, and load_torque, may be added.',
     ),
     *_known_values(own=False),
     ParameterSpec(
         'speed_source',
         'auto',
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); rotor: a hidden state '
-        '(recursive rule, no predictor); auto: measured where torque brings speed, '
+        '(recursive rule); auto: measured where torque brings speed, '
         'else torque_constant until the data tell a rotor.',
         choices=('auto', 'measured', 'torque_constant', 'rotor'),
     ),
