@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     Trajectory,
     find_kicks,
     follow,
+    follow_moves,
     linearise,
     recurrence,
     restart_variance,
@@ -122,7 +123,12 @@ def free_run(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> FreeRun:
 
 
 def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[np.bool_] | None:
-    """Jumps of the state against the model, shape (1, k); None if too many to be jumps."""
+    """Jumps of the state against the model, shape (1, k); None if these are the model's fault.
+
+    They are where there are too many of them. They are too where the state jumps at most moves of
+    the voltage. A run that begins anew behind every move would test the held levels alone, and
+    these tell nothing of the inductance.
+    """
     valid = np.concatenate([np.ones((1, 1), dtype=bool), ~stretch.restart], axis=1)
     change = residual[:, 1:] - path.factor * residual[:, :-1]
     sharp = np.minimum(
@@ -130,4 +136,6 @@ def _kicks(path: Trajectory, residual: Array, stretch: SampleWindow) -> NDArray[
     )
     kicks = find_kicks(path, residual, ~stretch.restart, np.maximum(sharp, 1e-12))
     count = int(kicks.sum())
-    return kicks if 0 < count <= MAX_KICKS * kicks.size else None
+    if not 0 < count <= MAX_KICKS * kicks.size:
+        return None
+    return None if follow_moves(kicks, stretch.voltage_v)[0] else kicks

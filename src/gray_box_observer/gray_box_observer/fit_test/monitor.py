@@ -7,6 +7,7 @@ another one. All is decided by counts of samples, so that every door leads to th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -15,40 +16,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict, misfit
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
+from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts
+from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
+from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
+    NOTICEABLE,
     RATIO_MISFIT,
     SCORE_DOUBT,
     WHITENESS_DOUBT,
     Judgement,
     judge,
+    with_shift,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS, check_saved_test
+from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
-from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import (
-    LARGEST,
-    MOST,
-    ArrayRule,
-    check_array,
-    check_covariance,
-    entry,
-    group,
-    number,
-    number_or_none,
-    positive,
-    whole,
-)
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -60,18 +52,26 @@ FEWEST = 64
 """Samples of which a test tells something."""
 
 SHORTEST_WAIT = 64
-LONGEST_WAIT = 2048
-"""Samples between two tests of a motor."""
+"""Samples between two tests of a motor, at least."""
+
+LONGEST_SOON = 512
+"""Samples between two tests, at most, of a motor that does not fit and has become another one."""
 
 UNASKED = 256
 """Samples after which a motor is tested though nothing of it would be called identified."""
 
 MOVED = 0.1
-"""Change of a parameter's logarithm by which a motor that did not fit has become another one."""
+"""Change of a parameter's logarithm by which a motor is another one than was tested."""
 
 HELD = 0.01
 """Range of the voltage, as a share of its largest value, in which it is held: that tells nothing of
 the fit."""
+
+HELD_NOISY = 0.05
+"""The same, at most, where the voltage is measured: its own noise is no move."""
+
+NOISE_RANGE = 10.0
+"""Range of so much noise in standard deviations: that of 4096 samples is 7 to 9."""
 
 LESS = 0.5
 """Share of the samples, and of the range of the voltage, that a misfit rests on which can overrule
@@ -86,11 +86,6 @@ small residual; else the free run is asked."""
 
 MILD = 1.5
 """Residual over noise floor up to which it is small."""
-
-MOST_SUSPECTS = 3
-
-LONGEST_REMEDY = 500
-"""Characters of a remedy."""
 
 MANY = 1024
 """Motors of which one is tested at one sample of the group; of more, as many more."""
@@ -134,18 +129,25 @@ class FitMonitor:
     Args:
         motors: their configurations, in the order of the motor axis.
         white_boxes: physics of each.
+        quantity: what the torque signal is taken for: ``torque`` or ``current``.
     """
 
     def __init__(
-        self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]
+        self,
+        motors: Sequence[MotorConfiguration],
+        white_boxes: Sequence[MotorWhiteBox],
+        quantity: str = 'torque',
     ) -> None:
         self._motors = motors
+        self._quantity = quantity
         self._white_boxes = white_boxes
         self._results: list[_Tested | None] = [None] * len(motors)
         self._due = np.full(len(motors), FEWEST)
         self._soon = np.full(len(motors), NEVER)
         self._begin = np.full(len(motors), NEVER)
         self._limits = np.ones(len(motors), dtype=bool)
+        self._theta = np.full((len(motors), len(white_boxes[0].parameters)), np.nan)
+        self._moved: frozenset[int] = frozenset()
 
     def configuration(self, motor: int) -> MotorConfiguration:
         """Return the configuration of one motor."""
@@ -159,7 +161,8 @@ class FitMonitor:
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
         result = self._results[motor]
-        return result is None or result.assessment.verdict is FitVerdict.MISFIT
+        tested = result is not None and result.assessment.verdict is not FitVerdict.MISFIT
+        return not tested or motor in self._moved
 
     def due(self, nodes: ContextUpdate, estimate: Estimate, motors: NDArray[np.intp]) -> list[int]:
         """Return which of some motors are to be tested now.
@@ -170,24 +173,21 @@ class FitMonitor:
             motors: their places on the motor axis.
         """
         replay = nodes.replay
+        self._moved = frozenset()
         places = replay.received[motors]
         if (places < np.minimum(self._due[motors], self._soon[motors])).all():
             return []
         changed = replay.begin(motors) > self._begin[motors]
         waited = places >= np.where(changed, self._soon[motors], self._due[motors])
-        settling = self._limits[motors] & (places >= self._soon[motors])
-        rows = np.flatnonzero(waited | settling)
+        moved = (places >= self._soon[motors]) & self._has_moved(estimate, motors)
+        self._moved = frozenset(motors[moved].tolist())
+        rows = np.flatnonzero(waited | moved)
         rows = rows[
             np.argsort(self._due[motors[rows]], kind='stable')
         ]  # who has waited longest is first
-        worth = (
-            row
-            for row in rows.tolist()
-            if waited[row] or self._has_moved(estimate, row, motors[row])
-        )
         due_motors = (
             int(motors[row])
-            for row in worth
+            for row in rows.tolist()
             if self._is_ripe(estimate, row, motors[row], places[row])
         )
         return list(islice(due_motors, max(1, len(self._motors) // MANY)))
@@ -197,12 +197,22 @@ class FitMonitor:
         hopeful = Verdict.IDENTIFIED in estimate.verdicts[row]
         return self._results[motor] is not None or hopeful or bool(place >= UNASKED)
 
-    def _has_moved(self, estimate: Estimate, row: int, motor: int) -> bool:
-        """Tell whether a motor that did not fit has become another one since."""
-        result = self._results[motor]
-        if result is None or result.assessment.verdict is not FitVerdict.MISFIT:
-            return False
-        return bool(np.max(np.abs(np.log(estimate.value[row] / result.theta))) > MOVED)
+    def _has_moved(self, estimate: Estimate, motors: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell which motors are others than were tested, shape (motor,).
+
+        What a test has found holds for the values tested. Of a motor that fits, those count that
+        are believed.
+        """
+        far = np.abs(np.log(estimate.value / self._theta[motors])) > MOVED
+        has_moved: NDArray[np.bool_] = far.any(axis=1)
+        for row in np.flatnonzero(has_moved).tolist():
+            result = self._results[motors[row]]
+            if result is not None and result.assessment.verdict is not FitVerdict.MISFIT:
+                verdicts = zip(estimate.verdicts[row], far[row], strict=True)
+                has_moved[row] = any(
+                    verdict is Verdict.IDENTIFIED and is_far for verdict, is_far in verdicts
+                )
+        return has_moved
 
     def test(
         self, nodes: ContextUpdate, estimate: Estimate, motor: int, delay: DelayEstimate
@@ -230,7 +240,7 @@ class FitMonitor:
         # Of a rotor that has settled, and nobody measures, the resistance tells nothing: only a
         # transient counts.
         tells = before is None and hopeful and (knows_speed or _knows_inductance(estimate))
-        if _is_held(samples[VOLTAGE, 0]) and not tells:
+        if is_held(samples[VOLTAGE, 0]) and not tells:
             self._put_off(motor, place + SHORTEST_WAIT)
             return
         theta = estimate.value
@@ -247,8 +257,15 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
         )
+        shift = inductance_shift(white_box, samples[:, 0], theta[0])
+        judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
+        judgement = self._without_seen_rotor(judgement, theta[0], motor)
         suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         content = replay.newest(min(replay.stored(motor), WINDOW), one)
+        is_duty = may_be_duty(content[VOLTAGE, 0])
+        sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
+        if sheet is not None and not suspicions:
+            suspicions.append(sheet)
         clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
         if clipped is not None:
             suspicions.append(clipped)
@@ -287,6 +304,22 @@ class FitMonitor:
             )
         self._follow(motor)
 
+    def _without_seen_rotor(self, judgement: Judgement, theta: Array, motor: int) -> Judgement:
+        """Leave the resistance open by Kb Kt where a speed of Kt i is nothing but a guess.
+
+        A rotor that is blocked has no back-EMF, and leaves as white a residual.
+        """
+        white_box = self._white_boxes[motor]
+        nodes = white_box.context_nodes
+        is_guess = self._motors[motor].values['speed_source'] != 'torque_constant'
+        knows_speed = white_box.speed_measured or white_box.has_rotor
+        if knows_speed or not is_guess or 'resistance' not in nodes:
+            return judgement
+        place = nodes.index('resistance')
+        back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)
+        share = back_emf_ohm / float(theta[place])
+        return with_shift(judgement, place, share if share > NOTICEABLE else 0.0)
+
     def _put_off(self, motor: int, place: int) -> None:
         """Ask again at a place where there may be more to tell by."""
         self._due[motor] = self._soon[motor] = place
@@ -296,8 +329,9 @@ class FitMonitor:
         result = self._results[motor]
         assert result is not None
         self._due[motor] = result.place + result.wait
-        self._soon[motor] = result.place + SHORTEST_WAIT
+        self._soon[motor] = result.place + _soonest(result.misfits)
         self._begin[motor] = result.begin
+        self._theta[motor] = result.theta
         judgement = result.judgement
         self._limits[motor] = judgement.widens or judgement.verdict is FitVerdict.MISFIT
 
@@ -376,7 +410,7 @@ class FitMonitor:
                     estimate.parameters, value, std, frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
-                verdicts[row] = tuple(map(_misfit, verdicts[row]))
+                verdicts[row] = tuple(map(misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
 
     def forget(self) -> None:
@@ -385,6 +419,7 @@ class FitMonitor:
         self._due[:] = FEWEST
         self._soon[:] = self._begin[:] = NEVER
         self._limits[:] = True
+        self._theta[:] = np.nan
 
     def state(self, motor: int, received_count: int) -> dict[str, Any]:
         """Everything about one motor, as plain values; places count back from the newest."""
@@ -416,11 +451,12 @@ class FitMonitor:
         Raises:
             CheckpointError: it is no state that a test could have left.
         """
-        _check_saved(plain, len(self._white_boxes[motor].parameters))
+        check_saved_test(plain, len(self._white_boxes[motor].parameters))
         if 'assessment' not in plain:
             self._results[motor] = None
             self._soon[motor] = self._begin[motor] = NEVER
             self._limits[motor] = True
+            self._theta[motor] = np.nan
             self._restore_due(plain, motor, received_count)
             return
         assessment = FitAssessment.from_dict(plain['assessment'])
@@ -446,61 +482,12 @@ class FitMonitor:
             self._soon[motor] = plain['soon'] + received_count
 
 
-def _check_saved(plain: dict[str, Any], parameters: int) -> None:
-    """Refuse a saved state that no test could have left.
+def _soonest(misfits: int) -> int:
+    """Samples to a test of a motor that has become another one, after so many misfits in a row.
 
-    Raises:
-        CheckpointError: something is missing, or out of its range.
+    One that goes on changing without ever fitting is asked less and less often.
     """
-    whole(plain, 'due', -MOST, MOST)
-    if plain.get('soon') is not None:
-        whole(plain, 'soon', -MOST, MOST)
-    if 'assessment' not in plain:
-        return
-    assessment = group(plain, 'assessment')
-    if entry(assessment, 'verdict') not in [verdict.value for verdict in FitVerdict]:
-        raise CheckpointError('fit.verdict is none of those that there are')
-    number_or_none(assessment, 'ratio', 0.0, LARGEST)
-    number_or_none(assessment, 'whiteness', 0.0, LARGEST)
-    whole(assessment, 'samples')
-    suspects = entry(assessment, 'suspects')
-    if not isinstance(suspects, list) or len(suspects) > MOST_SUSPECTS:
-        raise CheckpointError(f'fit.suspects is no list of at most {MOST_SUSPECTS}')
-    for suspect in suspects:
-        number(suspect, 'evidence', -LARGEST, LARGEST)
-        if set(suspect) != {'effect', 'evidence', 'remedy'}:
-            raise CheckpointError(
-                'a suspect of the fit has other entries than effect, evidence and remedy'
-            )
-        texts = [suspect[name] for name in ('effect', 'remedy')]
-        if not all(
-            isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts
-        ):
-            raise CheckpointError(
-                'a suspect of the fit has a name or a remedy that nobody can have written'
-            )
-    numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
-    check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
-    check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
-    check_covariance('fit.spread', numbers['spread'])
-    check_array('fit.theta', numbers['theta'], positive(parameters))
-    whole(plain, 'place', -MOST, 0)
-    whole(plain, 'begin', -MOST, 0)
-    whole(plain, 'wait', 1, LONGEST_WAIT)
-    number(plain, 'range_v', 0.0, LARGEST)
-    whole(plain, 'misfits')
-
-
-def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
-    """Return a list of numbers as an array.
-
-    Raises:
-        CheckpointError: it is none.
-    """
-    try:
-        return np.array(entry(plain, name), dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise CheckpointError(f'fit.{name} is no list of numbers') from None
+    return min(SHORTEST_WAIT << min(max(misfits - PASSING, 0), 8), LONGEST_SOON)
 
 
 def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
@@ -528,9 +515,12 @@ def _knows_inductance(estimate: Estimate) -> bool:
     )
 
 
-def _is_held(voltage_v: Array) -> bool:
+def is_held(voltage_v: Array) -> bool:
     """Tell whether a voltage hardly moves, shape (n,): then there is nothing to tell a fit by."""
-    return float(np.ptp(voltage_v)) <= HELD * float(np.max(np.abs(voltage_v)))
+    largest_v = float(np.max(np.abs(voltage_v)))
+    noise_v = MAD_TO_STD * float(np.median(np.abs(np.diff(voltage_v)))) / math.sqrt(2.0)
+    by_noise_v = min(NOISE_RANGE * noise_v, HELD_NOISY * largest_v)
+    return float(np.ptp(voltage_v)) <= max(HELD * largest_v, by_noise_v)
 
 
 def _widened(judgement: Judgement, value: Array, covariance: Array) -> Array | None:
@@ -544,10 +534,6 @@ def _widened(judgement: Judgement, value: Array, covariance: Array) -> Array | N
 
 def _at_most_converging(verdict: Verdict) -> Verdict:
     return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
-
-
-def _misfit(verdict: Verdict) -> Verdict:
-    return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
 
 
 def _without_repetition(suspicions: Sequence[Suspect]) -> tuple[Suspect, ...]:

@@ -8,7 +8,7 @@ which nothing is identified. Thresholds were chosen on one half of the scenarios
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,9 +28,12 @@ ones begin at 2.9."""
 
 WHITENESS_WARNING = 3.0
 
+WHITENESS_WIDENS = 10.0
+"""Whiteness from which the residual's correlation counts into standard deviations. A state that
+begins anew at one odd sample leaves up to 7."""
+
 WHITENESS_DOUBT = 25.0
-"""Whiteness from which the residual's correlation counts: into standard deviations, and with an
-effect as a misfit."""
+"""Whiteness from which the residual's correlation counts with an effect as a misfit."""
 
 SCORE_DOUBT = 25.0
 """Chi-square of one degree of freedom from which an effect explains a part of a residual that is
@@ -61,6 +64,11 @@ UNIFORM_MEAN = math.sqrt(3.0)
 SHORTEST = (0.6, 0.8)
 """Sample intervals in a time constant L/R: from the second down the instant of a step counts, below
 the first fully."""
+
+UNTOLD_DELAY = 0.05
+"""Standard deviation of a delay, in sample intervals, from which the data need not show half an
+interval. A voltage that was sampled and not held acts so much later than it is taken to act. Steps
+tell the instant well; smooth voltages do not."""
 
 SAFETY = 1.25
 """Factor on standard deviations under correlated residuals, whose memory is known but roughly."""
@@ -140,7 +148,7 @@ def judge(
         shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     factor = np.ones(relative_std.size)
-    if coloured:
+    if analysis.whiteness > WHITENESS_WIDENS:
         robust = (
             SAFETY
             * analysis.robust_std
@@ -151,10 +159,25 @@ def judge(
     if not stamps_exact:
         fully, from_here = SHORTEST
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
-        late += share * UNIFORM_STD
+        late += UNIFORM_STD if analysis.delay_std > UNTOLD_DELAY else share * UNIFORM_STD
     delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(delay_effect, delay_effect)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
     return Judgement(verdict, factor, spread)
+
+
+def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:
+    """Return a judgement that leaves one parameter open by a share of it.
+
+    Args:
+        judgement: as the residual has it.
+        place: of the parameter.
+        share: standard deviation that comes on top, relative to the parameter.
+    """
+    if share == 0.0:
+        return judgement
+    spread = judgement.spread.copy()
+    spread[place, place] += min(share, LARGEST_SHIFT) ** 2
+    return replace(judgement, spread=spread)

@@ -88,6 +88,8 @@ class ResidualAnalysis:
             said.
         delay_shift: shape (parameter,): by how much the logarithms of the parameters would move if
             the voltage acted one sample interval later than it is stamped.
+        delay_std: standard deviation in sample intervals to which the data tell such a delay, all
+            parameters being free; infinite where they do not.
         intervals: sample intervals in an electrical time constant L/R.
         jitter: standard deviation of the stamps in sample intervals; 0 where the residual is as
             large in steep parts of the current as in flat ones.
@@ -102,6 +104,7 @@ class ResidualAnalysis:
     scores: tuple[EffectScore, ...]
     robust_std: Array
     delay_shift: Array
+    delay_std: float
     intervals: float
     jitter: float
     moving_noise_a: float
@@ -155,6 +158,7 @@ def analyse(
     size_a = math.sqrt(float(residual @ residual) / residual.size)
     whiteness = ljung_box(residual) if size_a > least_a else 1.0
     robust = projection.robust_std() if whiteness > COLOURED else np.full(p.shape[1], np.nan)
+    delay_shift, delay_std = _delay_effect(run, projection, weight, max(size_a, floor_a))
     return ResidualAnalysis(
         samples=residual.size,
         floor_a=floor_a,
@@ -162,7 +166,8 @@ def analyse(
         whiteness=whiteness,
         scores=_scores(run, projection, scene_of(white_box, run), weight, least_a),
         robust_std=robust,
-        delay_shift=_delay_shift(run, projection, weight),
+        delay_shift=delay_shift,
+        delay_std=delay_std,
         intervals=_intervals(white_box, p, stretch),
         jitter=_jitter(run, projection.remainder, floor_a),
         moving_noise_a=_moving_noise(run.residual_a, run.stretch.state[0]),
@@ -180,10 +185,18 @@ def scene_of(white_box: WhiteBox, run: FreeRun) -> Scene:
     )
 
 
-def _delay_shift(run: FreeRun, projection: _Projection, weight: Array) -> Array:
+def _delay_effect(
+    run: FreeRun, projection: _Projection, weight: Array, noise_a: float
+) -> tuple[Array, float]:
+    """Return what a delay of one sample interval does to the log-parameters, and its std."""
     voltage_v = run.stretch.voltage_v[0]
     later = np.diff(voltage_v, prepend=voltage_v[:1])
-    return -projection.shift(run.response(-later[None])[0] * weight)
+    response = run.response(-later[None])[0] * weight
+    distinct = projection.without(response)
+    size_a = math.sqrt(float(distinct @ distinct))
+    least_a = math.sqrt(DISTINCT * float(response @ response))
+    std = noise_a / size_a if size_a > least_a else math.inf
+    return -projection.shift(response), std
 
 
 def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
@@ -197,9 +210,10 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     size = np.abs(remainder)
     steep_a = MAD_TO_STD * float(np.median(size[steep]))
     rest_a = max(MAD_TO_STD * float(np.median(size[rest])), floor_a)
-    if steep_a <= SCATTERED * rest_a:
+    steepness = math.sqrt(float(np.mean(slope[steep] ** 2)))
+    if steep_a <= SCATTERED * rest_a or not steepness > 0.0:  # a run that stands tells no instant
         return 0.0
-    return math.sqrt(steep_a**2 - rest_a**2) / math.sqrt(float(np.mean(slope[steep] ** 2)))
+    return math.sqrt(steep_a**2 - rest_a**2) / steepness
 
 
 def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:

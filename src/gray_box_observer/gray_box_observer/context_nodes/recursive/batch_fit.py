@@ -32,6 +32,7 @@ from gray_box_observer.context_nodes.recursive.trajectory import (
     SampleWindow,
     find_kicks,
     follow,
+    follow_moves,
     linearise,
     recurrence,
     restart_variance,
@@ -80,6 +81,11 @@ class Fit:
     ramp: Array
     left_out: Array
     linear_std: Array
+
+    def select(self, index: NDArray[np.intp]) -> Fit:
+        """Return the result of the chosen motors."""
+        ramp, left_out, linear = self.ramp[index], self.left_out[index], self.linear_std[index]
+        return Fit(self.belief.select(index), ramp, left_out, linear)
 
 
 def batch_fit(
@@ -240,6 +246,7 @@ class _Search:
                 find_kicks(self._path, self._residual, ~self._stretch.restart, self._sharp_scale())
                 & odd
             )
+            kicks &= ~follow_moves(kicks, self._stretch.voltage_v)[:, None]
             if np.any(kicks):
                 self._stretch = self._stretch.restarted(kicks)
                 self._maps = linearise(self._white_box, self._p, self._stretch, self._about)

@@ -39,6 +39,12 @@ STATE_ROW, START_ROW, COORDINATE_ROWS = 0, 1, slice(2, None)
 KICK = 9.0
 """Standard deviations of the measured state from which a jump of it is met by a restart."""
 
+MOVE = 0.1
+"""Change of the voltage between two intervals that is a move, as a share of its range."""
+
+MAX_KICKED_MOVES = 0.5
+"""Share of the moves at which the state may jump before the jumps are the model's fault."""
+
 FAR = 1e3
 """Times the largest measured state: no trajectory goes further."""
 
@@ -259,6 +265,27 @@ def find_kicks(
     two = (both > limit) & (earlier < 0.25 * both) & (after < 0.25 * both) & (before > 0.0)
     kicks: NDArray[np.bool_] = (one | two) & large
     return kicks
+
+
+def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_]:
+    """Tell whose state jumps at most moves of the voltage: that is the model's fault.
+
+    A run that begins anew behind every move would rest on the held levels alone, and these tell
+    nothing of the inductance.
+
+    Args:
+        kicks: shape (motor, k): where the state has jumped.
+        voltage_v: shape (motor, k): mean over every interval.
+
+    Returns:
+        Shape (motor,).
+    """
+    change_v = np.abs(np.diff(voltage_v, axis=1, prepend=voltage_v[:, :1]))
+    moves = change_v > MOVE * np.ptp(voltage_v, axis=1, keepdims=True)
+    near = kicks.copy()
+    near[:, :-1] |= kicks[:, 1:]  # what a delayed voltage does comes an interval later
+    at_moves: NDArray[np.bool_] = (moves & near).sum(axis=1) > MAX_KICKED_MOVES * moves.sum(axis=1)
+    return at_moves
 
 
 def _shifted(values: Array, by: int) -> Array:

@@ -40,7 +40,16 @@ NAMESAKE = (
 )
 """What is wrong where somebody has started a second observer of the same name."""
 
-DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
+DOUBTS = (
+    'units_of_current',
+    'units_of_voltage',
+    'units_of_time',
+    'units_of_speed',
+    'speed_sign',
+    'voltage_sign',
+    'torque_sign',
+    'data_sheet',
+)
 """Suspects that say more than a bound that is met."""
 
 REJECTIONS = {
@@ -49,7 +58,8 @@ REJECTIONS = {
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
     Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of '
     'the same clock?',
-    Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
+    Rejection.NO_SPEED: 'torque without speed, which came at first or is needed: does the encoder '
+    'run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STALE_INPUT: 'an input of the expression is silent: does its driver run?',
@@ -176,7 +186,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
             '',
         )
         return _judge_refusals(motor, now) or (
-            DiagnosticStatus.STALE,
+            DiagnosticStatus.ERROR if complaint else DiagnosticStatus.STALE,
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
     topics = ' and '.join(now.message_input.signals[n].topic for n in silent)
@@ -264,6 +274,9 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
     fit = observer.fit(motor)
+    mixed = observer.mix_up(motor)
+    if mixed is not None:
+        return DiagnosticStatus.WARN, mixed.sentence
     doubted = any(suspect.effect in DOUBTS for suspect in fit.suspects)
     if fit.verdict is FitVerdict.MISFIT and (doubted or _advice(motor, now) is None):
         return DiagnosticStatus.WARN, fit.sentence  # it ends with the likeliest remedy

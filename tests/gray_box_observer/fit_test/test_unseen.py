@@ -1,0 +1,122 @@
+"""What no residual shows: a voltage that was sampled and not held, a rotor that is blocked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from linear_motor_records import (
+    INDUCTANCE_H,
+    INTERVAL_S,
+    NODES,
+    RESISTANCE_OHM,
+    TORQUE_CONSTANT,
+    TRUTH,
+    WHITE_BOX,
+    Floats,
+    Record,
+    current_of,
+    noise,
+    steps,
+)
+
+from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.fit_test.policy import (
+    UNIFORM_STD,
+    UNTOLD_DELAY,
+    WHITENESS_DOUBT,
+    WHITENESS_WIDENS,
+    Judgement,
+    judge,
+)
+from gray_box_observer.fit_test.residual_analysis import analyse
+
+SAMPLES = 3000
+STD_A = 0.01
+SURE = np.array([1e-3, 1e-3])
+
+
+def _slow_sines(scale_s: float) -> tuple[Floats, Floats]:
+    """Voltage at every sample, and the current of the blocked motor that it drives all the time."""
+    time_s = np.arange(SAMPLES) * INTERVAL_S
+    voltage_v, current_a = np.zeros(SAMPLES), np.zeros(SAMPLES)
+    for share in (1.0, 1.7, 2.9):
+        rate = share / scale_s
+        impedance = RESISTANCE_OHM + 1j * rate * INDUCTANCE_H
+        wave = np.exp(1j * rate * time_s)
+        voltage_v += 3.0 * wave.imag
+        current_a += 3.0 * (wave / impedance).imag
+    return voltage_v, current_a
+
+
+def _judged(record: Record, *, stamps_exact: bool) -> Judgement:
+    analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
+    return judge(analysis, SURE, SAMPLES, speed_measured=False, stamps_exact=stamps_exact)
+
+
+def test_steps_tell_the_instant_at_which_the_voltage_acts() -> None:
+    voltage_v = steps(SAMPLES, 1)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 2))
+    analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
+    assert analysis.delay_std < 0.1 * UNTOLD_DELAY
+    assert not _judged(record, stamps_exact=False).spread.any()
+
+
+@pytest.mark.parametrize('exact', [False, True])
+def test_slow_sines_do_not_and_leave_the_inductance_open(exact: bool) -> None:
+    voltage_v, _ = _slow_sines(1.0)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 3))
+    analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
+    assert analysis.delay_std > UNTOLD_DELAY
+    spread = _judged(record, stamps_exact=exact).spread
+    half_interval = 0.5 * INTERVAL_S * RESISTANCE_OHM / INDUCTANCE_H
+    assert np.sqrt(spread[0, 0]) == pytest.approx(
+        0.0 if exact else 2.0 * UNIFORM_STD * half_interval, rel=0.3
+    )
+
+
+@pytest.mark.slow
+def test_the_inductance_of_a_voltage_that_was_sampled_is_not_believed_wrongly() -> None:
+    """It comes out too small by R times half an interval, and the residual is white."""
+    voltage_v, current_a = _slow_sines(1.0)
+    motor = Record(voltage_v, current_a + noise(SAMPLES, STD_A, 4)).observed().motors['motor']
+    inductance, std = motor.estimate.value[0, 0], motor.estimate.std[0, 0]
+    assert inductance < 0.85 * INDUCTANCE_H
+    assert abs(inductance - INDUCTANCE_H) < 3.0 * std
+    assert motor.estimate.verdicts[0][0] is not Verdict.IDENTIFIED
+
+
+def _blocked(**motor: object) -> Estimate:
+    voltage_v = steps(2000, 5)
+    record = Record(voltage_v, current_of(voltage_v) + noise(2000, STD_A, 6))
+    return record.observed(**motor).motors['motor'].estimate
+
+
+def test_kb_kt_is_left_open_where_a_speed_of_kt_i_is_a_guess() -> None:
+    """Of a blocked rotor R comes out smaller by Kb Kt, which is a tenth of it here."""
+    kb = 0.1 * RESISTANCE_OHM / TORQUE_CONSTANT
+    guess = _blocked(back_emf_constant=kb)
+    assert guess.value[0, 1] == pytest.approx(0.9 * RESISTANCE_OHM, rel=0.01)
+    assert abs(guess.value[0, 1] - RESISTANCE_OHM) < 3.0 * guess.std[0, 1]
+    assert guess.verdicts[0] == (Verdict.IDENTIFIED, Verdict.CONVERGING)
+
+
+@pytest.mark.parametrize(
+    'motor',
+    [{'back_emf_constant': 1e-3}, {'speed_source': 'torque_constant', 'back_emf_constant': 10.0}],
+)
+def test_kb_kt_is_not_left_open_where_it_is_small_or_the_speed_is_stated(
+    motor: dict[str, object],
+) -> None:
+    assert list(NODES) == ['inductance', 'resistance']
+    assert _blocked(**motor).verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
+
+
+def test_standard_deviations_grow_with_a_residual_that_is_hardly_coloured() -> None:
+    voltage_v = steps(SAMPLES, 7)
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 8, memory=0.35))
+    analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
+    assert WHITENESS_WIDENS < analysis.whiteness < WHITENESS_DOUBT
+    judgement = judge(analysis, 0.3 * SURE, SAMPLES, speed_measured=False, stamps_exact=True)
+    assert judgement.factor == pytest.approx(
+        np.maximum(1.25 * analysis.robust_std / (0.3 * SURE), 1.0)
+    )
