@@ -23,11 +23,19 @@ import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
 from common.rotor.records import NODES, draw
+from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
 from common.rotor.speed_records import SpeedSensor, draw_with_speed
 from common.trust.motors import gear_motor, sticky_motor, thesis_like_motor
-from real_motors import DEAD_CURRENT_SENSOR, DEFAULT_DATA, Case, cases, identify
+from real_motors import (
+    DEAD_CURRENT_SENSOR,
+    DEFAULT_DATA,
+    ROBOT_TORQUE_CONSTANT,
+    Case,
+    cases,
+    identify,
+)
 from scipy.stats import chi2
 
 from gray_box_observer.context_nodes import Verdict
@@ -38,8 +46,11 @@ LONG_S, QUICK_S = 20.0, 4.0
 ROBOT_OHM, ROBOT_REACH_OHM = 4.25, 0.3
 CONFIDENCE = 0.95
 WITHIN_STDS = 3.0
+FINE_SENSOR = SpeedSensor('speed with 0.5 % noise', noise=0.005)
+"""With it the rotor's own parameters are asked for too."""
+
 SPEED_SENSORS = (
-    (SpeedSensor('speed with 0.5 % noise', noise=0.005), 1000.0),
+    (FINE_SENSOR, 1000.0),
     (SpeedSensor('speed with 1 % noise', noise=0.01), 1000.0),
     (SpeedSensor('speed with 3 % noise', noise=0.03), 1000.0),
     (SpeedSensor('encoder of 64 counts', counts=64), 1000.0),
@@ -61,6 +72,12 @@ def main() -> int:
     parser.add_argument(
         '--speed', action='store_true', help='only motors whose speed is measured, badly'
     )
+    parser.add_argument(
+        '--mechanics', action='store_true', help='only inertia and frictions from a measured speed'
+    )
+    parser.add_argument(
+        '--predict', action='store_true', help='only the prediction of robots never seen'
+    )
     parser.add_argument('--data', type=Path, help='folder with regbot_rev2b')
     options = parser.parse_args()
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
@@ -71,6 +88,16 @@ def main() -> int:
         print(f'\n{figure_table(figures)}')
         print(last_line('rotor', seeds, figures))
         return 0
+    if options.mechanics:
+        figures = mechanical_figures(seeds, length_s, counts=counts)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', seeds, figures))
+        return 0
+    if options.predict:
+        figures = prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', 1, figures))
+        return 0
     figures = [
         *fast_figures(seeds, length_s, counts=counts),
         *slow_figures(seeds, 250.0, length_s, 1e-3, counts=counts),
@@ -80,6 +107,7 @@ def main() -> int:
     ]
     try:
         figures += robot_figures(options.data or DEFAULT_DATA)
+        figures += prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
     except GrayBoxError as error:
         print(f'rotor: error: {" ".join(str(error).split())}', file=sys.stderr)
         return 2
@@ -210,7 +238,7 @@ def show_choices(title: str, choices: Sequence[Choice]) -> None:
 
 def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
     """Run gear motors whose speed is measured with noise, by an encoder, or late."""
-    figures = []
+    figures = mechanical_figures(seeds, length_s, counts=counts)
     for sensor, rate_hz in SPEED_SENSORS:
         name = f'{sensor.name}, {rate_hz:g} Hz'
         trials = [
@@ -229,6 +257,30 @@ def speed_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
             Figure(f'{name}: misfit, share', _share_misfit(trials), 0.0, counts),
         ]
     return figures
+
+
+def mechanical_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Ask for inertia and frictions of gear motors whose speed is measured with little noise."""
+    trials = [
+        run_trial(draw_with_speed(FINE_SENSOR, seed, 1000.0, length_s, NODES))
+        for seed in range(seeds)
+    ]
+    name = f'{FINE_SENSOR.name}, rotor asked for'
+    show(name, trials)
+    right = [
+        bool((np.abs(trial.z) <= WITHIN_STDS).all() and trial.identified.all()) for trial in trials
+    ]
+    freedom = seeds * len(NODES)
+    band = tuple(float(x) / freedom for x in chi2.interval(CONFIDENCE, freedom))
+    return [
+        *(
+            Figure(f'{name}: RMSE of {node} over the bound', float(value), 1.3, counts)
+            for node, value in zip(NODES, over_bound(trials), strict=True)
+        ),
+        Figure(f'{name}: NEES', float(np.mean([t.nees for t in trials])), (band[0], band[1])),
+        Figure(f'{name}: false of all identified', share_false(trials), 0.0, counts),
+        Figure(f'{name}: not all identified and right, share', 1.0 - float(np.mean(right)), None),
+    ]
 
 
 def _share_misfit(trials: Sequence[Trial]) -> float:
@@ -258,6 +310,45 @@ def robot_figures(data: Path) -> list[Figure]:
         Figure('robots: lowest R, ohm', min(healthy, default=None), band),
         Figure('robots: highest R, ohm', max(healthy, default=None), band),
         Figure('robots: identified and wrong', float(false) if healthy else None, 0.0),
+    ]
+
+
+def prediction_figures(data: Path, *, quick: bool) -> list[Figure]:
+    """Predict the torque of robots that taught nothing, from their voltage alone.
+
+    Args:
+        data: folder with regbot_rev2b.
+        quick: one robot is asked of.
+    """
+    logs = robot_logs(data / 'regbot_rev2b')
+    robots = sorted({log.robot for log in logs})[: 1 if quick else None]
+    found = [
+        errors
+        for robot in robots
+        for errors in robot_errors(logs, robot, ROBOT_TORQUE_CONSTANT)
+        if len(robots) > 1 or quick
+    ]
+    if not found:
+        return [Figure('robots never seen: error of the torque', None, 0.24)]
+    rows = [
+        [name, *(number(errors[one]) for one in PREDICTORS), f'{100.0 * scored:.0f} %']
+        for name, errors, scored in found
+    ]
+    medians = {one: float(np.median([errors[one] for _, errors, _ in found])) for one in PREDICTORS}
+    rows.append(['median', *(number(medians[one]) for one in PREDICTORS), ''])
+    print(f'\n{table(["free run of the torque", *PREDICTORS, "scored"], rows)}')
+    rivals = PREDICTORS[2:]
+    return [
+        Figure('robots never seen: error of the torque', medians['observer'], 0.24, not quick),
+        *(
+            Figure(
+                f'robots never seen: error over {rival}',
+                medians['observer'] / medians[rival],
+                1.0,
+                not quick,
+            )
+            for rival in rivals
+        ),
     ]
 
 

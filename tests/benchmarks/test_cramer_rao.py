@@ -38,6 +38,7 @@ def test_too_few_samples_tell_nothing() -> None:
     assert np.all(np.isinf(bound_over_time(record, np.array([2]))))
 
 
+@pytest.mark.slow
 def test_offline_least_squares_reaches_the_bound() -> None:
     least_squares = pytest.importorskip(
         'common.least_squares', reason='needs the peers of requirements/bench.txt'

@@ -81,6 +81,7 @@ def test_a_second_output_only_lowers_the_bound_and_noise_raises_it() -> None:
     assert (loud < 1.001 * alone).all()
 
 
+@pytest.mark.slow
 def test_a_trial_with_a_late_speed_ends_near_the_truth() -> None:
     trial = run_trial(draw_with_speed(SpeedSensor('late', late=2), 3, 1000.0, 2.0))
     assert np.abs(trial.z).max() < 4.5

@@ -63,18 +63,20 @@ class SpeedRecord(Record):
     Attributes:
         sensor: of the speed.
         read_rad_s: shape (k + 1,): its readings.
+        nodes: what is identified: of NODES the first ones.
     """
 
     sensor: SpeedSensor
     read_rad_s: FloatArray
+    nodes: tuple[str, ...]
 
     @property
     def parameters(self) -> dict[str, object]:
-        """What the observer is told of the motor: L and R are all that it asks for."""
+        """What the observer is told of the motor, and what it asks for."""
         return {
             **super().parameters,
             'speed_source': 'measured',
-            'context_nodes': list(ELECTRICAL),
+            'context_nodes': list(self.nodes),
         }
 
     @property
@@ -85,13 +87,13 @@ class SpeedRecord(Record):
 
     @property
     def truth(self) -> FloatArray:
-        """Shape (parameter,): L and R."""
-        return np.array([getattr(self.motor, name) for name in ELECTRICAL])
+        """Shape (parameter,): of the nodes."""
+        return np.array([getattr(self.motor, name) for name in self.nodes])
 
     def bound(self) -> FloatArray:
-        """Smallest relative standard deviation of L and R, from both outputs of the whole motor.
+        """Smallest relative standard deviation of the nodes, from both outputs of the whole motor.
 
-        Unknown are inertia, friction, first states and the lag of the speed, too.
+        Unknown are all of NODES, the first states and the lag of the speed.
         """
         current, speed = self.slopes()
         by_lag = -np.gradient(self.speed_rad_s, self.interval_s)
@@ -102,11 +104,15 @@ class SpeedRecord(Record):
                 np.column_stack([speed, by_lag]) / noise,
             ]
         )
-        return smallest_std(both)[: len(ELECTRICAL)]
+        return smallest_std(both)[: len(self.nodes)]
 
 
 def draw_with_speed(
-    sensor: SpeedSensor, seed: int, rate_hz: float, duration_s: float
+    sensor: SpeedSensor,
+    seed: int,
+    rate_hz: float,
+    duration_s: float,
+    nodes: tuple[str, ...] = ELECTRICAL,
 ) -> SpeedRecord:
     """Draw a gear motor and record it with its speed.
 
@@ -115,9 +121,10 @@ def draw_with_speed(
         seed: of motor, excitation and noise.
         rate_hz: of the samples.
         duration_s: length of the record.
+        nodes: what is identified, ELECTRICAL or NODES.
     """
     record = draw(gear_motor, seed, rate_hz, duration_s)
     rng = np.random.default_rng([18, seed])
     reading = sensor.read(record.speed_rad_s, record.interval_s, rng)
     values = {field.name: getattr(record, field.name) for field in fields(record)}
-    return SpeedRecord(**values, sensor=sensor, read_rad_s=reading)
+    return SpeedRecord(**values, sensor=sensor, read_rad_s=reading, nodes=nodes)

@@ -188,6 +188,7 @@ def test_ever_new_messages_with_very_long_texts_do_not_fill_the_memory(text):
     assert kept < 3 * size, 'the last one and its view, at most'
 
 
+@pytest.mark.slow
 def test_ever_new_lists_of_very_many_names_do_not_fill_the_memory():
     decode, count = JointStateDecoder(), 30_000
     tracemalloc.start()

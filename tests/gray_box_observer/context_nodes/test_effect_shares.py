@@ -29,6 +29,7 @@ def learnt(viscous: float, coulomb: float, excitation: str = 'R[-12,12]D[0.05,0.
     return update
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('viscous', 'coulomb', 'place'), [(0.0, 8.4e-3, VISCOUS), (1e-5, 0.0, COULOMB)]
 )
@@ -44,6 +45,7 @@ def test_a_friction_that_is_not_there_is_negligible(
     assert other.estimate().verdicts == estimate.verdicts
 
 
+@pytest.mark.slow
 def test_frictions_that_matter_are_identified_and_their_bound_holds() -> None:
     update = learnt(1e-5, 8.4e-3)
     estimate = update.estimate()

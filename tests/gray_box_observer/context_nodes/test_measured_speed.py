@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes import (
 )
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
@@ -92,11 +93,12 @@ def fitted(window: Window) -> OutputFit:
     mean = np.log([parameter.initial for parameter in BOX.parameters])
     start = speed_start(BOX, window, np.exp(mean))
     assert start is not None
-    fit = fit_outputs(BOX, window, LogPrior(mean, np.eye(mean.size) / 25.0), [start])
+    fit = completed(fit_outputs(BOX, window, LogPrior(mean, np.eye(mean.size) / 25.0), [start]))
     assert fit is not None
     return fit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('sensor', ['noisy', 'late', 'counted'])
 def test_l_and_r_are_right_whatever_is_wrong_with_the_speed(sensor: str) -> None:
     update = learnt(readings(sensor))
@@ -107,6 +109,7 @@ def test_l_and_r_are_right_whatever_is_wrong_with_the_speed(sensor: str) -> None
     assert estimate.verdicts[0] == (Verdict.IDENTIFIED, Verdict.IDENTIFIED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('sensor', 'lag_us'), [('late', 2000), ('counted', 500), ('noisy', 0)])
 def test_the_lag_of_the_speed_is_told(sensor: str, lag_us: int) -> None:
     counters = learnt(readings(sensor)).counters()
@@ -124,6 +127,7 @@ def test_an_exact_speed_leaves_the_recursive_rule_alone_bit_for_bit() -> None:
     assert update.estimate().covariance.tobytes() == alone.estimate().covariance.tobytes()
 
 
+@pytest.mark.slow
 def test_noise_of_a_speed_is_estimated_and_its_start_is_near() -> None:
     recording = recorded()
     speed = recording.speed_rad_s[0]
@@ -138,6 +142,7 @@ def test_noise_of_a_speed_is_estimated_and_its_start_is_near() -> None:
     assert abs(lag_s) < 4.0 * std_s < 1e-3
 
 
+@pytest.mark.slow
 def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
     rng = np.random.default_rng(8)
     count = 2000
@@ -158,6 +163,7 @@ def test_a_load_that_varies_leaves_l_and_r_at_their_sharpness() -> None:
     assert (std[:2] < 0.01).all()
 
 
+@pytest.mark.slow
 def test_a_motor_that_lacks_a_term_is_not_explained_by_noise_of_the_speed() -> None:
     samples = [
         sample._replace(voltage_v=sample.voltage_v + 1.5 * np.sign(sample.torque_nm))
@@ -203,6 +209,7 @@ def test_a_parameter_that_is_truly_zero_is_negligible() -> None:
     assert estimate.verdicts[0][2] is Verdict.NEGLIGIBLE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('cut', [100, 900, 2900])
 def test_what_is_restored_goes_on_bit_for_bit(cut: int) -> None:
     samples = readings('noisy')

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from rotor_motors import BOX, INITIAL, THETA, content_of, recorded
 
+from gray_box_observer.context_nodes.pieces import completed
 from gray_box_observer.context_nodes.rotor.natural_scale import shares_of_scale
 from gray_box_observer.context_nodes.rotor.weak_start import weak_starts
 from gray_box_observer.context_nodes.rotor.window import Window
@@ -17,7 +18,7 @@ VAGUE = LogPrior(np.log(INITIAL[0]), np.eye(THETA.size) / 25.0)
 def fitted(samples: np.ndarray, start: np.ndarray | None = None) -> tuple[Fit, Window]:
     window = Window.from_samples(BOX, samples)
     starts = [*weak_starts(BOX, window)] if start is None else [start]
-    fit = fit_window(BOX, window, VAGUE, starts)
+    fit = completed(fit_window(BOX, window, VAGUE, starts))
     assert fit is not None
     return fit, window
 
@@ -68,7 +69,7 @@ def test_a_data_sheet_decides_what_samples_leave_open() -> None:
     short = content_of(recorded())[:, :60]
     window = Window.from_samples(BOX, short)
     mean, precision = np.log(1.2 * THETA), np.diag([25.0, 1e8, 25.0, 25.0, 25.0])
-    fit = fit_window(BOX, window, LogPrior(mean, precision), [THETA])
+    fit = completed(fit_window(BOX, window, LogPrior(mean, precision), [THETA]))
     assert fit is not None
     assert fit.theta[1] == pytest.approx(1.2 * THETA[1], rel=1e-3)
 
@@ -87,5 +88,5 @@ def test_motors_that_hardly_move_are_fitted_without_overflow() -> None:
     samples[2] = np.random.default_rng(0).normal(0.0, 1e-4, samples.shape[1])
     window = Window.from_samples(BOX, samples)
     with np.errstate(all='ignore'):
-        fit = fit_window(BOX, window, VAGUE, [INITIAL[0], *weak_starts(BOX, window)])
+        fit = completed(fit_window(BOX, window, VAGUE, [INITIAL[0], *weak_starts(BOX, window)]))
     assert fit is None or np.isfinite(fit.logarithms).all()

@@ -64,6 +64,7 @@ def test_compiled_code_and_python_give_the_same(interval_s: float) -> None:
     assert (np.abs(fast.slopes - slow.slopes).max(axis=0) <= 1e-11 * scale).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('compiled', [True, False])
 def test_a_run_that_takes_too_many_steps_is_given_up(compiled: bool) -> None:
     volts = steps(160, hold=20)

@@ -165,6 +165,55 @@ def test_a_flipped_speed_is_told(k: int, among_nodes: bool) -> None:
 
 
 @drawn_motor
+def test_a_flipped_voltage_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, VOLTAGE, -1.0))[0] == 'voltage_sign'
+
+
+@drawn_motor
+def test_a_flipped_torque_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, TORQUE, -1.0)) == ['torque_sign']
+
+
+@drawn_motor
+@pytest.mark.parametrize(('unit', 'factor'), [('deg/s', 57.296), ('rpm', 9.5493), ('Hz', 0.159155)])
+def test_a_speed_in_another_unit_is_told_by_kb(k: int, unit: str, factor: float) -> None:
+    plant, samples = _gear_motors()[k]
+    assert _effects(plant, _scaled(samples, SPEED, factor))[0] == 'units_of_speed'
+    values = {name: getattr(plant, name) for name in ('torque_constant', 'back_emf_constant')}
+    motor = Configuration.from_flat({f'motor.{n}': v for n, v in values.items()}).motors['motor']
+    white_box = motor.white_box(speed_measured=True)
+    first = doubts(white_box, _scaled(samples, SPEED, factor), np.ones(3), motor)[0]
+    assert first.remedy.startswith(f'speed.scale: {1.0 / factor:.3g}'[:17])
+    assert unit in first.remedy
+
+
+@drawn_motor
+def test_a_duty_cycle_for_a_voltage_is_told(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    duty = _scaled(samples, VOLTAGE, 1.0 / LARGEST_V)
+    assert _effects(plant, duty)[0] == 'units_of_voltage'
+    # a motor that is really driven by less than 1 V is none
+    kb = 1.0 / LARGEST_V
+    low = _scaled(_scaled(samples, VOLTAGE, kb), TORQUE, kb)
+    low[SPEED] *= kb
+    assert _effects(plant, low) == []
+
+
+@drawn_motor
+def test_ma_for_a_is_told_beside_a_data_sheet(k: int) -> None:
+    plant, samples = _gear_motors()[k]
+    wrong = _scaled(samples, TORQUE, 1e3)
+    sheet = {'initial.resistance': plant.resistance, 'initial_relative_std.resistance': 0.2}
+    assert _effects(plant, wrong, **sheet) == ['units_of_current']
+    small = {**sheet, 'initial.resistance': 1e-3 * plant.resistance}
+    assert _effects(plant, wrong, **small) == []
+    known = {'known.resistance': plant.resistance, 'context_nodes': ['inductance']}
+    assert 'units_of_current' in _effects(plant, wrong, **known)
+
+
+@drawn_motor
 def test_a_forgotten_kb_is_told_with_its_value(k: int) -> None:
     plant, samples = _gear_motors()[k]
     motor = Configuration.from_flat({'motor.torque_constant': plant.torque_constant}).motors[

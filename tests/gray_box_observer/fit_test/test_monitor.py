@@ -217,6 +217,7 @@ def _observed_every(record: Record, factor: int, **motor: object) -> Observer:
     return stretched
 
 
+@pytest.mark.slow
 def test_a_test_that_changes_nothing_that_is_believed_says_so() -> None:
     """Who publishes sends an estimate again only where its test has changed it."""
     observer = _healthy().observed()
@@ -245,6 +246,7 @@ def _feed_on(observer: Observer, record: Record, later: int = SAMPLES) -> Iterat
         yield
 
 
+@pytest.mark.slow
 def test_a_motor_whose_test_was_put_off_is_tested_at_the_same_sample_after_a_restart(
     tmp_path: Path,
 ) -> None:

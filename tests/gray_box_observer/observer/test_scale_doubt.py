@@ -68,6 +68,7 @@ def test_the_unit_of_every_parameter_tells_how_it_scales() -> None:
     assert {term.parameter.unit for term in TERMS.values()} <= POWERS.keys()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('speed', [True, False])
 def test_a_doubted_voltage_widens_as_much_as_a_wrong_voltage_moves(
     wheel: Recording, record: Any, speed: bool

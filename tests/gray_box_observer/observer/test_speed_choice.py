@@ -53,6 +53,7 @@ def observed(*recordings: Recording, **values: object) -> Observer:
     return observer
 
 
+@pytest.mark.slow
 def test_a_free_rotor_is_chosen_and_identified() -> None:
     motor = observed(recorded(GEAR_MOTOR, LIVELY, 4.0, 1)).motors['motor']
     assert motor.white_box.speed_source == 'rotor'
@@ -83,6 +84,7 @@ def test_what_the_voltage_cannot_tell_is_not_chosen(excitation: str, why: str) -
     assert not motor.estimate.identified(0)
 
 
+@pytest.mark.slow
 def test_a_motor_that_becomes_one_of_the_thesis_goes_back() -> None:
     free = recorded(GEAR_MOTOR, LIVELY, 2.0, 1)
     locked = recorded(THESIS_MOTOR, LIVELY, 9.0, 2)

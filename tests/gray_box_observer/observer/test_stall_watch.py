@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.observer.stall_watch import StallWatch
@@ -61,6 +62,7 @@ def currents(voltage_v: np.ndarray, blocked_from: int) -> np.ndarray:
     return np.array(rows)
 
 
+@pytest.mark.slow
 def test_the_observer_tells_a_stall_without_any_speed() -> None:
     rng = np.random.default_rng(3)
     lively = np.repeat(rng.uniform(-12.0, 12.0, 3000), rng.integers(50, 300, 3000))[:3000]

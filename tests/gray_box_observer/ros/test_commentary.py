@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 
+import pytest
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from gray_box_observer.observer.observer import Observer
@@ -71,6 +72,7 @@ class Run:
         return [line for _, _, line in self.said]
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_found_and_what_is_learnt_of_it_are_told(record):
     recording = record('R[5,15]D[0.1,1]', 30.0, torque_noise_relative=0.01)
     run = Run()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from gray_box_observer.errors import ConfigurationError
@@ -74,6 +75,8 @@ class CheckpointFolder:
         file = self.folder / requested_file  # an absolute one stays what it is
         try:
             real_file, real_folder = file.resolve(), self.folder.resolve()
+            with suppress(FileNotFoundError):
+                file.parent.stat()  # from Python 3.13 on, `resolve` passes over a loop of links
         except (OSError, RuntimeError) as error:  # a loop of links; a name that is too long
             raise ConfigurationError(
                 f'checkpoint.path {path!r} cannot be followed: {error}'

@@ -6,6 +6,7 @@ from gray_box_observer.context_nodes.measured_speed.measured_speed_update import
     MeasuredSpeedUpdate,
     can_be_output,
 )
+from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics
 from gray_box_observer.context_nodes.recursive.estimator import RecursiveEstimator
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.rotor_estimator import RotorUpdate
@@ -17,6 +18,7 @@ __all__ = [
     'GradientSettings',
     'GradientUpdate',
     'MeasuredSpeedUpdate',
+    'Mechanics',
     'RecursiveEstimator',
     'RecursiveSettings',
     'RotorUpdate',

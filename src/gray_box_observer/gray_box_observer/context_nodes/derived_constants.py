@@ -72,10 +72,10 @@ def derived_constants(white_box: MotorWhiteBox, estimate: Estimate) -> list[Deri
         white_box: of one motor.
         estimate: its estimate, with a motor axis of one. Correlations are taken into account.
     """
-    nodes = white_box.context_nodes
+    nodes = [parameter.name for parameter in estimate.parameters]
     values = {name: float(value) for name, value in white_box.known.items()}
     values |= dict(zip(nodes, estimate.value[0].tolist(), strict=True))
-    names = list(NEEDED) if white_box.has_rotor else list(OF_NO_ROTOR)
+    names = list(NEEDED) if 'inertia' in nodes else list(OF_NO_ROTOR)
     constants = []
     for name in names:
         needed = NEEDED[name]

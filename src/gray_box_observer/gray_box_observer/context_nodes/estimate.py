@@ -24,6 +24,11 @@ class Verdict(str, Enum):
     NEGLIGIBLE = 'negligible'
 
 
+def misfit(verdict: Verdict) -> Verdict:
+    """Return what a verdict becomes where the white box does not explain the data."""
+    return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
+
+
 COUNTS_AS_KNOWN = (Verdict.IDENTIFIED, Verdict.NEGLIGIBLE)
 """Verdicts under which a controller may lean on a number."""
 

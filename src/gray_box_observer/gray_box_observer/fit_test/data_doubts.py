@@ -1,36 +1,41 @@
 """Doubts about the data: a unit that is not SI, a wrong sign or Kb, a saturated sensor.
 
 A white box fits a current in mA as well as one in A: only what a motor can be tells them apart.
-Magnitudes tell the units. A least-squares fit of the integrated voltage balance (docs/METHOD.md,
-Residual analysis) with Kb free tells the back-EMF: ``int V dt = L di + R int i dt + ... + Kb int w
-dt``, summed over windows and never differentiated.
+Magnitudes tell the units. A fit of the voltage balance with Kb free (:mod:`back_emf_fit`) tells the
+back-EMF.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
 
 import numpy as np
 
+from gray_box_observer.expressions.unit_factors import unit_factors
 from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.fit_test.back_emf_fit import (
+    DEFAULT_KB,
+    SURE,
+    BackEmfFit,
+    fit_back_emf,
+    noise_share,
+)
 from gray_box_observer.samples.noise_floor import quantisation_step
 from gray_box_observer.samples.replay_buffer import INTERVAL, SPEED, TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import MotorConfiguration
-from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
+from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
-from gray_box_observer.white_box.dynamics import integrated_regressors
 from gray_box_observer.white_box.interface import Array
-
-KB = 'back_emf_constant'
-
-DEFAULT_KB = float(next(spec.default for spec in MOTOR_PARAMETERS if spec.name == KB))
 
 LOWEST_RESISTANCE_OHM = 0.02
 """No armature of a small motor has less, wires and driver in it."""
 
 LARGE_CURRENT_A = 50.0
 """Peak current below which a small resistance is believed."""
+
+FAR_FROM_SHEET, STDS_FROM_SHEET = 3.0, 5.0
+"""Ratio and standard deviations beyond which no resistance is that of the data sheet: heat and wear
+do not reach there, units do."""
 
 LARGEST_VOLTAGE_V = 1000.0
 """No DC motor is driven by more."""
@@ -47,43 +52,29 @@ THOUSAND = (300.0, 3000.0)
 FEWEST_SAMPLES = 50
 """That are judged."""
 
-WINDOWS = 1000
-"""That samples are summed over, at most; each is at least SHORTEST_WINDOW samples long."""
-
-SHORTEST_WINDOW = 4
-
-FEWEST_WINDOWS = 20
-
-NORMAL_MEDIAN = 0.6745
-"""Median of the magnitude of a normal variable, in standard deviations."""
-
-DISTINCT = 0.1
-"""Share of the speed that no other regressor explains (standard deviation), below which Kb cannot
-be told from R."""
-
-ABOVE_NOISE = 5.0
-"""By how much that share has to exceed the noise of current and speed: where ``w = Kt i``, noise
-alone is distinct."""
-
-SURE = 10.0
-"""Standard deviations between a fitted and a configured Kb that count; the residual of a misfit is
-not white."""
-
-MATTERS = 0.05
-"""Share of the voltage that a wrong Kb has to move."""
-
-EXPLAINS = 0.5
-"""Share of the sum of squared residuals that a free Kb may leave where another was stated."""
-
-EXPLAINS_DEFAULT = 0.8
-"""The same where Kb has its default: logs whose command leads the current leave more."""
-
 FAR = 2.0
 """Ratio of a fitted to a stated Kb that is doubted: speed sensors and magnets are better than that.
 """
 
 FAR_FROM_DEFAULT = 1.25
 """The same where Kb has its default, which says nothing of this motor."""
+
+UNITS_OF_SPEED = {unit: unit_factors()[unit][1] for unit in ('deg/s', 'rpm', 'Hz')}
+"""What one of a unit is in rad/s."""
+
+NEAR = 0.15
+"""Relative distance of a fitted from a stated Kb, in another unit, up to which it is that unit."""
+
+LARGEST_DUTY = 1.0 + 1e-6
+"""A voltage that never exceeds 1 may be a duty cycle."""
+
+LEAST_BATTERY_V = 3.0
+"""Of a battery behind a duty cycle, at least."""
+
+DUTY_REMEDY = (
+    'the voltage never exceeds 1 V: if it is a duty cycle, multiply it by the voltage of the '
+    'battery (voltage.expression: duty * battery)'
+)
 
 CLIPPED = 0.01
 """Share of the readings that stand at their largest value where a sensor is at the end of its
@@ -99,41 +90,6 @@ NOISELESS = 1e-4
 FEWEST_CLIPPED = 30
 """Readings that these are at least: noise brings a step's worth of readings to the largest value by
 chance."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Balance:
-    """The voltage balance fitted with Kb free.
-
-    Attributes:
-        kb: back-EMF constant in V s/rad.
-        resistance: R in ohm.
-        std: standard deviation of ``kb``.
-        voltage_v: root mean square of the voltage.
-        speed_rad_s: root mean square of the speed.
-        gain: sum of squared residuals that is left, over that with the configured Kb.
-        windows: how many it rests on.
-    """
-
-    kb: float
-    resistance: float
-    std: float
-    voltage_v: float
-    speed_rad_s: float
-    gain: float
-    windows: int
-
-    @property
-    def evidence(self) -> float:
-        """Log-likelihood that a free Kb brings."""
-        return 0.5 * self.windows * -math.log(max(self.gain, 1e-300))
-
-    def contradicts(self, kb: float) -> bool:
-        """Tell whether another Kb is ruled out, with an effect that the parameters would show."""
-        away = abs(self.kb - kb)
-        explains = EXPLAINS_DEFAULT if kb == DEFAULT_KB else EXPLAINS
-        surely = away > SURE * self.std and self.gain < explains
-        return surely and away * self.speed_rad_s > MATTERS * self.voltage_v
 
 
 def doubts(
@@ -156,13 +112,18 @@ def doubts(
     if samples.shape[1] < FEWEST_SAMPLES:
         return ()
     time = _doubt_of_time(samples, motor)
-    balance = _balance(white_box, samples) if white_box.speed_measured else None
+    balance = fit_back_emf(white_box, samples) if white_box.speed_measured else None
     voltage = _doubt_of_voltage(samples, balance, motor)
     current = None if voltage else _doubt_of_current(white_box, samples, balance, theta, motor)
     findings = [suspect for suspect in (time, voltage, current) if suspect is not None]
     if balance is None or voltage is not None:  # with the voltage in mV, Kb follows from it
         return tuple(findings)
     return (*findings, *_doubts_of_back_emf(white_box, balance, motor))
+
+
+def may_be_duty(voltage_v: Array) -> bool:
+    """Tell whether a voltage, shape (n,), never exceeds 1, so that it may be a duty cycle."""
+    return float(np.max(np.abs(voltage_v))) <= LARGEST_DUTY
 
 
 def doubt_of_range(current_a: Array, noise_a: float) -> Suspect | None:
@@ -216,11 +177,11 @@ def _doubt_of_time(samples: Array, motor: MotorConfiguration) -> Suspect | None:
 
 
 def _doubt_of_voltage(
-    samples: Array, balance: _Balance | None, motor: MotorConfiguration
+    samples: Array, balance: BackEmfFit | None, motor: MotorConfiguration
 ) -> Suspect | None:
     """Doubt the unit of the voltage, by its size or by a Kb a thousand times the stated one."""
     peak_v = float(np.percentile(np.abs(samples[VOLTAGE]), 99.0))
-    kb = float(motor.values[KB])
+    kb = float(motor.values[BACK_EMF])
     by_kb = (
         balance is not None
         and kb > 0.0
@@ -229,6 +190,11 @@ def _doubt_of_voltage(
         and _is_thousand(balance.kb / kb)
         and balance.resistance > 1.0 / LOWEST_RESISTANCE_OHM
     )
+    if balance is not None and balance.contradicts(kb) and kb != DEFAULT_KB:
+        share = abs(balance.kb) / kb
+        if may_be_duty(samples[VOLTAGE]) and share < 1.0 / LEAST_BATTERY_V:
+            text = f'{DUTY_REMEDY}; by the Kb given that is near {1.0 / max(share, 1e-9):.3g} V'
+            return Suspect('units_of_voltage', balance.evidence, text)
     if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
         return None
     text = (
@@ -243,20 +209,16 @@ def _doubt_of_voltage(
 def _doubt_of_current(
     white_box: MotorWhiteBox,
     samples: Array,
-    balance: _Balance | None,
+    balance: BackEmfFit | None,
     theta: Array,
     motor: MotorConfiguration,
 ) -> Suspect | None:
     """Doubt the unit of current or torque, unless a data sheet states so small a resistance."""
-    if (
-        motor.values['initial_relative_std.resistance'] > 0.0
-        or motor.values['known.resistance'] > 0.0
-    ):
-        return None
     current_a = white_box.state(samples[TORQUE])
     peak_a = float(np.percentile(np.abs(current_a), 99.0))
     resistance_ohm = _smallest_resistance(white_box, samples, current_a, balance, theta)
-    if peak_a < LARGE_CURRENT_A or resistance_ohm >= LOWEST_RESISTANCE_OHM:
+    lowest_ohm = min(LOWEST_RESISTANCE_OHM, _lowest_stated_ohm(motor))
+    if peak_a < LARGE_CURRENT_A or resistance_ohm >= lowest_ohm:
         return None
     text = (
         f'{peak_a:.3g} A at {resistance_ohm:.2g} ohm: if the current is in mA or the torque in mN '
@@ -269,18 +231,33 @@ def _doubt_of_current(
     return Suspect('units_of_current', _evidence(ratio, samples.shape[1]), text)
 
 
+def _lowest_stated_ohm(motor: MotorConfiguration) -> float:
+    """Return the least resistance that what is stated of a motor allows; infinite where nothing is.
+
+    It is a third of what is given, or less by five of its standard deviations.
+    """
+    known_ohm = float(motor.values['known.resistance'])
+    if known_ohm > 0.0:
+        return known_ohm / FAR_FROM_SHEET
+    relative_std = float(motor.values['initial_relative_std.resistance'])
+    if relative_std == 0.0:
+        return math.inf
+    factor = max(FAR_FROM_SHEET, math.exp(STDS_FROM_SHEET * relative_std))
+    return float(motor.values['initial.resistance']) / factor
+
+
 def _smallest_resistance(
     white_box: MotorWhiteBox,
     samples: Array,
     current_a: Array,
-    balance: _Balance | None,
+    balance: BackEmfFit | None,
     theta: Array,
 ) -> float:
     """Return the data's resistance: without back-EMF if speed is measured, else the impedance."""
     if balance is not None and balance.resistance > 0.0:
         return balance.resistance
     voltage_v = float(np.sqrt(np.mean(samples[VOLTAGE] ** 2)))
-    signal = max(1.0 - _noise_share(current_a) ** 2, 0.0) * float(np.mean(current_a**2))
+    signal = max(1.0 - noise_share(current_a) ** 2, 0.0) * float(np.mean(current_a**2))
     impedance = voltage_v / max(math.sqrt(signal), 1e-300)
     names = white_box.context_nodes
     published = float(theta[names.index('resistance')]) if 'resistance' in names else math.inf
@@ -288,105 +265,53 @@ def _smallest_resistance(
 
 
 def _doubts_of_back_emf(
-    white_box: MotorWhiteBox, balance: _Balance, motor: MotorConfiguration
-) -> tuple[Suspect, ...]:
-    """Doubt the sign of the speed, and Kb where it is not among what is identified."""
-    identified = KB in white_box.context_nodes
-    kb = 0.0 if identified else float(white_box.known.get(KB, 0.0))
-    if not balance.contradicts(kb):
-        return ()
-    findings = []
-    if balance.kb < 0.0:
-        text = (
-            'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
-        )
-        findings.append(Suspect('speed_sign', balance.evidence, text))
+    white_box: MotorWhiteBox, balance: BackEmfFit, motor: MotorConfiguration
+) -> Iterator[Suspect]:
+    """Doubt a sign, the unit of the speed, and Kb where it is not among what is identified."""
+    is_identified = BACK_EMF in white_box.context_nodes
+    kb = 0.0 if is_identified else float(white_box.known.get(BACK_EMF, 0.0))
+    is_contradicted = balance.contradicts(kb)
+    sign = _doubt_of_sign(balance, is_contradicted)
+    if sign is not None:
+        yield sign
+    if not is_contradicted or is_identified:
+        return
     magnitude = abs(balance.kb)
     far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
-    away = max(magnitude, kb) > far * min(magnitude, kb)
-    if not identified and away and magnitude > SURE * balance.std:
-        text = f'{motor.name}.back_emf_constant: {magnitude:.4g} (it is {kb:g} V s/rad now)'
-        findings.append(Suspect(KB, balance.evidence, text))
-    return tuple(findings)
+    if max(magnitude, kb) <= far * min(magnitude, kb) or magnitude <= SURE * balance.std:
+        return
+    unit = _unit_of_speed(magnitude / kb) if BACK_EMF in motor.stated and kb > 0.0 else None
+    if unit is not None:
+        factor = UNITS_OF_SPEED[unit]
+        text = (
+            f'speed.scale: {factor:.4g} (or speed=NAME[{unit}] among --columns): by the Kb given, '
+            f'the speed is in {unit}'
+        )
+        yield Suspect('units_of_speed', balance.evidence, text)
+    text = f'{motor.name}.back_emf_constant: {magnitude:.4g} (it is {kb:g} V s/rad now)'
+    yield Suspect(BACK_EMF, balance.evidence, text)
 
 
-def _balance(white_box: MotorWhiteBox, samples: Array) -> _Balance | None:
-    """Fit the integrated voltage balance with Kb free; None where Kb cannot be separated."""
-    sums = _window_sums(_with_free_kb(white_box), samples)
-    if sums is None:
+def _doubt_of_sign(balance: BackEmfFit, is_contradicted: bool) -> Suspect | None:
+    """Doubt a sign: of the voltage where R and Kb are negative, of torque or speed where one is."""
+    is_negative = balance.kb < 0.0 and is_contradicted
+    evidence = max(balance.evidence, 0.5 * balance.windows * -math.log(balance.unexplained))
+    if balance.has_negative_resistance:
+        signal, column = ('voltage', 'voltage') if is_negative else ('torque', 'current')
+        cause = 'R and back-EMF have' if is_negative else 'R has'
+        text = f'{signal}.scale: -1.0 (or {column}=-1*NAME among --columns): {cause} the wrong sign'
+        return Suspect(f'{signal}_sign', evidence, text)
+    if not is_negative:
         return None
-    columns, target, speed, noise = sums
-    scale = np.linalg.norm(columns, axis=0)
-    if not (scale > 0.0).all():
-        return None
-    columns = columns / scale
-    others = np.delete(columns, -1, axis=1)
-    back_emf = columns[:, -1]
-    distinct = back_emf - others @ np.linalg.lstsq(others, back_emf, rcond=None)[0]
-    spread = float(distinct @ distinct)
-    if not spread > max(DISTINCT, ABOVE_NOISE * noise) ** 2 * float(back_emf @ back_emf):
-        return None
-    weights = np.linalg.lstsq(columns, target, rcond=None)[0]
-    remainder = target - columns @ weights
-    theta = weights / scale
-    base_target = target - float(white_box.known.get(KB, 0.0)) * scale[-1] * back_emf
-    configured = base_target - others @ np.linalg.lstsq(others, base_target, rcond=None)[0]
-    freedom = max(target.size - theta.size, 1)
-    names = white_box.context_nodes
-    resistance = float(theta[names.index('resistance')]) if 'resistance' in names else math.nan
-    return _Balance(
-        kb=float(theta[-1]),
-        resistance=resistance,
-        std=math.sqrt(float(remainder @ remainder) / freedom / spread) / float(scale[-1]),
-        voltage_v=float(np.sqrt(np.mean(target**2))),
-        speed_rad_s=speed,
-        gain=float(remainder @ remainder) / max(float(configured @ configured), 1e-300),
-        windows=target.size,
+    text = 'speed.scale: -1.0 (or speed=-1*NAME among --columns): the back-EMF has the wrong sign'
+    return Suspect('speed_sign', balance.evidence, text)
+
+
+def _unit_of_speed(ratio: float) -> str | None:
+    """Return the unit of a speed by the ratio of the Kb found to the Kb given; None: no such."""
+    return next(
+        (unit for unit, factor in UNITS_OF_SPEED.items() if abs(ratio / factor - 1.0) < NEAR), None
     )
-
-
-def _with_free_kb(white_box: MotorWhiteBox) -> MotorWhiteBox:
-    """Return the white box with Kb last among what is unknown."""
-    nodes = (*(name for name in white_box.context_nodes if name != KB), KB)
-    return replace(white_box, context_nodes=nodes)
-
-
-def _window_sums(
-    white_box: MotorWhiteBox, samples: Array
-) -> tuple[Array, Array, float, float] | None:
-    """Sum the integrated balance over windows, divided by their lengths; none spans a restart.
-
-    Returns:
-        Regressors, shape (window, parameter), target, shape (window,), both as means in V, the root
-        mean square of the speed, and the share of noise in a window's mean; None where there are
-        too few windows, or no speed.
-    """
-    interval_s = samples[INTERVAL, 1:]
-    length = max(SHORTEST_WINDOW, interval_s.size // WINDOWS)
-    count = interval_s.size // length
-    if count < FEWEST_WINDOWS or not np.any(samples[SPEED]):
-        return None
-    state = white_box.state(samples[TORQUE])
-    columns, target = integrated_regressors(
-        white_box, samples[VOLTAGE, 1:], state, samples[SPEED], interval_s
-    )
-    cut = slice(0, count * length)
-    duration_s = interval_s[cut].reshape(count, length)
-    whole = (duration_s > 0.0).all(axis=1)
-    if np.count_nonzero(whole) < FEWEST_WINDOWS:
-        return None
-    length_s = duration_s[whole].sum(axis=1)
-    means = columns[cut].reshape(count, length, -1)[whole].sum(axis=1) / length_s[:, None]
-    means_v = target[cut].reshape(count, length)[whole].sum(axis=1) / length_s
-    noise = max(_noise_share(state), _noise_share(samples[SPEED])) / math.sqrt(length)
-    return means, means_v, float(np.sqrt(np.mean(samples[SPEED] ** 2))), noise
-
-
-def _noise_share(signal: Array) -> float:
-    """Return the share of white noise in a signal, from robust second differences."""
-    size = float(np.sqrt(np.mean(signal**2)))
-    noise = float(np.median(np.abs(np.diff(signal, 2)))) / (NORMAL_MEDIAN * math.sqrt(6.0))
-    return noise / max(size, 1e-300)
 
 
 def _is_thousand(ratio: float) -> bool:

@@ -1,10 +1,22 @@
-"""What was given of a motor, against what was found: both may be sure, and one of them wrong."""
+"""What was given of a motor, against what was found: both may be sure, and one of them wrong.
+
+Near each other they are a warning. Where they lie so far apart that no motor of that data sheet can
+be meant, a scale or a wiring is wrong, and nothing of the motor may be believed.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from gray_box_observer.context_nodes import Estimate, Verdict
+from gray_box_observer.fit_test.assessment import Suspect
+from gray_box_observer.fit_test.data_doubts import (
+    DUTY_REMEDY,
+    FAR_FROM_SHEET,
+    LEAST_BATTERY_V,
+    STDS_FROM_SHEET,
+)
 from gray_box_observer.settings.configuration import MotorConfiguration
 from gray_box_observer.settings.parameters import MOTOR_PARAMETERS
 from gray_box_observer.settings.signal_parameters import TORQUE_CONSTANT
@@ -23,6 +35,12 @@ DEFAULTS = {spec.name: spec.default for spec in MOTOR_PARAMETERS}
 SCALED_BY_CURRENT = ('inductance', 'resistance')
 """Parameters that a current taken for a torque changes by the factor Kt."""
 
+UNIT_HINTS = {
+    'if the current is in mA or the torque in mN m, set torque.scale to a thousandth': 1e-3,
+    'if the voltage is in mV, set voltage.scale: 0.001': 1e3,
+}
+"""What a unit of a thousandth makes of these."""
+
 
 def contradiction(
     motor: MotorConfiguration, estimate: Estimate, quantity: str = 'torque'
@@ -40,31 +58,93 @@ def contradiction(
         estimate: of this motor alone.
         quantity: what the torque signal is taken for: ``torque`` or ``current``.
     """
-    findings = []
-    hint = ''
-    priors = zip(motor.initial(), motor.initial_relative_std(), strict=True)
-    for j, (parameter, (initial, relative_std)) in enumerate(
-        zip(estimate.parameters, priors, strict=True)
-    ):
-        spread = relative_std if relative_std > 0.0 else _untold_spread(motor, parameter.name)
-        if spread <= 0.0 or estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
-            continue
-        value = float(estimate.value[0, j])
-        both = math.hypot(spread, float(estimate.std[0, j]) / value)
-        away = abs(math.log(value / initial)) / both
-        if away > FAR:
-            finding = f'{parameter.name} of {value:.3g} {parameter.unit} is '
-            finding += _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
-            findings.append(finding)
-            if parameter.name in SCALED_BY_CURRENT:
-                hint = hint or _quantity_hint(motor, quantity, math.log(value / initial), both)
+    findings = _findings(motor, estimate)
     if not findings:
         return None
     remedy = (
         'check torque_constant, known constants, the data sheet and whether speed is measured; or '
         'has it changed?'
     )
-    return f'{", ".join(findings)}: {hint or remedy}'
+    hints = (_quantity_hint(motor, quantity, finding) for finding in findings)
+    hint = next((hint for hint in hints if hint), '')
+    return f'{", ".join(finding.text for finding in findings)}: {hint or remedy}'
+
+
+def doubt_of_data_sheet(
+    motor: MotorConfiguration, estimate: Estimate, quantity: str, *, is_duty: bool
+) -> Suspect | None:
+    """Doubt everything where a parameter lies many times off what the data sheet surely says.
+
+    Only values with a stated standard deviation count; others are where the search begins.
+
+    Args:
+        motor: as configured.
+        estimate: of this motor alone, as its rule gives it.
+        quantity: what the torque signal is taken for: ``torque`` or ``current``.
+        is_duty: whether the voltage may be a duty cycle.
+    """
+    findings = [
+        finding
+        for finding in _findings(motor, estimate)
+        if finding.is_sheet
+        and finding.away > STDS_FROM_SHEET
+        and abs(finding.log_ratio) > math.log(FAR_FROM_SHEET)
+    ]
+    if not findings:
+        return None
+    first = findings[0]
+    hint = (
+        _quantity_hint(motor, quantity, first)
+        or _unit_hint(first, is_duty=is_duty)
+        or 'check scales, torque_constant and which motor is meant; or mend the data sheet given'
+    )
+    return Suspect('data_sheet', 0.5 * first.away**2, f'{first.text}: {hint}')
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding:
+    """A parameter that lies far from what was given.
+
+    Attributes:
+        name: of the parameter.
+        text: the same for people.
+        log_ratio: logarithm of the value over the given one.
+        spread: standard deviation of that, of both together.
+        is_sheet: whether it was given with a standard deviation.
+    """
+
+    name: str
+    text: str
+    log_ratio: float
+    spread: float
+    is_sheet: bool
+
+    @property
+    def away(self) -> float:
+        """Distance in standard deviations."""
+        return abs(self.log_ratio) / self.spread
+
+
+def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
+    """Return the parameters that lie far from what was given."""
+    findings = []
+    priors = zip(motor.initial(), motor.initial_relative_std(), strict=True)
+    for j, (parameter, (initial, relative_std)) in enumerate(
+        zip(estimate.parameters, priors, strict=True)
+    ):
+        given_spread = relative_std if relative_std > 0.0 else _untold_spread(motor, parameter.name)
+        if given_spread <= 0.0 or estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
+            continue
+        value = float(estimate.value[0, j])
+        spread = math.hypot(given_spread, float(estimate.std[0, j]) / value)
+        log_ratio = math.log(value / initial)
+        away = abs(log_ratio) / spread
+        if away > FAR:
+            distance = _distance(away, f'{initial:.3g} {parameter.unit}', relative_std)
+            text = f'{parameter.name} of {value:.3g} {parameter.unit} is {distance}'
+            is_sheet = relative_std > 0.0
+            findings.append(_Finding(parameter.name, text, log_ratio, spread, is_sheet))
+    return findings
 
 
 def _distance(away: float, given: str, relative_std: float) -> str:
@@ -83,17 +163,29 @@ def _untold_spread(motor: MotorConfiguration, name: str) -> float:
     return UNTOLD_SPREAD if is_given else 0.0
 
 
-def _quantity_hint(
-    motor: MotorConfiguration, quantity: str, log_ratio: float, spread: float
-) -> str:
+def _quantity_hint(motor: MotorConfiguration, quantity: str, finding: _Finding) -> str:
     """Say that the numbers fit a current, or a torque, where they do; empty where they do not."""
+    if finding.name not in SCALED_BY_CURRENT:
+        return ''
     constant = float(motor.values[TORQUE_CONSTANT])
     expected = math.log(constant) if quantity == 'torque' else -math.log(constant)
-    away = abs(log_ratio - expected) / spread
-    if away > FAR or away + NEARER > abs(log_ratio) / spread:
+    away = abs(finding.log_ratio - expected) / finding.spread
+    if away > FAR or away + NEARER > finding.away:
         return ''
     other = 'current' if quantity == 'torque' else 'torque'
     return (
         f'the numbers fit a signal that is a {other}: set torque.quantity: {other} (it is '
         f'{quantity} now)'
     )
+
+
+def _unit_hint(finding: _Finding, *, is_duty: bool) -> str:
+    """Say which unit of voltage or current fits; empty where none does."""
+    if finding.name not in SCALED_BY_CURRENT:
+        return ''
+    if is_duty and finding.log_ratio < -math.log(LEAST_BATTERY_V):
+        return DUTY_REMEDY
+    for hint, expected in UNIT_HINTS.items():
+        if abs(finding.log_ratio - math.log(expected)) < FAR * finding.spread:
+            return hint
+    return ''

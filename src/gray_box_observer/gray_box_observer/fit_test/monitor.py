@@ -16,16 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict
+from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN, Estimate, Verdict, misfit
 from gray_box_observer.context_nodes.recursive.negligible import SIGMAS
 from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_STD
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
-from gray_box_observer.fit_test.data_doubts import KB, doubt_of_range, doubts
+from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
+from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
 from gray_box_observer.fit_test.effects import COLOURED_NOISE, REMEDIES
 from gray_box_observer.fit_test.policy import (
+    NOTICEABLE,
     RATIO_MISFIT,
     SCORE_DOUBT,
     WHITENESS_DOUBT,
@@ -35,9 +37,10 @@ from gray_box_observer.fit_test.policy import (
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS, check_saved_test
+from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
-from gray_box_observer.settings.configuration import MotorConfiguration
+from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
@@ -50,6 +53,9 @@ FEWEST = 64
 
 SHORTEST_WAIT = 64
 """Samples between two tests of a motor, at least."""
+
+LONGEST_SOON = 512
+"""Samples between two tests, at most, of a motor that does not fit and has become another one."""
 
 UNASKED = 256
 """Samples after which a motor is tested though nothing of it would be called identified."""
@@ -123,12 +129,17 @@ class FitMonitor:
     Args:
         motors: their configurations, in the order of the motor axis.
         white_boxes: physics of each.
+        quantity: what the torque signal is taken for: ``torque`` or ``current``.
     """
 
     def __init__(
-        self, motors: Sequence[MotorConfiguration], white_boxes: Sequence[MotorWhiteBox]
+        self,
+        motors: Sequence[MotorConfiguration],
+        white_boxes: Sequence[MotorWhiteBox],
+        quantity: str = 'torque',
     ) -> None:
         self._motors = motors
+        self._quantity = quantity
         self._white_boxes = white_boxes
         self._results: list[_Tested | None] = [None] * len(motors)
         self._due = np.full(len(motors), FEWEST)
@@ -246,9 +257,15 @@ class FitMonitor:
             doubted=before is not None and before.misfits > PASSING,
             drifting=drifting,
         )
+        shift = inductance_shift(white_box, samples[:, 0], theta[0])
+        judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
         judgement = self._without_seen_rotor(judgement, theta[0], motor)
         suspicions = list(doubts(white_box, samples[:, 0], theta[0], self._motors[motor]))
         content = replay.newest(min(replay.stored(motor), WINDOW), one)
+        is_duty = may_be_duty(content[VOLTAGE, 0])
+        sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
+        if sheet is not None and not suspicions:
+            suspicions.append(sheet)
         clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
         if clipped is not None:
             suspicions.append(clipped)
@@ -299,8 +316,9 @@ class FitMonitor:
         if knows_speed or not is_guess or 'resistance' not in nodes:
             return judgement
         place = nodes.index('resistance')
-        back_emf_ohm = float(white_box.known.get(KB, 0.0)) * float(white_box.torque_constant)
-        return with_shift(judgement, place, back_emf_ohm / float(theta[place]))
+        back_emf_ohm = float(white_box.known.get(BACK_EMF, 0.0)) * float(white_box.torque_constant)
+        share = back_emf_ohm / float(theta[place])
+        return with_shift(judgement, place, share if share > NOTICEABLE else 0.0)
 
     def _put_off(self, motor: int, place: int) -> None:
         """Ask again at a place where there may be more to tell by."""
@@ -311,7 +329,7 @@ class FitMonitor:
         result = self._results[motor]
         assert result is not None
         self._due[motor] = result.place + result.wait
-        self._soon[motor] = result.place + SHORTEST_WAIT
+        self._soon[motor] = result.place + _soonest(result.misfits)
         self._begin[motor] = result.begin
         self._theta[motor] = result.theta
         judgement = result.judgement
@@ -392,7 +410,7 @@ class FitMonitor:
                     estimate.parameters, value, std, frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
-                verdicts[row] = tuple(map(_misfit, verdicts[row]))
+                verdicts[row] = tuple(map(misfit, verdicts[row]))
         return replace(estimate, covariance=covariance, verdicts=tuple(verdicts))
 
     def forget(self) -> None:
@@ -464,6 +482,14 @@ class FitMonitor:
             self._soon[motor] = plain['soon'] + received_count
 
 
+def _soonest(misfits: int) -> int:
+    """Samples to a test of a motor that has become another one, after so many misfits in a row.
+
+    One that goes on changing without ever fitting is asked less and less often.
+    """
+    return min(SHORTEST_WAIT << min(max(misfits - PASSING, 0), 8), LONGEST_SOON)
+
+
 def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:
     """Upper bound on each parameter's share of the voltage, shape (parameter,).
 
@@ -508,10 +534,6 @@ def _widened(judgement: Judgement, value: Array, covariance: Array) -> Array | N
 
 def _at_most_converging(verdict: Verdict) -> Verdict:
     return Verdict.CONVERGING if verdict in COUNTS_AS_KNOWN else verdict
-
-
-def _misfit(verdict: Verdict) -> Verdict:
-    return verdict if verdict in (Verdict.FROZEN, Verdict.IMPLAUSIBLE) else Verdict.MISFIT
 
 
 def _without_repetition(suspicions: Sequence[Suspect]) -> tuple[Suspect, ...]:

@@ -169,14 +169,14 @@ def judge(
 
 
 def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:
-    """Return a judgement that leaves one parameter open by a share of it, where that is noticeable.
+    """Return a judgement that leaves one parameter open by a share of it.
 
     Args:
         judgement: as the residual has it.
         place: of the parameter.
         share: standard deviation that comes on top, relative to the parameter.
     """
-    if not share > NOTICEABLE:
+    if share == 0.0:
         return judgement
     spread = judgement.spread.copy()
     spread[place, place] += min(share, LARGEST_SHIFT) ** 2

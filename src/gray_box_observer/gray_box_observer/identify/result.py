@@ -30,6 +30,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
         for name, estimate in observer.estimates().items()
     }
     complaints = [delay.complaint(name) for name, delay in observer.delays().items()]
+    mix_ups = [observer.mix_up(name) for name in observer.motors]
     fits = {name: motor.fit for name, motor in observer.motors.items()}
     return [
         *outcome.warnings,
@@ -38,6 +39,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
             for name, fit in fits.items()
             if fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT)
         ),
+        *(one.sentence for one in mix_ups if one is not None),
         *_stops(outcome.observer),
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(

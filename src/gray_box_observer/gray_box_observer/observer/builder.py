@@ -14,6 +14,7 @@ from gray_box_observer.context_nodes import (
     GradientSettings,
     GradientUpdate,
     MeasuredSpeedUpdate,
+    Mechanics,
     RecursiveEstimator,
     RecursiveSettings,
     RotorUpdate,
@@ -32,6 +33,8 @@ from gray_box_observer.predictor import (
     AlarmSettings,
     Predictor,
     ResidualAlarm,
+    RotorPredictor,
+    TorquePredictor,
     Training,
     TrainingSettings,
     Variant,
@@ -99,6 +102,7 @@ def _form(
     boxes = [motor.white_box(speed_measured=speed_measured) for motor in motors]
     white_box = boxes[0] if len(motors) == 1 else _joined(boxes)
     nodes = context_nodes(configuration, motors, white_box)
+    motors = [motor.without_mechanics() for motor in motors]
 
     def watch(motor: int) -> DelayWatch:
         initial, estimates_delay = np.array([motors[motor].initial()]), first.estimates_delay
@@ -112,16 +116,18 @@ def _form(
         )
 
     def forecasting() -> Forecasting:
-        if training is None or white_box.has_rotor:  # the network knows no hidden speed
-            return None, None
+        is_physics = configuration['variant'] == Variant.PHYSICS.value
+        if training is None or (white_box.has_rotor and not is_physics):
+            return None, None  # the networks of the thesis know no hidden speed
         predictor = _predictor(configuration, motors, white_box, training)
-        if configuration['variant'] != Variant.PHYSICS.value:
+        if not is_physics:
             return predictor, None
         return predictor, ResidualAlarm(len(motors), alarm_rules(configuration))
 
     delay = watch(0) if len(motors) == 1 else DelayRound(len(motors), watch, first.delay_s)
     scales = scale_doubt(configuration, motors, boxes)
-    return MotorForm(white_box, nodes, delay, FitMonitor(motors, boxes), forecasting, scales)
+    fit = FitMonitor(motors, boxes, configuration['torque.quantity'])
+    return MotorForm(white_box, nodes, delay, fit, forecasting, scales)
 
 
 def _speed_choice(
@@ -175,7 +181,7 @@ def kind(configuration: Configuration, motor: MotorConfiguration) -> Hashable | 
         or configuration['variant'] != Variant.PHYSICS.value
     )
     alone = rules_alone or configuration.has_own_speed or motor.has_rotor
-    if alone or motor.estimates_delay:
+    if alone or motor.estimates_delay or motor.mechanical_nodes:
         return None
     values = motor.values
     constants = frozenset(
@@ -204,6 +210,8 @@ def context_nodes(
 ) -> ContextUpdate:
     """Build context nodes that know nothing yet, under the rule that the configuration names."""
     verdicts = verdict_rules(configuration)
+    mechanics = _mechanics(motors[0])
+    motors = [motor.without_mechanics() for motor in motors]
     initial, seed = np.array([motor.initial() for motor in motors]), _seed(configuration, motors[0])
     if configuration['context_update'] == 'gradient':
         return GradientUpdate(
@@ -214,14 +222,33 @@ def context_nodes(
     if white_box.has_rotor:
         return RotorUpdate(white_box, initial, rules, verdicts, relative_std)
     if len(motors) == 1 and can_be_output(white_box):
-        return MeasuredSpeedUpdate(white_box, initial, seed, rules, verdicts, relative_std)
+        return MeasuredSpeedUpdate(
+            white_box, initial, seed, rules, verdicts, relative_std, mechanics
+        )
     return RecursiveEstimator(white_box, initial, seed, rules, verdicts, relative_std)
+
+
+def _mechanics(motor: MotorConfiguration) -> Mechanics | None:
+    """Return what is asked of a rotor whose speed is measured; None where nothing is."""
+    nodes = motor.mechanical_nodes
+    if not nodes:
+        return None
+    return Mechanics(
+        nodes,
+        [float(motor.values[f'initial.{name}']) for name in nodes],
+        [float(motor.values[f'initial_relative_std.{name}']) for name in nodes],
+        motor.known_mechanics,
+    )
 
 
 def initial_estimate(configuration: Configuration, motor: MotorConfiguration) -> Estimate:
     """Return a motor's belief before its first sample: initial values and their uncertainty."""
     white_box = motor.white_box(speed_measured=motor.values['speed_source'] != 'torque_constant')
-    return context_nodes(configuration, [motor], white_box).estimate()
+    nodes = context_nodes(configuration, [motor], white_box)
+    estimate = nodes.estimate()
+    if isinstance(nodes, MeasuredSpeedUpdate):
+        return nodes.with_mechanics(estimate, is_believed=True)
+    return estimate
 
 
 def pairing_rules(configuration: Configuration) -> PairingSettings:
@@ -246,7 +273,7 @@ def _predictor(
     motors: Sequence[MotorConfiguration],
     white_box: MotorWhiteBox,
     training: TrainingFactory,
-) -> Predictor:
+) -> TorquePredictor:
     first, count = motors[0], len(motors)
     low_v, high_v = first.values['voltage_limits']
     device = torch_device(configuration['device'])
@@ -266,6 +293,8 @@ def _predictor(
         'theta_reference': initial.tolist(),
         'seed': seed,
     }
+    if white_box.has_rotor:
+        return RotorPredictor(white_box, rules, training(job))
     speed_measured = white_box.speed_measured
     return Predictor(
         white_box, count, initial, rules, training(job), speed_measured=speed_measured, seed=seed,

@@ -8,19 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate, RotorUpdate
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.delay import DelayRound, DelayWatch
 from gray_box_observer.fit_test.monitor import FitMonitor
 from gray_box_observer.fit_test.residual_analysis import analyse
 from gray_box_observer.observer.scale_doubt import ScaleDoubt
-from gray_box_observer.predictor import Predictor, ResidualAlarm
+from gray_box_observer.predictor import ResidualAlarm, TorquePredictor
 from gray_box_observer.samples import Sample
 from gray_box_observer.samples.replay_buffer import INTERVAL, TORQUE, VOLTAGE
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
 from gray_box_observer.white_box.interface import Array
 
-Forecasting = tuple[Predictor | None, ResidualAlarm | None]
+WORK_A_SAMPLE = 8
+"""Work of a fit of the thesis's form, and of a test of the fit, for each of its samples."""
+
+Forecasting = tuple[TorquePredictor | None, ResidualAlarm | None]
 """What predicts torque, and what watches the prediction."""
 
 
@@ -44,7 +48,7 @@ class MotorForm:
     forecasting: Callable[[], Forecasting]
     scales: ScaleDoubt | None = None
 
-    def learn_remembered(self, content: Array, stamp_ns: int) -> Estimate:
+    def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[Estimate]:
         """Learn the samples that another form remembers, all at once, and test the fit.
 
         Args:
@@ -52,21 +56,41 @@ class MotorForm:
             stamp_ns: of the newest of them.
         """
         nodes = self.context_nodes
+        work = WORK_A_SAMPLE * content.shape[2]
         if isinstance(nodes, RotorUpdate):
-            nodes.learn_remembered(content, stamp_ns)
+            yield from nodes.learn_remembered(content, stamp_ns)
         else:
             plain, arrays = nodes.state()
             nodes.restore(plain, {**arrays, 'replay': content[:, :, :-1]})
-            newest = [float(content[row, 0, -1]) for row in (INTERVAL, VOLTAGE, TORQUE)]
-            nodes.learn(Sample.of_one_motor(stamp_ns, *newest))
+            nodes.learn(_sample(content[:, 0, -1], stamp_ns))
+            yield work
         estimate = nodes.estimate()
         assert isinstance(self.delay, DelayWatch)  # of one motor
         self.fit.test(nodes, estimate, 0, self.delay.estimate)
+        yield work
         return estimate
+
+    def catch_up(self, content: Array, stamp_ns: int) -> None:
+        """Take the samples that have come since those that were learnt all at once.
+
+        Args:
+            content: shape (signal, 1, n).
+            stamp_ns: of the newest of them.
+        """
+        nodes = self.context_nodes
+        take = nodes.remember if isinstance(nodes, RotorUpdate) else nodes.learn
+        for column in content[:, 0].T:
+            take(_sample(column, stamp_ns))
 
     def residual(self, content: Array) -> float:
         """Return the root mean square of the free run's residual in A, over given samples."""
         return residual_a(self.white_box, self.context_nodes, content)
+
+
+def _sample(column: Array, stamp_ns: int) -> Sample:
+    """Return a sample by its signals, shape (signal,)."""
+    signals = (float(column[row]) for row in (INTERVAL, VOLTAGE, TORQUE))
+    return Sample.of_one_motor(stamp_ns, *signals)
 
 
 def residual_a(white_box: MotorWhiteBox, context_nodes: ContextUpdate, content: Array) -> float:

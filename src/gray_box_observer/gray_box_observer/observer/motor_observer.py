@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gray_box_observer.context_nodes import (
     ContextUpdate,
     Estimate,
+    MeasuredSpeedUpdate,
     RotorUpdate,
     VerdictSettings,
 )
@@ -18,12 +19,12 @@ from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.delay import DelayEstimate, DelayWatch
 from gray_box_observer.errors import CheckpointError, ConfigurationError
-from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_form import MotorForm
 from gray_box_observer.observer.speed_choice import SpeedChoice
 from gray_box_observer.observer.speed_tracking import SpeedTracking
 from gray_box_observer.observer.stall_watch import StallWatch
-from gray_box_observer.predictor import AlarmSettings, Prediction, Predictor, ResidualAlarm
+from gray_box_observer.predictor import AlarmSettings, Prediction, ResidualAlarm, TorquePredictor
 from gray_box_observer.safe_io.saved_state import entry, flag, group
 from gray_box_observer.samples import ReplayBuffer, Sample
 from gray_box_observer.settings.configuration import MotorConfiguration
@@ -41,6 +42,7 @@ class DeferredUpdate:
         theta, covariance, identified: what was believed before it was learnt.
         followed: whether the predictor has gone on from it.
         speed: of a motor with a rotor, at the sample; None where none may be believed.
+        followed_speed: the same, believed or not: where a prediction may begin.
         alarm: shape (motor,): whether the alarm on the prediction's residual stands after the
             sample; None: to be done.
     """
@@ -51,6 +53,7 @@ class DeferredUpdate:
     covariance: Array
     identified: NDArray[np.bool_]
     speed: SpeedEstimate | None = None
+    followed_speed: SpeedEstimate | None = None
     is_followed: bool = False
     alarm: NDArray[np.bool_] | None = None
 
@@ -99,7 +102,15 @@ class MotorObserver:
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
         self._precomputed: tuple[bytes, Prediction] | None = None
         self._is_identified = self._nobody
-        shape = (self.motors, len(self.white_box.parameters))
+        nodes = form.context_nodes
+        parameters = (
+            nodes.published_parameters
+            if isinstance(nodes, MeasuredSpeedUpdate)
+            else form.white_box.parameters
+        )
+        electrical = len(form.white_box.parameters)
+        self._mechanics = tuple(p.name for p in parameters[electrical:])
+        shape = (self.motors, len(parameters))
         self._known_parameters = np.zeros(shape, dtype=bool)
         self._know(self._believed(slice(None)), slice(None))
 
@@ -167,6 +178,7 @@ class MotorObserver:
         estimate = self.update_parameters(sample)
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
+            deferred.followed_speed = self._speed.followed
         self._deferred = deferred
         return deferred, estimate
 
@@ -197,10 +209,9 @@ class MotorObserver:
 
     def _try_other_form(self, stamp_ns: int) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        nodes = self.context_nodes
-        if not self.speed_choice.is_due(nodes, self._fit.assessment(0)):
-            return
-        form = self.speed_choice.try_other(self.white_box, nodes, stamp_ns)
+        form = self.speed_choice.step(
+            self.white_box, self.context_nodes, self._fit.assessment(0), stamp_ns
+        )
         if form is None:
             return
         if self._predictor is not None:
@@ -218,7 +229,9 @@ class MotorObserver:
         deferred.is_followed = True
         if self._predictor is not None and deferred.prediction is not None:
             try:
-                self._predictor.advance(deferred.sample, deferred.prediction)
+                self._predictor.advance(
+                    deferred.sample, deferred.prediction, deferred.followed_speed
+                )
             except (
                 ConfigurationError
             ):  # what a device has failed at is not tried again: a checkpoint is to be kept
@@ -226,7 +239,7 @@ class MotorObserver:
                 raise
 
     @property
-    def predictor(self) -> Predictor | None:
+    def predictor(self) -> TorquePredictor | None:
         """Forecasts torque, all samples learnt; None where there is none."""
         self.run_deferred()
         return self._predictor
@@ -268,11 +281,18 @@ class MotorObserver:
         return self._fit.judged(self.context_nodes, estimate, self._places[motors])
 
     def _published(self, estimate: Estimate, motors: NDArray[np.intp]) -> Estimate:
-        """Add what is not known of the scales: it is told, and nothing leans on it."""
+        """Add a measured rotor's parameters, and what is not known of the scales.
+
+        Both are told, and nothing leans on them.
+        """
+        nodes = self.context_nodes
+        if self._mechanics:
+            assert isinstance(nodes, MeasuredSpeedUpdate)
+            is_believed = self._fit.assessment(0).verdict is not FitVerdict.MISFIT
+            estimate = nodes.with_mechanics(estimate, is_believed=is_believed)
         if self._scales is None:
             return estimate
-        rules = self.context_nodes.verdict_rules
-        return self._scales.widened(self.context_nodes, estimate, motors, rules)
+        return self._scales.widened(nodes, estimate, motors, nodes.verdict_rules)
 
     def _limit_by_fit(self, estimate: Estimate) -> Estimate:
         """Test the fit of motors with changed estimates; return these as far as believable.
@@ -320,15 +340,12 @@ class MotorObserver:
         """
         if not self._is_frozen:
             self._is_identified = self._is_identified.copy()
-            self._known_parameters[motors] = [
-                [v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts
-            ]
-            self._is_identified[motors] = self._known_parameters[motors].all(axis=1)
-            if self._scales is not None:
-                published = self._published(estimate, self._places[motors])
-                self._known_parameters[motors] = [
-                    [v in COUNTS_AS_KNOWN for v in row] for row in published.verdicts
-                ]
+            known = _known_flags(estimate)
+            self._is_identified[motors] = known.all(axis=1)
+            published = self._published(estimate, self._places[motors])
+            self._known_parameters[motors] = (
+                known if published is estimate else _known_flags(published)
+            )
         if estimate.value.shape[0] == self.motors:
             self._theta, self._covariance = estimate.value, estimate.covariance
         else:
@@ -449,17 +466,19 @@ class MotorObserver:
             self.delay.state() if isinstance(self.delay, DelayWatch) else self.delay.state(motor)
         )
         received = int(self.context_nodes.replay.received[motor])
+        speed, trial = self.speed_choice.state(received)
         content = {
             'white_box': self.white_box_of(motor).to_dict(),
             'context_nodes': plain,
+            **({'mechanics': list(self._mechanics)} if self._mechanics else {}),
             'delay': delay,
             'fit': self._fit.state(motor, received),
-            'speed': self.speed_choice.state(received),
+            'speed': speed,
             'identified': self.identified_of(motor),
             'identified_parameters': list(self.parameters_identified_of(motor)),
         }
         alarm = {} if self.alarm is None else self.alarm.state(motor)
-        groups = {'nodes': arrays, 'network': network, 'alarm': alarm}
+        groups = {'nodes': arrays, 'network': network, 'alarm': alarm, 'speed': trial}
         return content, {
             f'{group}/{name}': array
             for group, part in groups.items()
@@ -479,11 +498,16 @@ class MotorObserver:
             CheckpointError: it is no state that could have been learnt.
         """
         motor_slice = slice(motor, motor + 1)
+        if plain.get('mechanics', []) != list(self._mechanics):
+            raise ConfigurationError(
+                'the checkpoint was learnt with other parameters of the rotor among context_nodes'
+            )
         flag(plain, 'identified')
         identified_flags = entry(plain, 'identified_parameters')
-        if not isinstance(identified_flags, list) or [type(one) for one in identified_flags] != [
-            bool
-        ] * len(self.white_box.parameters):
+        if (
+            not isinstance(identified_flags, list)
+            or [type(one) for one in identified_flags] != [bool] * self._known_parameters.shape[1]
+        ):
             raise CheckpointError('identified_parameters is no list of yes and no, one a parameter')
         self.context_nodes.restore(
             dict(group(plain, 'context_nodes')), _group(arrays, 'nodes'), motor
@@ -494,8 +518,8 @@ class MotorObserver:
         received = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, received)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(group(plain, 'speed'), received)
-        self._know(self.estimate(motor_slice), motor_slice)
+            self.speed_choice.restore(group(plain, 'speed'), _group(arrays, 'speed'), received)
+        self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()
             self._is_identified[motor_slice] = plain['identified']
@@ -513,6 +537,11 @@ class MotorObserver:
 
 _NOBODY = np.arange(0)
 _FIRST = np.arange(1)
+
+
+def _known_flags(estimate: Estimate) -> NDArray[np.bool_]:
+    """Tell of every motor and parameter whether it counts as known, shape (motor, parameter)."""
+    return np.array([[v in COUNTS_AS_KNOWN for v in row] for row in estimate.verdicts])
 
 
 def _group(arrays: dict[str, Array], group: str) -> dict[str, Array]:

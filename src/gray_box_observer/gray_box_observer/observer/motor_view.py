@@ -181,6 +181,13 @@ class MotorView:
         buffer.refill(content)
         return buffer
 
+    def newest(self, most: int) -> Array:
+        """Return its newest samples, also those that are learnt from no more; (signal, n)."""
+        replay = self.observer.context_nodes.replay
+        count = min(replay.stored(self.place), replay.capacity, most)
+        samples: Array = replay.newest(count, self._one)[:, 0]
+        return samples
+
     def state(self) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt of it, for a checkpoint."""
         return self.observer.state(self.place)

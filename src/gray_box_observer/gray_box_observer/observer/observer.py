@@ -19,7 +19,7 @@ from gray_box_observer.context_nodes import Estimate
 from gray_box_observer.context_nodes.estimate import COUNTS_AS_KNOWN
 from gray_box_observer.delay import DelayEstimate
 from gray_box_observer.errors import ConfigurationError
-from gray_box_observer.fit_test import FitAssessment
+from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.builder import (
     TrainingFactory,
     alarm_rules,
@@ -30,6 +30,7 @@ from gray_box_observer.observer.builder import (
 )
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
+from gray_box_observer.observer.mixed_signals import COMPARED, MixUp, mix_up
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
@@ -365,6 +366,14 @@ class Observer:
         """Return how well the white box explains a motor's data; untested before it is seen."""
         view = self.motors.get(motor)
         return FitAssessment() if view is None else view.fit
+
+    def mix_up(self, motor: str) -> MixUp | None:
+        """Return the motor that one which does not fit is mixed up with; None where none is."""
+        if len(self.motors) < 2 or self.fit(motor).verdict is not FitVerdict.MISFIT:
+            return None
+        views = {motor: self.motors[motor], **self.motors}
+        samples = {name: view.newest(COMPARED) for name, view in views.items()}
+        return mix_up(motor, samples)
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return the delay between voltage and torque of every motor that has been seen."""

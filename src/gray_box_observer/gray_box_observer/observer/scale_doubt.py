@@ -103,7 +103,8 @@ class ScaleDoubt:
         exponents = np.array([gain.exponent(p.unit) for p in estimate.parameters], dtype=float)
         direction: Array = exponents * estimate.value[row]
         if gain.of_known:
-            direction = direction + gain.of_known * self._known_share(nodes, motor)
+            share = self._known_share(nodes, motor)
+            direction[: share.size] += gain.of_known * share
         return direction
 
     def _known_share(self, nodes: ContextUpdate, motor: int) -> Array:

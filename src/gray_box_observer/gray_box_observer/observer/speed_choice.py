@@ -2,25 +2,28 @@
 
 It is Kt i, as in the thesis, or the state of a rotor. Where the fit test rejects the form in force,
 the other one is fitted to what is remembered, as a trial beside the estimate that is out. Trials
-come at counts of samples, ever further apart, so that every door leads to the same choice
-(docs/METHOD.md, Which speed).
+come at counts of samples, ever further apart, and are done piece by piece at the samples that
+follow, so that every door leads to the same choice (docs/METHOD.md, Which speed).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from gray_box_observer.context_nodes import ContextUpdate, Estimate
+from gray_box_observer.context_nodes.pieces import MOST_PIECES, Pieces, WorkBudget
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test import FitAssessment, FitVerdict
 from gray_box_observer.observer.motor_form import MotorForm, residual_a
 from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import MOST, entry, flag, whole
+from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, entry, flag, group, whole
+from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -62,6 +65,29 @@ LONGEST_REASON = 500
 _TELLING = ('inductance', 'resistance', 'inertia')
 
 
+_TRIAL = 'trial'
+
+
+@dataclass(slots=True)
+class _Trial:
+    """The trial of a form under way.
+
+    Attributes:
+        content: shape (signal, 1, n): samples that it rests on.
+        place: of the newest of them.
+        stamp_ns: of the same.
+        pieces: how many were done before it was saved.
+        work: its pieces, which end with the form that the motor goes over to, or None; None: it was
+            saved and has not gone on yet.
+    """
+
+    content: Array
+    place: int
+    stamp_ns: int
+    pieces: int = 0
+    work: Pieces[MotorForm | None] | None = None
+
+
 class SpeedChoice:
     """Follows one motor, and says where its speed comes from and why.
 
@@ -83,6 +109,8 @@ class SpeedChoice:
         self._make = make
         self._due = self._wait = FEWEST
         self._trials = 0
+        self._budget = WorkBudget()
+        self._trial: _Trial | None = None
 
     @property
     def reason(self) -> str:
@@ -94,19 +122,49 @@ class SpeedChoice:
         """Whether the data may still lead to another source."""
         return self._make is not None
 
-    def is_due(self, nodes: ContextUpdate, fit: FitAssessment) -> bool:
-        """Tell whether the other form is to be tried now.
+    def step(
+        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
+    ) -> MotorForm | None:
+        """Go on with the trial of the other form, or begin one where it is due.
 
         Args:
+            white_box: the physics in force.
             nodes: the rule in force.
             fit: what is known of its fit.
+            stamp_ns: stamp of the newest sample.
+
+        Returns:
+            The other form, where the motor goes over to it.
         """
         if self._make is None:
-            return False
-        if not self._is_doubted(fit):
+            return None
+        self._budget.grant()
+        is_doubted = self._is_doubted(fit)
+        if not is_doubted:
             self._refusal = ''
-            return False
-        return int(nodes.replay.received[0]) >= self._due
+        if self._trial is None:
+            received = int(nodes.replay.received[0])
+            if not is_doubted or received < self._due:
+                return None
+            self._trial = self._begun(white_box, nodes, received, stamp_ns)
+        trial = self._trial
+        if trial is None:
+            return None
+        if trial.work is None:
+            trial.work = self._compared(white_box, nodes, trial.content, trial.stamp_ns)
+            self._budget.repeat(trial.work, trial.pieces)
+        has_ended, form = self._budget.advance(trial.work)
+        if not has_ended:
+            return None
+        self._trial = None
+        received = int(nodes.replay.received[0])
+        if form is None or not is_doubted:
+            self._due = received + self._wait
+            return None
+        self.source = OTHER[self.source]
+        form.catch_up(_newer(nodes, received - trial.place), stamp_ns)
+        self._due = int(form.context_nodes.replay.received[0]) + self._wait
+        return form
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         if fit.verdict is FitVerdict.MISFIT:
@@ -114,19 +172,11 @@ class SpeedChoice:
         leads = bool(fit.suspects) and fit.suspects[0].effect == ROTOR
         return leads and fit.verdict is FitVerdict.WARNING
 
-    def try_other(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, stamp_ns: int
-    ) -> MotorForm | None:
-        """Try the other form on what is remembered; return it where the motor goes over to it.
-
-        Args:
-            white_box: the physics in force.
-            nodes: the rule in force.
-            stamp_ns: stamp of the newest sample.
-        """
-        assert self._make is not None
+    def _begun(
+        self, white_box: MotorWhiteBox, nodes: ContextUpdate, received: int, stamp_ns: int
+    ) -> _Trial | None:
+        """Begin a trial on what is remembered; None where the voltage has hardly moved."""
         replay = nodes.replay
-        received = int(replay.received[0])
         count = min(replay.stored(0), replay.capacity, NEWEST)
         content = replay.newest(count).copy()
         if Window.from_samples(white_box, content[:, 0]).moves < FEWEST_MOVES:
@@ -138,23 +188,17 @@ class SpeedChoice:
             return None
         self._trials += 1
         self._wait = min(max(2 * self._wait, received), LONGEST_WAIT)
-        form = self._compared(white_box, nodes, content, stamp_ns)
-        if form is None:
-            self._due = received + self._wait
-            return None
-        self.source = OTHER[self.source]
-        self._due = int(form.context_nodes.replay.received[0]) + self._wait
-        return form
+        return _Trial(content, received, stamp_ns)
 
     def _compared(
         self, white_box: MotorWhiteBox, nodes: ContextUpdate, content: Array, stamp_ns: int
-    ) -> MotorForm | None:
+    ) -> Pieces[MotorForm | None]:
         """Fit the other form; return it where it explains the data clearly better."""
         assert self._make is not None
         total = content.shape[2]
         for count in [*(look for look in LOOKS if look < total), total]:
             other = self._make(OTHER[self.source])
-            estimate = other.learn_remembered(content[:, :, -count:], stamp_ns)
+            estimate = yield from other.learn_remembered(content[:, :, -count:], stamp_ns)
             fit = other.fit.assessment(0)
             if fit.verdict is FitVerdict.MISFIT:
                 self._refusal = self._why_not(fit, estimate)
@@ -164,7 +208,7 @@ class SpeedChoice:
         gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
         if _explains(fit, left_a, before_a) and _is_told(estimate) and gain > EVIDENCE:
             same = self._make(self.source)  # the form in force may be in the midst of learning
-            same.learn_remembered(content, stamp_ns)
+            yield from same.learn_remembered(content, stamp_ns)
             before_a = min(before_a, same.residual(content))
             gain = _gain(content, before_a, left_a, estimate, len(white_box.parameters))
         if not (_explains(fit, left_a, before_a) and _is_told(estimate) and gain > EVIDENCE):
@@ -189,9 +233,9 @@ class SpeedChoice:
             return f'{begin}cannot be told from them'
         return f'{begin}explains them hardly better'
 
-    def state(self, received: int) -> dict[str, Any]:
-        """Everything, as plain values; places count back from the newest sample."""
-        return {
+    def state(self, received: int) -> tuple[dict[str, Any], dict[str, Array]]:
+        """Everything, as plain values and arrays; places count back from the newest sample."""
+        plain = {
             'source': self.source,
             'reason': self._reason,
             'refusal': self._refusal,
@@ -199,9 +243,19 @@ class SpeedChoice:
             'due': self._due - received,
             'wait': self._wait,
             'trials': self._trials,
+            'credit': self._budget.credit,
         }
+        if self._trial is None:
+            return plain, {}
+        trial = self._trial
+        plain['trial'] = {
+            'place': trial.place - received,
+            'stamp_ns': trial.stamp_ns,
+            'pieces': trial.pieces if trial.work is None else self._budget.pieces,
+        }
+        return plain, {_TRIAL: trial.content.copy()}
 
-    def restore(self, plain: Mapping[str, Any], received: int) -> None:
+    def restore(self, plain: Mapping[str, Any], arrays: Mapping[str, Array], received: int) -> None:
         """Take back what :meth:`state` gave; a source that is settled stays as it is settled now.
 
         Raises:
@@ -216,8 +270,28 @@ class SpeedChoice:
             raise CheckpointError('speed.source is none of those that there are')
         if not (self.is_open and was_open):
             return
+        trial = None
+        if 'trial' in plain:
+            check_signals(_TRIAL, arrays.get(_TRIAL))
+            own = group(plain, 'trial')
+            trial = _Trial(
+                arrays[_TRIAL],
+                received + whole(own, 'place', -MOST, 0),
+                whole(own, 'stamp_ns', -LATEST_NS, LATEST_NS),
+                whole(own, 'pieces', 0, MOST_PIECES),
+            )
+        self._budget = WorkBudget.restored(plain)
+        self._trial = trial
         self._reason, self._refusal = reasons
         self._due, self._wait, self._trials = received + due, wait, trials
+
+
+def _newer(nodes: ContextUpdate, count: int) -> Array:
+    """Return so many of the newest samples, (signal, 1, n), or as many as there are."""
+    content = nodes.replay.newest(min(count, nodes.replay.stored(0))).copy()
+    if 0 < content.shape[2] < count:
+        content[INTERVAL, :, 0] = 0.0  # what came before is gone: the signal history begins here
+    return content
 
 
 def _explains(fit: FitAssessment, left_a: float, before_a: float) -> bool:

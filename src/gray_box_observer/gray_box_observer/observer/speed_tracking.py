@@ -25,6 +25,8 @@ class SpeedTracking:
 
     Attributes:
         newest: the speed at the newest sample; None where none may be believed.
+        followed: the same, whether the white box explains the data or not; None where L and R are
+            not known.
         stall: whether the rotor stands still though it is driven.
     """
 
@@ -32,10 +34,11 @@ class SpeedTracking:
         self._white_box = white_box
         self._nodes = context_nodes
         self._filter = SpeedFilter(white_box)
-        self._is_credible = False
+        self._is_known = self._is_credible = False
         self._resistance_std = 0.0
         self._constants = 0.0, 0.0
         self.newest: SpeedEstimate | None = None
+        self.followed: SpeedEstimate | None = None
         self.stall = StallWatch()
 
     def believe(self, theta: Array, covariance: Array, fit: FitAssessment) -> None:
@@ -52,11 +55,11 @@ class SpeedTracking:
             if name in ('inductance', 'resistance')
         ]
         stds = {place: math.sqrt(max(float(covariance[place, place]), 0.0)) for place in places}
-        is_known = all(std < LARGEST_STD * float(theta[place]) for place, std in stds.items())
+        self._is_known = all(std < LARGEST_STD * float(theta[place]) for place, std in stds.items())
         resistance = self._white_box.known.get('resistance', theta[places[-1]])
         self._constants = float(resistance), float(self._white_box.known['back_emf_constant'])
         self._resistance_std = stds[places[-1]] if len(places) > 1 else 0.0
-        self._is_credible = is_known and fit.verdict is not FitVerdict.MISFIT
+        self._is_credible = self._is_known and fit.verdict is not FitVerdict.MISFIT
 
     def step(self, sample: Sample, theta: Array) -> SpeedEstimate | None:
         """Go on by one sample; return its speed where that may be believed.
@@ -65,15 +68,16 @@ class SpeedTracking:
             sample: the newest.
             theta: shape (parameter,): what is known of the motor now.
         """
-        self.newest = None
         torque_constant = float(self._white_box.torque_constant)
         noise_a = float(self._nodes.noise_std_nm[0]) / torque_constant
         interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
         current_a = float(sample.torque_nm[0]) / torque_constant
-        if self._is_credible:
-            self.newest = self._filter.step(
+        self.followed = None
+        if self._is_known:
+            self.followed = self._filter.step(
                 theta, noise_a, interval_s, voltage_v, current_a, self._resistance_std
             )
+        self.newest = self.followed if self._is_credible else None
         speed_rad_s = None if self.newest is None else self.newest.speed_rad_s
         self.stall.step(interval_s, voltage_v, current_a, speed_rad_s, self._constants)
         return self.newest

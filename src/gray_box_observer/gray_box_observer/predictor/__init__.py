@@ -2,9 +2,11 @@
 
 from gray_box_observer.predictor.alarm import AlarmSettings, ResidualAlarm
 from gray_box_observer.predictor.network_inputs import Variant
-from gray_box_observer.predictor.predictor import Prediction, Predictor
+from gray_box_observer.predictor.predictor import Predictor
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
+from gray_box_observer.predictor.rotor_predictor import RotorPredictor
 from gray_box_observer.predictor.scores import Skill
+from gray_box_observer.predictor.torque_predictor import Prediction, TorquePredictor
 from gray_box_observer.predictor.training.training_backend import (
     InlineTraining,
     ProcessTraining,
@@ -18,7 +20,9 @@ __all__ = [
     'Predictor',
     'ProcessTraining',
     'ResidualAlarm',
+    'RotorPredictor',
     'Skill',
+    'TorquePredictor',
     'Training',
     'TrainingSettings',
     'Variant',

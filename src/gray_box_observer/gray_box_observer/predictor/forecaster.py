@@ -33,7 +33,27 @@ class ForecastRequest:
     origin: tuple[Array, Memory] | None = None
 
 
-class Forecaster(Protocol):
+class RunningNetwork(Protocol):
+    """A network that runs and may be replaced by a better one."""
+
+    def adopt(self, result: dict[str, Any]) -> None:
+        """Let a trained network run."""
+
+    def state(self) -> dict[str, Array]:
+        """The network as arrays, for a checkpoint or a trainer; empty before there is one."""
+
+    def restore(self, arrays: dict[str, Array]) -> None:
+        """Take back what :meth:`state` gave.
+
+        Raises:
+            ConfigurationError: a network of another kind or size.
+        """
+
+    def start(self) -> dict[str, Any]:
+        """What a trainer's job carries where training shall go on from this network."""
+
+
+class Forecaster(RunningNetwork, Protocol):
     """Streams one network over the samples of a group of motors."""
 
     def forecast(self, request: ForecastRequest) -> tuple[Array, Memory | None]:
@@ -59,19 +79,3 @@ class Forecaster(Protocol):
             memory: what came with the forecast.
             present: shape (motor,): who was sampled; the others stay where they are. None: all.
         """
-
-    def adopt(self, result: dict[str, Any]) -> None:
-        """Let a trained network run."""
-
-    def state(self) -> dict[str, Array]:
-        """The network as arrays, for a checkpoint or a trainer; empty before there is one."""
-
-    def restore(self, arrays: dict[str, Array]) -> None:
-        """Take back what :meth:`state` gave.
-
-        Raises:
-            ConfigurationError: a network of another kind or size.
-        """
-
-    def start(self) -> dict[str, Any]:
-        """What a trainer's job carries where training shall go on from this network."""

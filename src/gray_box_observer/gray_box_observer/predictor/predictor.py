@@ -5,68 +5,35 @@ Predict, then learn: :meth:`Predictor.predict` changes nothing; scores use what 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.predictor.elementwise import Axis
 from gray_box_observer.predictor.forecaster import Forecaster, ForecastRequest
 from gray_box_observer.predictor.initial_network import first_network
-from gray_box_observer.predictor.network import Memory
 from gray_box_observer.predictor.network_inputs import InputLayout, Variant
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
-from gray_box_observer.predictor.residual_model import (
-    Recollection,
-    ResidualForecaster,
-    check_correction,
-)
-from gray_box_observer.predictor.scores import Scores
 from gray_box_observer.predictor.steady_state import Course, course, flow, flow_each
 from gray_box_observer.predictor.steady_state_forecaster import RelaxingForecaster
 from gray_box_observer.predictor.thesis.window_forecaster import WindowForecaster
-from gray_box_observer.predictor.training.online_training import OnlineTraining
+from gray_box_observer.predictor.torque_predictor import (
+    Prediction,
+    TorquePredictor,
+    of_present,
+    physics_of,
+)
 from gray_box_observer.predictor.training.training_backend import Training
-from gray_box_observer.safe_io.saved_state import check_array, positive
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.settings.device import DEVICE_FROM, watched
 from gray_box_observer.white_box.interface import Array, WhiteBox
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """What is expected of the next torque sample, with what has to be remembered if it comes.
-
-    Attributes:
-        torque_nm: shape (motor,): the predictor's forecast; NaN where it cannot tell: at the first
-            sample of a history, for the thesis's variants also before the first training and while
-            the network warms up.
-        rollout: works out :attr:`white_box_torque_nm`, when it is asked for: only scores need it,
-            which can wait until the forecast has gone out.
-        memory: the network's memory after this step; None where it made none.
-        way: where voltage and speed lead; None at the first sample of a history.
-        physics_nm: shape (motor,): the forecast before the correction learnt from data; None where
-            nothing was added.
-        residual_memory: what the correction remembers after this step.
-    """
-
-    torque_nm: Array
-    rollout: Callable[[], Array]
-    memory: Memory | None
-    way: Course | None
-    physics_nm: Array | None = None
-    residual_memory: Recollection | None = None
-
-    @cached_property
-    def white_box_torque_nm(self) -> Array:
-        """Shape (motor,): the white box's rollout from voltages alone; NaN where none goes on."""
-        return self.rollout()
-
-
-class Predictor:
+class Predictor(TorquePredictor):
     """Streams the network over the samples of a group of motors.
 
     Args:
@@ -80,11 +47,6 @@ class Predictor:
         device: torch's, on which very many motors are predicted (variant ``physics``); None: by
             numpy.
 
-    Attributes:
-        residual: the correction of what the physics says.
-        training: has both taught.
-        scores: how good the predictions were.
-
     Raises:
         ConfigurationError: from here on and of every method, where the device fails.
     """
@@ -96,8 +58,6 @@ class Predictor:
         is_physics = rules.variant is Variant.PHYSICS
         device = device if is_physics and motors >= DEVICE_FROM else None
         self._rules = rules
-        self._motors = motors
-        self._parameters = theta_reference.size
         self._speed_measured = speed_measured
         self._forecaster: Forecaster
         with nullcontext() if device is None else watched(device):
@@ -110,6 +70,12 @@ class Predictor:
             else:
                 layout = InputLayout(theta_reference, rules.variant.sees_theta, speed_measured)
                 self._forecaster = WindowForecaster(motors, layout, rules)
+        super().__init__(
+            white_box, motors, theta_reference.size, rules, training, self._forecaster,
+            speed_measured=speed_measured,
+        )  # fmt: skip
+        self._way: Course | None = None
+        self._rollout_nm = np.full(motors, np.nan)
         if (
             device is not None
         ):  # here, not where they are defined: one motor by numpy must not pay for it
@@ -122,14 +88,6 @@ class Predictor:
                 'restore',
             ):
                 setattr(self, name, watched(device)(getattr(self, name)))
-        self.residual = ResidualForecaster(white_box, motors)
-        blank = np.full(motors, np.nan)
-        self._way: Course | None = None
-        self._rollout_nm = self._previous_torque = self._previous_speed = blank
-        self.training = OnlineTraining(
-            motors, rules, training, self._forecaster, self.residual, speed_measured=speed_measured
-        )
-        self.scores = Scores(motors)
 
     def predict(self, interval_s: Array, voltage_v: Array, theta: Array) -> Prediction:
         """Forecast the torque at the end of an interval; changes nothing.
@@ -200,7 +158,7 @@ class Predictor:
         if request is None or (since is not None and since.memory is None):
             return np.full(self._motors, np.nan)
         if since is not None and since.memory is not None:
-            request = replace(request, origin=(_physics_of(since), since.memory))
+            request = replace(request, origin=(physics_of(since), since.memory))
         torque_nm = self._forecaster.forecast(request)[0]
         correction = self.residual.correction
         if correction is None or not self.residual.is_active:
@@ -210,22 +168,18 @@ class Predictor:
             request, path_nm, None if since is None else since.residual_memory
         )
 
-    def learn(
-        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
+    def advance(
+        self, sample: Sample, prediction: Prediction, speed: SpeedEstimate | None = None
     ) -> None:
-        """Go on from a sample and learn it: :meth:`advance` and :meth:`score_and_train`."""
-        self.advance(sample, prediction)
-        self.score_and_train(sample, prediction, theta, covariance)
-
-    def advance(self, sample: Sample, prediction: Prediction) -> None:
         """Go on from a sample to where the next one is predicted from.
 
         Args:
             sample: what came.
             prediction: what had been expected of it.
+            speed: unused; these motors have no rotor.
         """
         anew = sample.interval_s <= 0.0
-        physics_nm = _physics_of(prediction)
+        physics_nm = physics_of(prediction)
         self._forecaster.remember(
             physics_nm, sample.torque_nm, anew, prediction.memory, sample.present
         )
@@ -234,61 +188,12 @@ class Predictor:
         has_prediction = np.isfinite(prediction.white_box_torque_nm) & ~anew
         rollout_nm = np.where(has_prediction, prediction.white_box_torque_nm, sample.torque_nm)
         self._way = prediction.way
-        self._rollout_nm = _of_present(sample, rollout_nm, self._rollout_nm)
+        self._rollout_nm = of_present(sample, rollout_nm, self._rollout_nm)
         # a torque message without its speed must not put NaN into the network's memory or into a
         # training window
         self._previous_speed = np.where(
             np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._previous_speed
         )
-
-    def score_and_train(
-        self, sample: Sample, prediction: Prediction, theta: Array, covariance: Array | None = None
-    ) -> None:
-        """Score what was predicted, and let the sample be trained on.
-
-        Comes after :meth:`advance` and before the next sample is followed; where :attr:`training`
-        is ``due_next``, also before it is predicted, for a trained network may take over.
-
-        Args:
-            sample: what came.
-            prediction: what had been expected of it.
-            theta: shape (motor, parameter): context nodes before the sample is learnt.
-            covariance: shape (motor, parameter, parameter): how uncertain they are; None: not at
-                all.
-        """
-        rivals = {
-            'predictor': prediction.torque_nm,
-            'persistence': np.where(sample.interval_s <= 0.0, np.nan, self._previous_torque),
-            'white_box': prediction.white_box_torque_nm,
-        }
-        self.scores.add(sample.torque_nm, rivals)
-        self._previous_torque = _of_present(sample, sample.torque_nm, self._previous_torque)
-        self.training.update(
-            sample, self._previous_speed, _physics_of(prediction), theta, covariance
-        )
-
-    def state(self, motor: int = 0) -> dict[str, Array]:
-        """One motor's network, learnt additions, and state of training, as arrays."""
-        residual_arrays = (
-            {} if self.residual.correction is None else self.residual.correction.arrays()
-        )
-        return {**self._forecaster.state(), **residual_arrays, **self.training.state(motor)}
-
-    def restore(self, arrays: dict[str, Array], motor: int = 0) -> None:
-        """Take back what :meth:`state` gave of one motor; training goes on from there.
-
-        Raises:
-            ConfigurationError: the network is of another variant or size.
-            CheckpointError: it is no state that could have been learnt.
-        """
-        check_correction(arrays)
-        for name in ('job_theta', 'settled_theta'):
-            if name in arrays:
-                check_array(name, arrays[name], positive(1, self._parameters))
-        self._forecaster.restore(arrays)
-        if self._motors == 1:
-            self.residual.adopt(arrays)
-        self.training.restore(arrays, motor)
 
     def _request(self, interval_s: Array, voltage_v: Array, theta: Array) -> ForecastRequest | None:
         """Say where an interval leads; None where no motor has a known start and voltage."""
@@ -318,13 +223,3 @@ class Predictor:
         return ForecastRequest(
             interval_s, axis.to_array(voltage), axis.to_array(speed), theta, way, usable
         )
-
-
-def _of_present(sample: Sample, now: Array, before: Array) -> Array:
-    """What is now of the motors that were sampled, what was before of the others."""
-    return now if sample.present is None else np.where(sample.present, now, before)
-
-
-def _physics_of(prediction: Prediction) -> Array:
-    """What was predicted before the residual was added: the physics goes on from there."""
-    return prediction.torque_nm if prediction.physics_nm is None else prediction.physics_nm

@@ -29,6 +29,7 @@ from gray_box_observer.settings.signal_sources import (
     stated_inputs,
 )
 from gray_box_observer.white_box import MotorWhiteBox
+from gray_box_observer.white_box.declaration import TERMS, State
 
 NODE_NAME = 'gray_box_observer'
 
@@ -73,12 +74,17 @@ class MotorConfiguration:
 
     def white_box(self, speed_measured: bool) -> MotorWhiteBox:
         """Build the white box of this motor."""
-        nodes = tuple(self.values['context_nodes'])
+        mechanical = self.mechanical_nodes
+        nodes = tuple(name for name in self.values['context_nodes'] if name not in mechanical)
         constants = {
             name: self.values[parameter]
             for name, parameter in KNOWN_PARAMETERS.items()
             if name not in nodes and self.values[parameter] > 0.0
         }
+        if mechanical:
+            constants = {
+                name: value for name, value in constants.items() if not _is_mechanical(name)
+            }
         if self.has_rotor and not self.states_back_emf:
             constants[BACK_EMF] = self.values['torque_constant']
         measured = speed_measured and not self.has_rotor
@@ -93,6 +99,29 @@ class MotorConfiguration:
     def has_rotor(self) -> bool:
         """Whether its speed is a hidden state."""
         return bool(self.values['speed_source'] == 'rotor')
+
+    @property
+    def mechanical_nodes(self) -> tuple[str, ...]:
+        """Context nodes of a rotor whose speed is measured; none where it is a hidden state."""
+        if self.has_rotor:
+            return ()
+        nodes = self.values['context_nodes']
+        return tuple(name for name in nodes if _is_mechanical(name))
+
+    @property
+    def known_mechanics(self) -> dict[str, float]:
+        """What is known of the rotor and not identified, by the parameter's name."""
+        nodes = self.values['context_nodes']
+        return {
+            name: self.values[parameter]
+            for name, parameter in KNOWN_PARAMETERS.items()
+            if _is_mechanical(name) and name not in nodes and self.values[parameter] > 0.0
+        }
+
+    def without_mechanics(self) -> MotorConfiguration:
+        """Return the same motor with its electrical context nodes alone."""
+        nodes = [n for n in self.values['context_nodes'] if n not in self.mechanical_nodes]
+        return replace(self, values={**self.values, 'context_nodes': nodes})
 
     @property
     def states_back_emf(self) -> bool:
@@ -433,6 +462,12 @@ def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
             f'motor {rotor_motors[0]}: speed_source rotor needs context_update recursive, '
             f'got {rule}'
         )
+    turning = [name for name, motor in motors.items() if motor.mechanical_nodes]
+    if rule != 'recursive' and turning:
+        raise ConfigurationError(
+            f'motor {turning[0]}: inertia among context_nodes needs context_update recursive, '
+            f'got {rule}'
+        )
     if rule != 'recursive' and informed_motors:
         raise ConfigurationError(
             f'motor {informed_motors[0]}: initial_relative_std needs context_update recursive, got '
@@ -548,10 +583,13 @@ def _check_rotor(motor: MotorConfiguration) -> None:
         raise ConfigurationError(
             f'motor {name}: speed_source is rotor, but inertia is not among context_nodes'
         )
-    if has_inertia and not motor.has_rotor:
+    if has_inertia and not motor.has_rotor and values['speed_source'] != 'measured':
         raise ConfigurationError(
-            f'motor {name}: inertia is among context_nodes; set {name}.speed_source: rotor'
+            f'motor {name}: inertia is among context_nodes; set {name}.speed_source: rotor, or '
+            'measured where a sensor reads its speed'
         )
+    if motor.mechanical_nodes:
+        _check_mechanics(motor)
     if not motor.has_rotor:
         return
     if motor.estimates_delay:
@@ -562,6 +600,26 @@ def _check_rotor(motor: MotorConfiguration) -> None:
     if not values['back_emf_constant'] > 0.0:
         raise ConfigurationError(
             f'motor {name}: speed_source is rotor, so {name}.back_emf_constant must be positive'
+        )
+
+
+def _is_mechanical(name: str) -> bool:
+    """Tell whether a parameter is of the rotor; of a name that is none, it is not."""
+    return name in TERMS and TERMS[name].state is State.SPEED
+
+
+def _check_mechanics(motor: MotorConfiguration) -> None:
+    """Refuse a measured rotor without what it needs."""
+    name, values = motor.name, motor.values
+    nodes = values['context_nodes']
+    if 'inertia' not in nodes:
+        raise ConfigurationError(
+            f'motor {name}: {motor.mechanical_nodes[0]} is among context_nodes without inertia'
+        )
+    if BACK_EMF in nodes or not values[BACK_EMF] > 0.0:
+        raise ConfigurationError(
+            f'motor {name}: inertia is among context_nodes, so {name}.{BACK_EMF} must be known '
+            'and positive'
         )
 
 

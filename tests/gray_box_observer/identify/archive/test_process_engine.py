@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -63,6 +64,7 @@ def doors(kind: str) -> set[tuple[int, object]]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize('engine', ['processes', 'dask'])
 def test_processes_give_the_table_of_a_serial_run_and_leave_nothing_behind(
@@ -92,6 +94,7 @@ def test_nobody_can_connect_to_a_run_for_no_process_of_it_opens_an_address(
     assert during <= before
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_bags_of_workers_that_were_killed_are_taken_up_again(archive: Path, params: Path) -> None:
     bag_work = BagWork(read_parameter_file(params))
@@ -123,6 +126,7 @@ def test_workers_leave_an_interruption_to_the_command(work: ModuleType) -> None:
     assert len(set(digests)) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_bag_that_kills_every_worker_has_a_row_and_takes_no_other_with_it(
     work: ModuleType,
@@ -164,4 +168,6 @@ def test_what_cannot_be_sent_to_a_worker_is_told_in_its_row() -> None:
     [(_, result)] = ProcessEngine(workers=1).run(
         lambda bag: BagResult(str(bag)), [Path('/archive/0')]
     )
-    assert 'pickle' in (result.error or '').lower()
+    assert re.search(
+        'pickle|local object', result.error or '', re.IGNORECASE
+    )  # from 3.13 on the latter

@@ -14,11 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings
+from gray_box_observer.context_nodes.estimate import Estimate, VerdictSettings, misfit
 from gray_box_observer.context_nodes.measured_speed.exact_speed import (
     exact_residual,
     log_likelihood_ratio,
     whiteness,
+)
+from gray_box_observer.context_nodes.measured_speed.mechanics import (
+    DEFAULT_MECHANICS,
+    WIDEST,
+    Mechanics,
+    limited,
+    load_spread,
 )
 from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit
 from gray_box_observer.context_nodes.measured_speed.output_update import OutputUpdate
@@ -43,11 +50,8 @@ from gray_box_observer.safe_io.saved_state import (
 from gray_box_observer.samples.replay_buffer import SPEED, ReplayBuffer, check_signals
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.declaration import TERMS
-from gray_box_observer.white_box.interface import Array
+from gray_box_observer.white_box.interface import Array, Parameter
 from gray_box_observer.white_box.motor import MotorWhiteBox
-
-MECHANICAL = ('inertia', 'viscous_friction', 'coulomb_friction')
-"""Context nodes of the rotor that are fitted beside those of the motor."""
 
 COLOURED = 3.0
 """Whiteness of the recursive rule's residual from which the other rule is asked; white noise of
@@ -70,16 +74,22 @@ first samples, then each time they have doubled."""
 
 FULL = 1024
 """Samples that tell for good that the whole motor does not explain them: then it is not asked for
-twice as many, and for twice as many again each time, up to RAREST."""
+twice as many, and for twice as many again each time, up to RAREST. Nor is it asked for as long as
+the search has taken, after the next failure for twice as long, and so on."""
 
 MOST_FAILURES = 3
 """Windows in a row that the whole motor does not explain before it is given up."""
+
+FORGOTTEN, LEAST_SPREAD = 0.7, 1e-3
+"""Share of what a varying load may have done that is left after a window whose load is constant,
+and the least of it that counts."""
 
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
 _PREFIX = 'outputs.'
 _SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
+_SPREAD = 'measured_speed.load_spread'
 
 
 def can_be_output(white_box: MotorWhiteBox) -> bool:
@@ -99,6 +109,8 @@ class MeasuredSpeedUpdate:
         verdict_rules: when a parameter counts as identified.
         initial_relative_std: shape (1, parameter): how well the initial values are known; 0:
             nothing is stated.
+        mechanics: the rotor's parameters to publish, with what is known of them beforehand; None:
+            none, and the whole motor is fitted only where the speed gives a reason.
     """
 
     def __init__(
@@ -109,27 +121,33 @@ class MeasuredSpeedUpdate:
         rules: RecursiveSettings,
         verdict_rules: VerdictSettings,
         initial_relative_std: Array,
+        mechanics: Mechanics | None = None,
     ) -> None:
         self._white_box = white_box
+        self._mechanics = mechanics
+        rotor = mechanics or DEFAULT_MECHANICS
         self._exact = RecursiveEstimator(
             white_box, initial, seed, rules, verdict_rules, initial_relative_std
         )
         whole_box = MotorWhiteBox(
-            (*white_box.context_nodes, *MECHANICAL), white_box.torque_constant, white_box.known
+            (*white_box.context_nodes, *rotor.nodes),
+            white_box.torque_constant,
+            {**white_box.known, **rotor.known},
         )
-        mechanical = [[TERMS[name].parameter.initial for name in MECHANICAL]]
         self._outputs = OutputUpdate(
             whole_box,
-            np.concatenate([initial, mechanical], axis=1),
+            np.concatenate([initial, [rotor.initial]], axis=1),
             rules,
             verdict_rules,
-            np.concatenate([initial_relative_std, np.zeros((1, len(MECHANICAL)))], axis=1),
+            np.concatenate([initial_relative_std, [rotor.initial_relative_std]], axis=1),
         )
         self._samples = ReplayBuffer(1, 1)
         self._shares = np.zeros((2, len(white_box.context_nodes)))
         self._nodes = slice(0, len(white_box.context_nodes))
         self._is_noisy = False
         self._failures = 0
+        self._explained = 0  # samples in the largest window explained; -1: the newest was not
+        self._load_spread = np.zeros(len(rotor.nodes))
         self._evidence = 0.0
         self._ask_at = self._rest_until = 0
         self._noisy_from = 0  # place before the first sample whose speed was found noisy
@@ -226,39 +244,96 @@ class MeasuredSpeedUpdate:
         verdicts = self.verdict_rules.judge(parameters, value, std, frozen=is_frozen, most=most)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
+    @property
+    def published_parameters(self) -> tuple[Parameter, ...]:
+        """Return what :meth:`with_mechanics` publishes."""
+        rotor = () if self._mechanics is None else self._mechanics.nodes
+        return (*self._white_box.parameters, *(TERMS[name].parameter for name in rotor))
+
+    def with_mechanics(self, estimate: Estimate, *, is_believed: bool) -> Estimate:
+        """Add the rotor's parameters to an estimate of the electrical ones.
+
+        They come from the fit of both outputs. Where that does not explain the data, or the voltage
+        balance does not, they are a misfit. The electrical ones stay as they are. Correlations
+        between both are left out: L and R are known by far the best.
+
+        Args:
+            estimate: of this motor, as far as it may be believed.
+            is_believed: whether its voltage balance explains the data.
+        """
+        if self._mechanics is None:
+            return estimate
+        both = self._outputs.estimate()
+        rotor = slice(self._nodes.stop, None)
+        own = Estimate(
+            both.stamp_ns,
+            both.parameters[rotor],
+            both.value[:, rotor],
+            both.covariance[:, rotor, rotor],
+            (both.verdicts[0][rotor],),
+        )
+        is_settled = self._explained >= FULL
+        own = limited(own, self._load_spread, self.verdict_rules, is_settled=is_settled)
+        count = len(self.published_parameters)
+        covariance = np.zeros((1, count, count))
+        covariance[:, self._nodes, self._nodes] = estimate.covariance
+        covariance[:, rotor, rotor] = own.covariance
+        verdicts = own.verdicts[0]
+        if not (is_believed and self._explained >= 0):
+            verdicts = tuple(map(misfit, verdicts))
+        return Estimate(
+            estimate.stamp_ns,
+            self.published_parameters,
+            np.concatenate([estimate.value, own.value], axis=1),
+            covariance,
+            (estimate.verdicts[0] + verdicts,),
+        )
+
     def learn(self, sample: Sample) -> bool:
         """Take one sample by both rules; tell whether the estimate has changed."""
         was_noisy = self._is_noisy
         has_changed = self._exact.learn(sample)
         self._outputs.remember(sample)
-        has_fitted = self._outputs.is_due and self._ask()
+        fits = self._outputs.counters()
+        if self._outputs.is_due:
+            self._ask()
+        has_fitted = self._has_fitted()
         if self._is_noisy or was_noisy:
             has_changed = has_fitted or self._is_noisy != was_noisy
+        if self._mechanics is not None:
+            has_changed |= self._outputs.counters() != fits
         self._changed = np.array([has_changed])
         return has_changed
 
-    def _ask(self) -> bool:
-        """Fit both outputs where there is reason to, and settle which rule is believed."""
-        samples = self._outputs.unfitted.copy()
-        if not self._is_noisy and not self._is_worth_asking(samples):
+    def _ask(self) -> None:
+        """Begin to fit both outputs where there is reason to."""
+        if self._is_noisy or self._is_worth_asking(self._outputs.unfitted):
+            self._outputs.begin_fit()
+        else:
             self._outputs.postpone()
+
+    def _has_fitted(self) -> bool:
+        """Go on with the fit of both outputs; tell whether it has ended and is believed."""
+        fitting = self._outputs.fitting
+        has_ended = self._outputs.advance()
+        if fitting is None or not has_ended:  # a voltage that is held tells nothing
             return False
-        has_fitted = self._outputs.fit()
+        place, samples = fitting
         fit = self._outputs.output_fit
-        if not has_fitted:  # a voltage that is held tells nothing
-            return False
         if fit is None or not fit.explains:
             self._failures += 1
+            self._explained = -1
             self._is_noisy &= self._failures < MOST_FAILURES
-            place, count = int(self._outputs.replay.received[0]), samples.shape[1]
+            count, now = samples.shape[1], int(self._outputs.replay.received[0])
             rest = FULL << min(self._failures, 8) if count >= FULL else count
-            self._rest_until = place + min(rest, RAREST)
+            rest = max(rest, self._failures * (now - place))
+            self._rest_until = now + min(rest, RAREST)
             return False
         self._failures = 0
+        self._take_mechanics(fit, samples.shape[1])
         is_noisy = fit.shows_noise and self._is_clear(samples, fit)
         if not (self._is_noisy or is_noisy or self._is_late(fit)):
             return False
-        place = int(self._outputs.replay.received[0])
         if not self._is_noisy:
             self._is_noisy, self._noisy_from = True, place - samples.shape[1]
         begin = max(self._noisy_from, int(self._outputs.replay.begin()[0]))
@@ -267,11 +342,22 @@ class MeasuredSpeedUpdate:
         self._shares = self._measured_shares(samples, fit)
         return True
 
+    def _take_mechanics(self, fit: OutputFit, count: int) -> None:
+        """Note how many samples a fit explains, and what its load leaves of the mechanics."""
+        if self._mechanics is None:
+            return
+        self._explained = max(self._explained, count)
+        now = load_spread(self._mechanics, fit, float(self._white_box.torque_constant))
+        self._load_spread = np.maximum(now, FORGOTTEN * self._load_spread)
+        self._load_spread[self._load_spread < LEAST_SPREAD] = 0.0
+
     def _is_worth_asking(self, samples: Array) -> bool:
         """Tell whether the recursive rule leaves a residual, or has not been asked for long."""
         place = int(self._outputs.replay.received[0])
         if place < self._rest_until or np.ptp(samples[SPEED]) <= STILL:
             return False
+        if self._mechanics is not None:
+            return True
         residual = exact_residual(self._white_box, self._exact.theta[0], samples)
         if not whiteness(residual) < COLOURED:
             return True
@@ -313,6 +399,7 @@ class MeasuredSpeedUpdate:
         plain['measured_speed'] = {
             'noisy': self._is_noisy,
             'failures': self._failures,
+            'explained': self._explained,
             'evidence': float(np.clip(self._evidence, -LARGEST, LARGEST)),
             'ask_at': self._ask_at - received,
             'rest_until': self._rest_until - received,
@@ -321,6 +408,8 @@ class MeasuredSpeedUpdate:
             'outputs': outputs,
         }
         arrays |= {f'{_PREFIX}{name}': array for name, array in output_arrays.items()}
+        if self._mechanics is not None:
+            arrays[_SPREAD] = self._load_spread.copy()
         if self._is_noisy:
             arrays[_SAMPLES] = self._samples.newest(self._samples.stored(0)).copy()
             arrays[_SHARES] = self._shares.copy()
@@ -345,6 +434,10 @@ class MeasuredSpeedUpdate:
         self._outputs.restore(dict(group(own, 'outputs')), output_arrays)
         received = int(self._outputs.replay.received[0])
         self._failures = whole(own, 'failures', 0, MOST)
+        if self._mechanics is not None:
+            self._explained = whole(own, 'explained', -1, MOST)
+            check_arrays(arrays, {_SPREAD: ArrayRule(self._load_spread.shape, 0.0, WIDEST)})
+            self._load_spread = arrays[_SPREAD]
         self._evidence = number(own, 'evidence', -LARGEST, LARGEST)
         self._ask_at = received + whole(own, 'ask_at', -MOST, RAREST)
         self._rest_until = received + whole(own, 'rest_until', -MOST, RAREST)

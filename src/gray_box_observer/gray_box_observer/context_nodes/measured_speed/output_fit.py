@@ -15,6 +15,7 @@ import numpy as np
 from gray_box_observer.context_nodes.measured_speed.exact_speed import whiteness
 from gray_box_observer.context_nodes.measured_speed.load_walk import walk_of_load
 from gray_box_observer.context_nodes.measured_speed.speed_start import speed_start
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     OUTLIER,
@@ -164,7 +165,7 @@ def fit_outputs(
     prior: LogPrior,
     starts: Sequence[Array],
     walk: float = 0.0,
-) -> OutputFit | None:
+) -> Pieces[OutputFit | None]:
     """Fit the context nodes to current and speed; None where no start can be run.
 
     Args:
@@ -176,18 +177,54 @@ def fit_outputs(
     """
     floor = _floor(window)
     if walk > 0.0:
-        loaded = _loaded(white_box, window, prior, starts[0], floor, walk)
+        loaded = yield from _loaded(white_box, window, prior, starts[0], floor, walk)
         if loaded is not None and loaded.explains:
             return loaded
     linear = speed_start(white_box, window, starts[0])
     tried = [*starts] if linear is None else [*starts, linear]
-    steady = _settled(white_box, window, prior, tried, floor)
+    steady = yield from _settled(white_box, window, prior, tried, floor)
     if linear is None or steady is None or steady.explains:
         return steady
-    loaded = _loaded(
+    loaded = yield from _loaded(
         white_box, window, prior, linear, floor, _first_walk(white_box, window, linear)
     )
     return loaded if loaded is not None and loaded.explains else steady
+
+
+@dataclass(frozen=True, slots=True)
+class FitBefore:
+    """What a fit of the window before has left.
+
+    Attributes:
+        theta: shape (parameter,).
+        walk: variance that the load gains in a second; 0 where it is constant.
+        unit_a_s: amperes of residual that count for as much as one rad/s; 0: not known.
+        has_rivals: whether other ends were as likely.
+    """
+
+    theta: Array
+    walk: float
+    unit_a_s: float
+    has_rivals: bool
+
+
+def fit_outputs_again(
+    white_box: MotorWhiteBox, window: Window, prior: LogPrior, before: FitBefore
+) -> Pieces[OutputFit | None]:
+    """Fit a further window from where the one before has ended, and from nowhere else.
+
+    Args:
+        white_box: of one motor with a rotor.
+        window: samples with speed.
+        prior: decides what the samples leave open.
+        before: what is known of the motor.
+    """
+    floor = _floor(window)
+    if before.walk > 0.0:
+        loaded = yield from _loaded(white_box, window, prior, before.theta, floor, before.walk)
+        if loaded is not None and loaded.explains:
+            return loaded
+    return (yield from _settled(white_box, window, prior, [before.theta], floor, before))
 
 
 def _settled(
@@ -196,13 +233,16 @@ def _settled(
     prior: LogPrior,
     starts: Sequence[Array],
     floor: OutputNoise,
-) -> OutputFit | None:
+    known: FitBefore | None = None,
+) -> Pieces[OutputFit | None]:
     """Fit with a constant load until the noise of either output agrees with its residual."""
     result = None
-    output = SpeedOutput(floor.unit_a_s)
+    is_known = known is not None and known.unit_a_s > 0.0
+    output = SpeedOutput(known.unit_a_s if known is not None and is_known else floor.unit_a_s)
+    tries_others = known is None or known.has_rivals
     for _ in range(ROUNDS):
         window = replace(window, speed_output=output)
-        fit = fit_window(white_box, window, prior, starts)
+        fit = yield from fit_window(white_box, window, prior, starts, tries_others=tries_others)
         if fit is None:
             return result
         before = result
@@ -211,12 +251,12 @@ def _settled(
             return result
         ratio = result.noise.unit_a_s / output.unit_a_s
         settled = 1.0 / AGREES < ratio < AGREES
-        if settled and before is not None and _is_near(before.fit, fit):
+        if settled and (is_known or (before is not None and _is_near(before.fit, fit))):
             break
         if settled:
             ratio = 1.0
         output = replace(output, unit_a_s=ratio * output.unit_a_s)
-        starts = [fit.theta]
+        starts, tries_others = [fit.theta], bool(fit.spread.any())  # rivals need another unit too
     return result
 
 
@@ -227,7 +267,7 @@ def _loaded(
     start: Array,
     floor: OutputNoise,
     walk: float,
-) -> OutputFit | None:
+) -> Pieces[OutputFit | None]:
     """Fit with a load that walks at random, as fast as its knots turn out to."""
     longest = max(history.current_a.size for history in window.histories)
     knots = int(np.clip(longest // SAMPLES_A_KNOT, FEWEST_KNOTS, MOST_KNOTS))
@@ -235,7 +275,7 @@ def _loaded(
     result = None
     for _ in range(WALKS):
         window = replace(window, speed_output=output)
-        fit = search_from(white_box, window, prior, start)
+        fit = yield from search_from(white_box, window, prior, start)
         if fit is None:
             return result
         result = _result(fit, window, floor)

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from gray_box_observer.context_nodes.estimate import VerdictSettings
-from gray_box_observer.context_nodes.measured_speed.output_fit import OutputFit, fit_outputs
+from gray_box_observer.context_nodes.measured_speed.output_fit import (
+    FitBefore,
+    OutputFit,
+    fit_outputs,
+    fit_outputs_again,
+)
+from gray_box_observer.context_nodes.pieces import Pieces
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.rotor.history_unknowns import SpeedOutput
 from gray_box_observer.context_nodes.rotor.rotor_estimator import (
@@ -54,6 +60,9 @@ class OutputUpdate(RotorUpdate):
         )
         self.output_fit: OutputFit | None = None
         self._walk = 0.0  # of the load
+        self._unit_a_s = 0.0  # noise of the current over that of the speed; 0: not known
+        self._tried: OutputFit | None = None  # of the fit under way
+        self._tried_walk = 0.0
         self._speed = np.zeros(1)
 
     def remember(self, sample: Sample) -> None:
@@ -77,30 +86,61 @@ class OutputUpdate(RotorUpdate):
     def _window(self, samples: Array) -> Window:
         return Window.from_samples(self._white_box, samples, SpeedOutput(1.0))
 
-    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
-        self.output_fit = fit_outputs(self._white_box, window, prior, starts, self._walk)
-        if self.output_fit is None:
+    def _fitted(
+        self, window: Window, prior: LogPrior, starts: Sequence[Array]
+    ) -> Pieces[Fit | None]:
+        return self._noted(
+            (yield from fit_outputs(self._white_box, window, prior, starts, self._tried_walk))
+        )
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        before = FitBefore(self.theta[0], self._walk, self._unit_a_s, self._has_rivals)
+        return self._noted(
+            (yield from fit_outputs_again(self._white_box, window, self._prior(), before))
+        )
+
+    def _noted(self, fit: OutputFit | None) -> Fit | None:
+        self._tried = fit
+        if fit is None:
             return None
-        self._walk = self.output_fit.walk
-        return self.output_fit.fit
+        self._tried_walk = fit.walk
+        return fit.fit
+
+    def _fit(self, place: int, samples: Array) -> Pieces[bool]:
+        self._tried, self._tried_walk = None, self._walk
+        has_changed = yield from super()._fit(place, samples)
+        self.output_fit, self._walk = self._tried, self._tried_walk
+        if self._tried is not None:
+            self._unit_a_s = self._tried.noise.unit_a_s
+        return has_changed
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether nothing has moved: with its speed known, one move of the voltage tells."""
         return window.moves == 0
 
     def _is_poor(self, fit: Fit) -> bool:
-        return self.output_fit is None or not self.output_fit.explains
+        return self._tried is None or not self._tried.explains
+
+    def _is_hopeless(self, fit: Fit) -> bool:
+        return self._is_poor(fit)
 
     def state(self, motor: int = 0) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything learnt, as plain values and arrays, for a checkpoint."""
         plain, arrays = super().state(motor)
-        return plain, arrays | {'walk': np.array([self._walk])}
+        return plain, arrays | {
+            'walk': np.array([self._walk]),
+            'unit': np.array([self._unit_a_s]),
+        }
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
         """Take back what :meth:`state` gave; see :meth:`RotorUpdate.restore`."""
         check_arrays(arrays, {'walk': ArrayRule((1,), 0.0)})
+        self._walk = float(arrays['walk'][0])
+        self._unit_a_s = 0.0
+        if 'unit' in arrays:  # not in files of releases that did not remember it
+            check_arrays(arrays, {'unit': ArrayRule((1,), 0.0)})
+            self._unit_a_s = float(arrays['unit'][0])
         super().restore(plain, arrays, motor)
         self.output_fit = None
-        self._walk = float(arrays['walk'][0])
         if self.replay.stored(0):
             self._speed = self.replay.newest(1)[SPEED, :, 0].copy()

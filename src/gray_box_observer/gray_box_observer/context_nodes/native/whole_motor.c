@@ -76,14 +76,15 @@ int64_t whole_motor_fingerprint(void) { return WHOLE_MOTOR_FINGERPRINT; }
  * acceleration over every interval. `states` has room for [count + 1][STATES], `slopes` for
  * [count + 1][STATES][COLUMNS], derivatives by both first states and every coordinate, and
  * `transitions` for [count][STATES][STATES]. Returns how many intervals were followed before a
- * state was beyond its limit, or before all took more than `patience` steps together. */
+ * state was beyond its limit, or before all took more than `patience` steps together; `taken` is
+ * how many they were. */
 int64_t whole_motor_follow(const double *p, double torque_constant, const double *start,
                            int64_t count, const double *voltage, const double *length,
                            const double *load, const double *limits, double largest_step,
                            int64_t most_steps, int64_t patience, double *states, double *slopes,
-                           double *transitions)
+                           double *transitions, int64_t *taken)
 {
-    int64_t taken = 0;
+    *taken = 0;
     double loaded[COORDINATES];
     for (int j = 0; j < COORDINATES; j++) loaded[j] = p[j];
     for (int s = 0; s < STATES; s++) {
@@ -94,8 +95,8 @@ int64_t whole_motor_follow(const double *p, double torque_constant, const double
         if (load) loaded[LOAD_TORQUE] = p[LOAD_TORQUE] + load[k];
         const Linear moved =
             interval_moved(loaded, torque_constant, states + k * STATES, voltage[k], length[k],
-                           largest_step, most_steps, &taken);
-        if (taken > patience) return k;
+                           largest_step, most_steps, taken);
+        if (*taken > patience) return k;
         const double *before = slopes + k * STATES * COLUMNS;
         double *after = slopes + (k + 1) * STATES * COLUMNS;
         for (int s = 0; s < STATES; s++) {

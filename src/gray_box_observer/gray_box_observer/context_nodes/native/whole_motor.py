@@ -25,7 +25,7 @@ def library() -> ctypes.CDLL | None:
     fingerprint.restype = run.restype = _COUNT
     run.argtypes = (
         *(_POINTER, _NUMBER, _POINTER, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
-        *(_NUMBER, _COUNT, _COUNT, _POINTER, _POINTER, _POINTER),
+        *(_NUMBER, _COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER),
     )
     by_knot = handle.whole_motor_by_knot
     by_knot.restype = None

@@ -82,6 +82,11 @@ class Fit:
     left_out: Array
     linear_std: Array
 
+    def select(self, index: NDArray[np.intp]) -> Fit:
+        """Return the result of the chosen motors."""
+        ramp, left_out, linear = self.ramp[index], self.left_out[index], self.linear_std[index]
+        return Fit(self.belief.select(index), ramp, left_out, linear)
+
 
 def batch_fit(
     white_box: WhiteBox,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, by_knot
 from gray_box_observer.white_box.declaration import State
@@ -80,20 +81,58 @@ def load_over_intervals(unknowns: Array, interval_s: Array) -> Array | None:
 
 
 @dataclass(frozen=True, slots=True)
-class SpeedReadings:
-    """What a speed sensor that lags would read along a run.
+class LateReadings:
+    """When a speed sensor that lags reads, along a history.
 
     Attributes:
-        speed_rad_s: shape (k + 1,).
-        by_unknown: shape (k + 1, unknown): derivatives by the unknowns of the history.
-        by_coordinate: shape (k + 1, coordinate).
-        is_covered: shape (k + 1,): whether the instant read lies within the run.
+        left: shape (k + 1,): sample before the instant that is read.
+        share: shape (k + 1,): of the interval behind it that has passed by then.
+        is_covered: shape (k + 1,): whether the instant lies within the history.
     """
 
-    speed_rad_s: Array
-    by_unknown: Array
-    by_coordinate: Array
-    is_covered: Array
+    left: NDArray[np.intp]
+    share: Array
+    is_covered: NDArray[np.bool_]
+
+    @classmethod
+    def along(cls, interval_s: Array, unknowns: Array) -> LateReadings:
+        """Find the instants that are read, late by the lag of a history.
+
+        Args:
+            interval_s: shape (k,).
+            unknowns: shape (unknown,): of the history.
+        """
+        time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
+        instant = time_s - unknowns[LAG]
+        left = np.clip(np.searchsorted(time_s, instant, side='right') - 1, 0, interval_s.size - 1)
+        edge = 1e-9 * interval_s[0]
+        return cls(
+            left,
+            (instant - time_s[left]) / interval_s[left],
+            (instant >= time_s[0] - edge) & (instant <= time_s[-1] + edge),
+        )
+
+    def of_signal(self, signal: Array) -> Array:
+        """Read a signal that runs straight between samples, shape (k + 1, ...)."""
+        weight = self.share if signal.ndim == 1 else self.share[:, None]
+        result: Array = (1.0 - weight) * signal[self.left] + weight * signal[self.left + 1]
+        return result
+
+    def speed_by_unknown(self, path: Run, interval_s: Array, knots: Array | None) -> Array:
+        """Derivatives of the speed that is read by the unknowns of the history.
+
+        Args:
+            path: the run.
+            interval_s: shape (k,).
+            knots: :func:`load_slopes` of the run.
+
+        Returns:
+            Shape (k + 1, unknown).
+        """
+        speed = path.states[:, State.SPEED]
+        result = self.of_signal(_by_unknown(path, knots, State.SPEED))
+        result[:, LAG] = -(speed[self.left + 1] - speed[self.left]) / interval_s[self.left]
+        return result
 
 
 def current_by_unknown(path: Run, knots: Array | None) -> Array:
@@ -113,36 +152,3 @@ def load_slopes(path: Run, interval_s: Array, unknowns: Array) -> Array | None:
     """Derivatives of the states by the load's knots, shape (k + 1, state, knot); None: no load."""
     knots = unknowns[LOADS].size
     return by_knot(path, knot_places(interval_s, knots), knots) if knots else None
-
-
-def speed_readings(
-    path: Run, interval_s: Array, unknowns: Array, knots: Array | None
-) -> SpeedReadings:
-    """Read the speed along a run, late by the lag of the history.
-
-    Args:
-        path: the run.
-        interval_s: shape (k,).
-        unknowns: shape (unknown,): of the history.
-        knots: :func:`load_slopes` of the run.
-    """
-    time_s = np.concatenate([[0.0], np.cumsum(interval_s)])
-    instant = time_s - unknowns[LAG]
-    left = np.clip(np.searchsorted(time_s, instant, side='right') - 1, 0, interval_s.size - 1)
-    share = (instant - time_s[left]) / interval_s[left]
-
-    def late(signal: Array) -> Array:
-        weight = share[:, None]
-        result: Array = (1.0 - weight) * signal[left] + weight * signal[left + 1]
-        return result
-
-    speed = path.states[:, State.SPEED]
-    by_unknown = late(_by_unknown(path, knots, State.SPEED))
-    by_unknown[:, LAG] = -(speed[left + 1] - speed[left]) / interval_s[left]
-    edge = 1e-9 * interval_s[0]
-    return SpeedReadings(
-        late(speed[:, None])[:, 0],
-        by_unknown,
-        late(path.slopes[:, State.SPEED, STATES:]),
-        (instant >= time_s[0] - edge) & (instant <= time_s[-1] + edge),
-    )

@@ -5,11 +5,16 @@ with half as many more each, and from a full window on to one window after anoth
 has told is kept as a Gaussian of the parameters' logarithms and joined with what the next one
 tells: windows share no sample, so that nothing is counted twice. Where a window contradicts what
 was known, the motor has changed, and that is forgotten (docs/METHOD.md, The whole motor).
+
+A fit is done piece by piece at the samples that follow (:mod:`pieces`). Until its end the estimate
+before stays; nothing that it reads changes meanwhile. A checkpoint holds the samples of a fit under
+way and how many pieces of it were done, and these are done again where it is restored.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,6 +26,7 @@ from gray_box_observer.context_nodes.estimate import (
     bounded,
     spread_of_values,
 )
+from gray_box_observer.context_nodes.pieces import MOST_PIECES, Pieces, WorkBudget
 from gray_box_observer.context_nodes.recursive.estimator_settings import RecursiveSettings
 from gray_box_observer.context_nodes.recursive.normal_equations import definite, difference_noise
 from gray_box_observer.context_nodes.rotor.effect_shares import largest_excess, voltage_shares
@@ -37,6 +43,7 @@ from gray_box_observer.safe_io.saved_state import (
     check_arrays,
     check_covariance,
     flag,
+    group,
     whole,
 )
 from gray_box_observer.samples.replay_buffer import VOLTAGE, ReplayBuffer, check_signals
@@ -81,9 +88,27 @@ SEARCHED = 1024
 POOR = 1.5
 """Noise of a fit, over that of second differences, from which another start is looked for."""
 
+HOPELESS = 4.5
+"""The same from which the motor is called a misfit, and more samples are not asked."""
+
 HELD = 0.01
 """Range of the voltage, as a share of its largest value, in which it is held: a rotor that has
 settled tells its level alone, which says nothing of any parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitting:
+    """A fit under way.
+
+    Attributes:
+        place: of its newest sample.
+        samples: shape (signal, n).
+        work: its pieces; they end with whether the estimate has changed.
+    """
+
+    place: int
+    samples: Array
+    work: Pieces[bool]
 
 
 class RotorUpdate:
@@ -136,10 +161,13 @@ class RotorUpdate:
         self._due = FIRST_FIT
         self._wait = AGAIN
         self._is_settled = False
+        self._has_rivals = True  # other ends that explain the samples as well
         self._counts = {'motor changes': 0, 'fits': 0, 'windows without fit': 0}
         self._stamp_ns = 0
         self._frozen = False
         self._resumes = False
+        self._budget = WorkBudget()
+        self._fitting: _Fitting | None = None
 
     @property
     def theta(self) -> Array:
@@ -188,9 +216,14 @@ class RotorUpdate:
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
-        """Take one sample and fit where a fit is due. Tell whether the estimate has changed."""
+        """Take one sample and go on with the fit that is due; tell whether it has ended.
+
+        Then the estimate has changed.
+        """
         self.remember(sample)
-        return self.is_due and self.fit()
+        if self.is_due:
+            self.begin_fit()
+        return bool(self.advance())
 
     def remember(self, sample: Sample) -> None:
         """Take one sample without a fit."""
@@ -200,6 +233,7 @@ class RotorUpdate:
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
         self._place += 1
+        self._budget.grant()
 
     @property
     def is_frozen(self) -> bool:
@@ -209,14 +243,34 @@ class RotorUpdate:
     @property
     def is_due(self) -> bool:
         """Whether the samples since the last fit are worth another one."""
-        return self._place >= self._due and not self._frozen
+        return self._place >= self._due and not self._frozen and self._fitting is None
 
-    def fit(self) -> bool:
-        """Fit what is remembered; tell whether that has changed the estimate."""
+    @property
+    def fitting(self) -> tuple[int, Array] | None:
+        """Place of the newest sample of the fit under way and its samples, (signal, n)."""
+        return None if self._fitting is None else (self._fitting.place, self._fitting.samples)
+
+    def begin_fit(self) -> None:
+        """Begin to fit what is remembered."""
+        place = self._place
+        count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
+        self._begin(place, self.replay.newest(count)[:, 0].copy())
+
+    def _begin(self, place: int, samples: Array) -> None:
+        self._fitting = _Fitting(place, samples, self._fit(place, samples))
+
+    def advance(self) -> bool | None:
+        """Go on with the fit under way; tell whether it has changed the estimate, None: goes on."""
+        if self._fitting is None or self._frozen:
+            return None
         with np.errstate(all='ignore'):  # absurd samples; results are checked
-            return self._fit(self._place)
+            has_ended, has_changed = self._budget.advance(self._fitting.work)
+        if not has_ended:
+            return None
+        self._fitting = None
+        return bool(has_changed)
 
-    def learn_remembered(self, content: Array, stamp_ns: int) -> None:
+    def learn_remembered(self, content: Array, stamp_ns: int) -> Pieces[None]:
         """Learn samples of the past with few fits; nothing may have been learnt before.
 
         Args:
@@ -228,20 +282,24 @@ class RotorUpdate:
             self.replay.refill(content[:, :, :count])
             self._place = count
             if count >= self._due:
-                with np.errstate(all='ignore'):  # absurd samples; results are checked
-                    self._fit(count)
+                samples = self.replay.newest(min(count - self._mark, WINDOW))[:, 0].copy()
+                yield from self._fit(count, samples)
 
-    def _fit(self, place: int) -> bool:
-        """Fit what the window holds so far; tell whether that has changed the estimate."""
-        count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
-        samples = self.replay.newest(count)[:, 0].copy()
+    def _fit(self, place: int, samples: Array) -> Pieces[bool]:
+        """Fit the samples of a window so far; tell whether that has changed the estimate.
+
+        Nothing of this rule may change before the last piece is done.
+        """
+        count = samples.shape[1]
         voltage = samples[VOLTAGE, 1:]
         if np.ptp(voltage) <= HELD * np.abs(voltage).max(initial=0.0):
             self._mark = place - 1 if self._is_settled else max(self._mark, place - FIRST_FIT)
             self._due = place + STILL
             return False
         window = self._window(samples)
-        fit = self._solvable(window) if window.spread_a > 0.0 else None
+        fit = None
+        if window.spread_a > 0.0:
+            fit = yield from self._solvable(window, place)
         if fit is None:
             self._counts['windows without fit'] += 1
             self._schedule(place, count)
@@ -262,16 +320,17 @@ class RotorUpdate:
             self._covariance += SHARP**2 * np.eye(prior.size)
             self._share, self._reach = np.zeros_like(prior), np.zeros_like(prior)
         self._noise_a = fit.noise_a
+        self._has_rivals = bool(fit.spread.any())
         if self._is_settled and count >= WINDOW:
             self._remember(_inverse(information + np.diag(vanishing)) + fit.spread)
             self._mark = place
         self._schedule(place, count)
         return True
 
-    def _solvable(self, window: Window) -> Fit | None:
+    def _solvable(self, window: Window, place: int) -> Pieces[Fit | None]:
         """Fit a window; None too where samples are so absurd that nothing can be solved."""
         try:
-            return self._searched(window)
+            return (yield from self._searched(window, place))
         except np.linalg.LinAlgError:
             return None
 
@@ -279,9 +338,21 @@ class RotorUpdate:
         """Cut samples, shape (signal, n), into signal histories."""
         return Window.from_samples(self._white_box, samples)
 
-    def _fitted(self, window: Window, prior: LogPrior, starts: Sequence[Array]) -> Fit | None:
+    def _fitted(
+        self, window: Window, prior: LogPrior, starts: Sequence[Array]
+    ) -> Pieces[Fit | None]:
         """Search from some starts for what explains a window."""
         return fit_window(self._white_box, window, prior, starts)
+
+    def _fitted_again(self, window: Window) -> Pieces[Fit | None]:
+        """Search from where the motor stands, and elsewhere where that was not the only end."""
+        return fit_window(
+            self._white_box,
+            window,
+            self._prior(),
+            [self.theta[0]],
+            tries_others=self._has_rivals,
+        )
 
     def _is_ambiguous(self, window: Window) -> bool:
         """Tell whether other motors than the one found might explain the samples.
@@ -314,33 +385,39 @@ class RotorUpdate:
     def _prior(self) -> LogPrior:
         return self._data_sheet if self._memory is None else self._data_sheet.joined(self._memory)
 
-    def _searched(self, window: Window) -> Fit | None:
+    def _searched(self, window: Window, place: int) -> Pieces[Fit | None]:
         """Fit a window from where the motor stands, or from anywhere where that does not fit."""
         fit = None
         if self._is_settled:
-            fit = self._fitted(window, self._prior(), [self.theta[0]])
+            fit = yield from self._fitted_again(window)
             if fit is not None and not self._is_poor(fit) and not self._contradicts(fit):
                 return fit
-        other = self._searched_anywhere(window)
+        other = yield from self._searched_anywhere(window)
         if self._is_settled and self._memory is not None and other is not None:
             self._counts['motor changes'] += 1
             self._memory = None
-            self.replay.forget(window.current_a.size)
+            self.replay.forget(window.current_a.size + self._place - place)
         self._is_settled = other is not None and not self._is_poor(other)
         return other
 
-    def _searched_anywhere(self, window: Window) -> Fit | None:
+    def _searched_anywhere(self, window: Window) -> Pieces[Fit | None]:
         """Fit without regard to what was known, from every start there is."""
         newest = window.tail(SEARCHED) if window.current_a.size > SEARCHED else window
         starts = [self.theta[0], *weak_starts(self._white_box, newest)]
-        fit = self._fitted(newest, self._data_sheet, starts)
-        if fit is None or newest is window:
+        fit = yield from self._fitted(newest, self._data_sheet, starts)
+        if fit is None or newest is window or self._is_hopeless(fit):
             return fit
-        return self._fitted(window, self._data_sheet, [fit.theta])
+        return (yield from self._fitted(window, self._data_sheet, [fit.theta]))
 
     def _is_poor(self, fit: Fit) -> bool:
         """Tell whether the residual is larger than the noise."""
         return fit.noise_a > POOR * max(difference_noise(fit.runs.residual_a), fit.least_noise_a)
+
+    def _is_hopeless(self, fit: Fit) -> bool:
+        """Tell whether the newest samples alone are so badly explained that more are no help."""
+        return fit.noise_a > HOPELESS * max(
+            difference_noise(fit.runs.residual_a), fit.least_noise_a
+        )
 
     def _contradicts(self, fit: Fit) -> bool:
         """Tell whether a window says other than what was known before it."""
@@ -367,7 +444,9 @@ class RotorUpdate:
             'begin': int(self.replay.begin()[0]),
             'settled': self._is_settled,
             'resumes': self._resumes,
+            'rivals': self._has_rivals,
             'remembers': self._memory is not None,
+            'credit': self._budget.credit,
         }
         memory = self._memory or self._data_sheet
         arrays = {
@@ -380,6 +459,12 @@ class RotorUpdate:
             'reach': self._reach.copy(),
             'replay': content,
         }
+        if self._fitting is not None:
+            plain['fitting'] = {
+                'place': self._fitting.place - received_count,
+                'pieces': self._budget.pieces,
+            }
+            arrays['fitting'] = self._fitting.samples[:, None].copy()
         return plain, arrays
 
     def restore(self, plain: dict[str, Any], arrays: dict[str, Array], motor: int = 0) -> None:
@@ -405,6 +490,20 @@ class RotorUpdate:
         self._memory = None
         if plain['remembers']:
             self._memory = LogPrior(arrays['memory_mean'], arrays['memory_precision'])
+        self._has_rivals = plain.get('rivals', True)
+        self._budget = WorkBudget.restored(plain)
+        self._fitting = None
+        if 'fitting' in plain:
+            self._resume(group(plain, 'fitting'), arrays)
+
+    def _resume(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
+        """Do the pieces again of a fit that was under way."""
+        check_signals('fitting', arrays.get('fitting'))
+        place = self._place + whole(plain, 'place', -MOST, 0)
+        self._begin(place, arrays['fitting'][:, 0])
+        assert self._fitting is not None
+        with np.errstate(all='ignore'):
+            self._budget.repeat(self._fitting.work, whole(plain, 'pieces', 0, MOST_PIECES))
 
     def _check(self, plain: dict[str, Any], arrays: dict[str, Array]) -> None:
         """Refuse a saved state that could not have been learnt.
@@ -434,6 +533,8 @@ class RotorUpdate:
         whole(plain, 'begin', 0, dropped_count + arrays['replay'].shape[2])
         for name in ('settled', 'resumes', 'remembers'):
             flag(plain, name)
+        if 'rivals' in plain:  # not in files of releases that did not remember it
+            flag(plain, 'rivals')
 
 
 def _inverse(matrix: Array) -> Array:

@@ -52,12 +52,14 @@ class Run:
             coordinates of :mod:`~gray_box_observer.context_nodes.rotor.coordinates`.
         transitions: shape (k, state, state): derivatives of every interval's end by its start.
         is_bounded: whether it stayed within its limits to the end; nothing of it is valid else.
+        steps: how many were taken.
     """
 
     states: Array
     slopes: Array
     transitions: Array
     is_bounded: bool
+    steps: int
 
 
 def run(
@@ -92,17 +94,18 @@ def run(
     library = native.library() if compiled else None
     if library is None:
         loads = np.zeros(count) if load_rad_s2 is None else load_rad_s2
-        path = _run(
+        path, steps = _run(
             torque_constant, p, start, (voltage_v, interval_s, loads), limits,
             (states, derivatives, transitions),
         )  # fmt: skip
-        return Run(states, derivatives, transitions, path == count)
+        return Run(states, derivatives, transitions, path == count, steps)
     arguments = [
         np.ascontiguousarray(array, dtype=float)
         for array in (p, start, voltage_v, interval_s, limits)
     ]
     to_p, to_start, to_voltage, to_interval, to_limits = map(native.pointer, arguments)
     load = None if load_rad_s2 is None else np.ascontiguousarray(load_rad_s2, dtype=float)
+    taken = np.zeros(1, dtype=np.int64)
     path = library.whole_motor_follow(
         to_p,
         torque_constant,
@@ -116,8 +119,9 @@ def run(
         MOST_STEPS,
         max(PATIENCE * count, LEAST_PATIENCE),
         *map(native.pointer, (states, derivatives, transitions)),
+        taken.ctypes.data,
     )
-    return Run(states, derivatives, transitions, path == count)
+    return Run(states, derivatives, transitions, path == count, int(taken[0]))
 
 
 def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Array:
@@ -157,8 +161,8 @@ def _run(
     signals: tuple[Array, Array, Array],
     limits: Array,
     room: tuple[Array, Array, Array],
-) -> int:
-    """Do in Python what compiled code does; return how many intervals were followed."""
+) -> tuple[int, int]:
+    """Do in Python what compiled code does; return how many intervals were followed, and steps."""
     states, derivatives, transitions = room
     states[0] = start
     derivatives[0] = np.eye(STATES, STATES + COORDINATES)
@@ -166,20 +170,20 @@ def _run(
     coefficients = dict(enumerate(p.tolist()))
     with np.errstate(all='ignore'):
         signals_at = zip(*(signal.tolist() for signal in signals), strict=True)
-        patience = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE)
+        patience, steps = max(PATIENCE * (states.shape[0] - 1), LEAST_PATIENCE), 0
         for k, (volt, length, load) in enumerate(signals_at):
             coefficients[LOAD] = float(p[LOAD]) + load
             motion, taken = _interval_moved(motor, coefficients, states[k].tolist(), volt, length)
-            patience -= taken
-            if patience < 0:
-                return k
+            steps += taken
+            if steps > patience:
+                return k, steps
             if not all(abs(x) <= most for x, most in zip(motion.value, limits, strict=True)):
-                return k
+                return k, steps
             states[k + 1] = motion.value
             transitions[k] = motion.by_state
             derivatives[k + 1] = transitions[k] @ derivatives[k]
             derivatives[k + 1, :, STATES:] += np.array(motion.by_coordinate)
-    return int(states.shape[0]) - 1
+    return int(states.shape[0]) - 1, steps
 
 
 def _interval_moved(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -11,11 +12,11 @@ import numpy as np
 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates, slopes
 from gray_box_observer.context_nodes.rotor.history_unknowns import (
+    LateReadings,
     SpeedOutput,
     current_by_unknown,
     load_over_intervals,
     load_slopes,
-    speed_readings,
 )
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, Run, run
 from gray_box_observer.samples.noise_floor import STEP_TO_STD, quantisation_step
@@ -38,6 +39,10 @@ up."""
 LEAST_REACH_V = 1.0
 """Back-EMF that a rotor may have beside that, whatever the voltage: it may have turned before."""
 
+
+WORK_A_RUN, STEPS_A_WORK = 1000, 4
+"""Work of a run, however few its samples are, and steps of the integration that are one piece of
+work; a reading is another one."""
 
 MOVE = 0.1
 """Share of its range by which a voltage has moved."""
@@ -129,6 +134,11 @@ class Window:
         return float(quantisation_step(self.current_a[None])[0]) * STEP_TO_STD
 
     @cached_property
+    def interval_s(self) -> float:
+        """Median of all intervals."""
+        return float(np.median(np.concatenate([h.interval_s for h in self.histories])))
+
+    @cached_property
     def currents(self) -> Any:
         """Which of a window's residuals are those of currents: an index of them."""
         if self.speed_output is None:
@@ -168,33 +178,91 @@ class Window:
         return np.array([REACH[0] * largest, REACH[1] * fastest])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FreeRuns:
     """Free runs through every history of a window, at given values.
 
+    Derivatives are made of the runs when they are asked for: a search asks for those of the steps
+    that it keeps.
+
     Attributes:
+        window: the samples.
         runs: one a history.
-        residual_a: shape (reading,): measured less predicted current; where the speed is an output,
-            that of the speed follows in every history, in the unit of the current's noise.
-        by_start: derivatives of these by the unknowns of their history, first states before all,
-            shape (reading, unknown), one a history.
-        by_parameter: shape (reading, parameter): by the logarithms of the parameters.
+        starts: shape (history, unknown): where each begins.
+        by_logarithm: shape (coordinate, parameter): derivatives of the coordinates by the
+            logarithms of the parameters.
         is_bounded: whether all of them stayed within their limits; nothing else is valid if not.
     """
 
+    window: Window
     runs: tuple[Run, ...]
-    residual_a: Array
-    by_start: tuple[Array, ...]
-    by_parameter: Array
+    starts: Array
+    by_logarithm: Array
     is_bounded: bool
+
+    @property
+    def work(self) -> int:
+        """Work of the runs and of what is made of them, see :mod:`pieces`."""
+        outputs = 1 if self.window.speed_output is None else len(State)
+        readings = outputs * sum(int(path.states.shape[0]) for path in self.runs)
+        return WORK_A_RUN + readings + sum(path.steps for path in self.runs) // STEPS_A_WORK
+
+    @cached_property
+    def _loads(self) -> tuple[Array | None, ...]:
+        """Derivatives by the knots of the load, where there are any, one a history."""
+        if self.window.speed_output is None:
+            return (None,) * len(self.runs)
+        return tuple(
+            load_slopes(path, history.interval_s, start)
+            for history, path, start in self._histories()
+        )
+
+    def _histories(self) -> Iterator[tuple[History, Run, Array]]:
+        return zip(self.window.histories, self.runs, self.starts, strict=True)
+
+    @cached_property
+    def residual_a(self) -> Array:
+        """Measured less predicted current, shape (reading,).
+
+        Where the speed is an output, that of the speed follows in every history, in the unit of
+        the current's noise.
+        """
+        return np.concatenate(
+            [
+                residual
+                for history, path, start in self._histories()
+                for residual in _residuals(history, path, start, self.window.speed_output)
+            ]
+        )
+
+    @cached_property
+    def by_start(self) -> tuple[Array, ...]:
+        """Derivatives of the readings by the unknowns of their history, one a history.
+
+        Shape (reading, unknown) each, first states before all.
+        """
+        return tuple(
+            _by_start(history, path, start, knots, self.window.speed_output)
+            for (history, path, start), knots in zip(self._histories(), self._loads, strict=True)
+        )
+
+    @cached_property
+    def by_parameter(self) -> Array:
+        """Derivatives by the logarithms of the parameters, shape (reading, parameter)."""
+        slopes_of_runs = [
+            _by_coordinate(history, path, start, self.window.speed_output)
+            for history, path, start in self._histories()
+        ]
+        return np.concatenate([slope @ self.by_logarithm for slope in slopes_of_runs])
 
     def of_output(self, state: State) -> Array:
         """Return the residuals of one output, shape (sample,), in the unit of the current."""
         begin, parts = 0, []
-        for path, by_start in zip(self.runs, self.by_start, strict=True):
-            first = begin + state * path.states.shape[0]
-            parts.append(self.residual_a[first : first + path.states.shape[0]])
-            begin += by_start.shape[0]
+        outputs = 1 if self.window.speed_output is None else len(State)
+        for path in self.runs:
+            count = path.states.shape[0]
+            parts.append(self.residual_a[begin + state * count :][:count])
+            begin += outputs * count
         return np.concatenate(parts)
 
     @property
@@ -219,9 +287,9 @@ def free_runs(
     p = coordinates(white_box, theta)
     by_logarithm = slopes(white_box, p)
     limits = window.limits(float(white_box.known['back_emf_constant']))
+    torque_constant = float(white_box.torque_constant)
     runs = []
     for history, start in zip(window.histories, starts, strict=True):
-        torque_constant = float(white_box.torque_constant)
         load = load_over_intervals(start, history.interval_s)
         result = run(
             torque_constant, p, start[:STATES], history.voltage_v, history.interval_s, limits, load,
@@ -229,38 +297,42 @@ def free_runs(
         )  # fmt: skip
         runs.append(result)
         if not result.is_bounded:
-            nothing = np.empty(0)
-            return FreeRuns(tuple(runs), nothing, (), nothing, is_bounded=False)
-    read = [
-        _readings(history, result, start, window.speed_output)
-        for history, result, start in zip(window.histories, runs, starts, strict=True)
-    ]
-    return FreeRuns(
-        tuple(runs),
-        np.concatenate([residual for residual, _, _ in read]),
-        tuple(by_start for _, by_start, _ in read),
-        np.concatenate([by_coordinate @ by_logarithm for _, _, by_coordinate in read]),
-        is_bounded=True,
-    )
+            return FreeRuns(window, tuple(runs), starts, by_logarithm, is_bounded=False)
+    return FreeRuns(window, tuple(runs), starts, by_logarithm, is_bounded=True)
 
 
-def _readings(
+def _residuals(
     history: History, path: Run, start: Array, output: SpeedOutput | None
-) -> tuple[Array, Array, Array]:
-    """Return what a run leaves of a history's readings, and their derivatives by all unknowns."""
-    residual = history.current_a - path.states[:, State.CURRENT]
-    slope = path.slopes[:, State.CURRENT]
+) -> tuple[Array, ...]:
+    """Return what a run leaves of a history's readings, one array an output."""
+    current = history.current_a - path.states[:, State.CURRENT]
     if output is None or history.speed_rad_s is None:
-        return residual, slope[:, :STATES], slope[:, STATES:]
-    knots = load_slopes(path, history.interval_s, start)
-    read = speed_readings(path, history.interval_s, start, knots)
-    counts = (read.is_covered * output.unit_a_s)[:, None]
-    off = counts[:, 0] * (history.speed_rad_s - read.speed_rad_s)
-    return (
-        np.concatenate([residual, off]),
-        np.concatenate([current_by_unknown(path, knots), counts * read.by_unknown]),
-        np.concatenate([slope[:, STATES:], counts * read.by_coordinate]),
-    )
+        return (current,)
+    late = LateReadings.along(history.interval_s, start)
+    off = history.speed_rad_s - late.of_signal(path.states[:, State.SPEED])
+    return current, late.is_covered * output.unit_a_s * off
+
+
+def _by_start(
+    history: History, path: Run, start: Array, knots: Array | None, output: SpeedOutput | None
+) -> Array:
+    """Derivatives of a history's readings by its unknowns, shape (reading, unknown)."""
+    if output is None or history.speed_rad_s is None:
+        return path.slopes[:, State.CURRENT, :STATES]
+    late = LateReadings.along(history.interval_s, start)
+    counts = (late.is_covered * output.unit_a_s)[:, None]
+    speed = counts * late.speed_by_unknown(path, history.interval_s, knots)
+    return np.concatenate([current_by_unknown(path, knots), speed])
+
+
+def _by_coordinate(history: History, path: Run, start: Array, output: SpeedOutput | None) -> Array:
+    """Derivatives of a history's readings by the coordinates, shape (reading, coordinate)."""
+    current = path.slopes[:, State.CURRENT, STATES:]
+    if output is None or history.speed_rad_s is None:
+        return current
+    late = LateReadings.along(history.interval_s, start)
+    counts = (late.is_covered * output.unit_a_s)[:, None]
+    return np.concatenate([current, counts * late.of_signal(path.slopes[:, State.SPEED, STATES:])])
 
 
 def rotor_current(white_box: MotorWhiteBox, theta: Array, samples: Array) -> Array:

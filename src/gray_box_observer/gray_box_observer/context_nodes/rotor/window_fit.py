@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gray_box_observer.context_nodes.pieces import Pieces, completed
 from gray_box_observer.context_nodes.recursive.normal_equations import (
     MAD_TO_STD,
     OUTLIER,
@@ -39,11 +40,11 @@ FREE_ATTEMPTS = 3
 Of a rotor that friction holds, the first speed has no derivative and would leap.
 """
 
-TOLERANCE = 1e-3
-"""A search ends when it would move by less than this share of a standard deviation."""
+MOST_IDLE = 3
+"""Steps in a row that gain nothing and end a search."""
 
-IDLE, MOST_IDLE = 1e-3, 3
-"""Gain of chi-square that is none, and steps in a row without one that end a search."""
+NEAR = 0.5
+"""Standard deviations from where another search has ended within which a search ends there too."""
 
 LONGEST_STEP = 1.0
 """Largest change of a logarithm in a step."""
@@ -127,8 +128,13 @@ class Fit:
 
 
 def fit_window(
-    white_box: MotorWhiteBox, window: Window, prior: LogPrior, starts: Sequence[Array]
-) -> Fit | None:
+    white_box: MotorWhiteBox,
+    window: Window,
+    prior: LogPrior,
+    starts: Sequence[Array],
+    *,
+    tries_others: bool = True,
+) -> Pieces[Fit | None]:
     """Fit the context nodes to a window; None where no start can be run.
 
     Args:
@@ -136,34 +142,47 @@ def fit_window(
         window: the samples.
         prior: decides what the samples leave open.
         starts: shape (parameter,) each: where to search from; the best few of many are taken.
+        tries_others: whether other inductances are tried where the current settles within a few
+            samples.
     """
-    tried = [_Search(white_box, window, prior, np.log(start)) for start in starts]
-    tried = [search for search in tried if search.is_valid]
-    tried.sort(key=lambda search: search.scale_a)
-    ended = [fit for fit in (_searched(search) for search in tried[:PROMISING]) if fit is not None]
-    if not ended:
-        return None
-    ended += _unresolved(white_box, window, prior, min(ended, key=_size))
-    noise = min(fit.noise_a for fit in ended)
-    ended.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
-    return _with_rivals(ended, prior)
-
-
-def _unresolved(white_box: MotorWhiteBox, window: Window, prior: LogPrior, fit: Fit) -> list[Fit]:
-    """Search again from other inductances where the current settles within a few samples."""
-    values = dict(zip(white_box.context_nodes, fit.theta.tolist(), strict=True))
-    interval_s = float(np.median(np.concatenate([h.interval_s for h in window.histories])))
-    if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
-        return []
-    fits = []
-    for factor in OTHERS:
-        neighbour = fit.logarithms.copy()
-        neighbour[white_box.context_nodes.index('inductance')] += np.log(factor)
-        search = _Search(white_box, window, prior, neighbour)
+    tried = []
+    for start in starts:
+        search = _Search(white_box, window, prior, np.log(start))
+        yield from search.settle()
         if search.is_valid:
-            search.run()
-            fits.append(search.result())
-    return [other for other in fits if other is not None]
+            tried.append(search)
+    tried.sort(key=lambda search: search.scale_a)
+    ends: list[_End] = []
+    for search in tried[:PROMISING]:
+        end = yield from _searched(search, ends)
+        if end is not None:
+            ends.append(end)
+    if not ends:
+        return None
+    if tries_others:
+        yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
+    noise = min(end.fit.noise_a for end in ends)
+    fits = [end.fit for end in ends]
+    fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
+    return _with_rivals(fits, prior)
+
+
+def _try_others(best: _End, ends: list[_End]) -> Pieces[None]:
+    """Search again from other inductances where the current settles within a few samples."""
+    found, nodes = best.search, best.search.white_box.context_nodes
+    values = dict(zip(nodes, best.fit.theta.tolist(), strict=True))
+    interval_s = found.window.interval_s
+    if values['inductance'] > RESOLVED * interval_s * values.get('resistance', np.inf):
+        return
+    for factor in OTHERS:
+        neighbour = best.fit.logarithms.copy()
+        neighbour[nodes.index('inductance')] += np.log(factor)
+        search = _Search(found.white_box, found.window, found.prior, neighbour)
+        yield from search.settle()
+        if search.is_valid:
+            end = yield from search.run(ends)
+            if end is not None:
+                ends.append(end)
 
 
 def _size(fit: Fit) -> float:
@@ -173,13 +192,14 @@ def _size(fit: Fit) -> float:
 
 def search_from(
     white_box: MotorWhiteBox, window: Window, prior: LogPrior, start: Array
-) -> Fit | None:
+) -> Pieces[Fit | None]:
     """Fit a window from one start alone; None where it cannot be run. See :func:`fit_window`."""
     search = _Search(white_box, window, prior, np.log(start))
+    yield from search.settle()
     if not search.is_valid:
         return None
-    search.run()
-    return search.result()
+    end = yield from search.run()
+    return None if end is None else end.fit
 
 
 def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> FreeRuns | None:
@@ -193,6 +213,7 @@ def settled_runs(white_box: MotorWhiteBox, theta: Array, window: Window) -> Free
     logarithms = np.log(theta)
     nothing = LogPrior(logarithms, np.zeros((theta.size, theta.size)))
     search = _Search(white_box, window, nothing, logarithms)
+    completed(search.settle())
     return search.runs
 
 
@@ -211,18 +232,68 @@ def _with_rivals(ended: Sequence[Fit], prior: LogPrior) -> Fit:
     return replace(best, spread=spread)
 
 
-def _searched(search: _Search) -> Fit | None:
+def _searched(search: _Search, ends: Sequence[_End]) -> Pieces[_End | None]:
     """Search from one start: on the newest samples first where there are many and it is far off."""
     if search.window.current_a.size > 2 * SHORT and search.scale_a > 0.1 * search.window.spread_a:
         short = search.window.tail(SHORT)
         if short.current_a.size == SHORT:
             near = _Search(search.white_box, short, search.prior, search.logarithms)
+            yield from near.settle()
             if near.is_valid:
-                near.run()
+                yield from near.descend(ROUGHLY)
                 again = _Search(search.white_box, search.window, search.prior, near.logarithms)
+                yield from again.settle()
                 search = again if again.is_valid and again.scale_a < search.scale_a else search
-    search.run()
-    return search.result()
+    return (yield from search.run(ends))
+
+
+@dataclass(frozen=True, slots=True)
+class _Accuracy:
+    """How near a search goes to where it would end.
+
+    Attributes:
+        distance: in standard deviations, an unknown.
+        gain: of chi-square in a step, which is none any more.
+    """
+
+    distance: float
+    gain: float
+
+
+ROUGHLY, NEARLY = _Accuracy(0.1, 0.1), _Accuracy(1e-3, 1e-3)
+"""Of a search while outliers pull, which another one follows, and of the last one."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a step begins.
+
+    Attributes:
+        scale_a: robust standard deviation of the residual.
+        total: chi-square.
+        damping: of the step.
+        gain: of chi-square, which is none any more.
+    """
+
+    scale_a: float
+    total: float
+    damping: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """Where a search has ended.
+
+    Attributes:
+        fit: there.
+        search: which.
+        robust: shape (parameter,): logarithms where it stood while outliers still pulled.
+    """
+
+    fit: Fit
+    search: _Search
+    robust: Array
 
 
 class _Search:
@@ -230,7 +301,7 @@ class _Search:
 
     Attributes:
         logarithms: shape (parameter,): where it stands.
-        scale_a: robust standard deviation of the residual there.
+        scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
     """
 
     def __init__(
@@ -252,10 +323,14 @@ class _Search:
         self._start_precision = _start_precision(window, self._start_std)
         self._currents = window.currents
         self.starts = guessed_starts(white_box, np.exp(self.logarithms), window)
-        self._runs = self._run(self.logarithms, self.starts)
+        self._runs: FreeRuns | None = None
         self.scale_a = np.inf
+
+    def settle(self) -> Pieces[None]:
+        """Run where the search begins, and move the first states alone to where they fit best."""
+        self._runs = yield from self._run(self.logarithms, self.starts)
         if self._runs is not None:
-            self._settle_starts()
+            yield from self._settle_starts()
             self.scale_a = self._scale(self._at.residual_a)
 
     @property
@@ -273,23 +348,26 @@ class _Search:
         assert self._runs is not None
         return self._runs
 
-    def _run(self, logarithms: Array, starts: Array) -> FreeRuns | None:
+    def _run(self, logarithms: Array, starts: Array) -> Pieces[FreeRuns | None]:
         with np.errstate(all='ignore'):
             runs = free_runs(self.white_box, np.exp(logarithms), self.window, starts)
-        return runs if runs.is_bounded and np.isfinite(runs.by_parameter).all() else None
+            slopes = (runs.by_logarithm, *(path.slopes[-1] for path in runs.runs))
+            is_usable = runs.is_bounded and all(np.isfinite(slope).all() for slope in slopes)
+        yield runs.work
+        return runs if is_usable else None
 
     def _scale(self, residual: Array) -> float:
         """Noise of the current by its residuals, in whose unit those of the speed are."""
         currents = np.abs(residual[self._currents])
         return max(MAD_TO_STD * float(np.median(currents)), self._floor_a)
 
-    def _settle_starts(self) -> None:
+    def _settle_starts(self) -> Pieces[None]:
         """Move the first states alone to where they fit best."""
         for _ in range(2):
             scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
             starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
-            runs = self._run(self.logarithms, starts)
+            runs = yield from self._run(self.logarithms, starts)
             if runs is None or self._scale(runs.residual_a) > scale:
                 return
             self.starts, self._runs = starts, runs
@@ -330,39 +408,64 @@ class _Search:
             self._start_mean(self.starts) - self.starts,
         )
 
-    def run(self) -> None:
-        """Step until nothing moves, then leave out what does not fit and step again."""
-        for self._leaves_out in (False, True):
-            self._descend()
+    def run(self, ends: Sequence[_End] = ()) -> Pieces[_End | None]:
+        """Step until nothing moves, then leave out what does not fit and step again.
 
-    def _descend(self) -> None:
+        Args:
+            ends: of other searches; one that comes near such an end is given up.
+
+        Returns:
+            The end; None where it is one of these, or nothing can be said of it.
+        """
+        self._leaves_out = False
+        if (yield from self.descend(ROUGHLY, [(end.robust, end.fit) for end in ends])):
+            return None
+        robust, self._leaves_out = self.logarithms, True
+        if (yield from self.descend(NEARLY, [(end.fit.logarithms, end.fit) for end in ends])):
+            return None
+        fit = self.result()
+        return None if fit is None else _End(fit, self, robust)
+
+    def descend(self, accuracy: _Accuracy, ends: Sequence[tuple[Array, Fit]] = ()) -> Pieces[bool]:
+        """Step until nothing moves; tell whether that is where another search has ended."""
         damping, idle = 1e-3, 0
         for _ in range(MOST_STEPS):
             self.scale_a = scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
+            if any(self._is_near(there, end, equations) for there, end in ends):
+                return True
             precision = equations.information + self.prior.precision
             right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
-            before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
-            neighbour, damping = self._stepped(
-                equations, precision, right, (scale, before, damping)
-            )
-            if neighbour is None:
-                return
             left = float(right @ np.linalg.lstsq(precision, right, rcond=1e-12)[0])
+            if left < accuracy.distance**2 * right.size:
+                return False
+            before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
+            damping, has_moved = yield from self._stepped(
+                equations, precision, right, _Place(scale, before, damping, accuracy.gain)
+            )
+            if not has_moved:
+                return False
             after = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
-            idle = idle + 1 if before - after < IDLE else 0
-            if left < TOLERANCE**2 * neighbour.size or idle == MOST_IDLE:
-                return
+            idle = idle + 1 if before - after < accuracy.gain else 0
+            if idle == MOST_IDLE:
+                return False
+        return False
+
+    def _is_near(self, there: Array, end: Fit, equations: _Equations) -> bool:
+        """Tell whether the search stands where another one has, within their deviations."""
+        apart = self.logarithms - there
+        precision = equations.information + end.information + self.prior.precision
+        return bool(apart @ precision @ apart < NEAR**2)
 
     def _stepped(
         self,
         equations: _Equations,
         precision: Array,
         right: Array,
-        at: tuple[float, float, float],
-    ) -> tuple[Array | None, float]:
-        """Take the first damped step that leads down; return it or None, and the damping left."""
-        scale, before, damping = at
+        at: _Place,
+    ) -> Pieces[tuple[float, bool]]:
+        """Take the first damped step that leads down; return the damping left, and whether any."""
+        damping = at.damping
         size = np.maximum(np.diagonal(precision), 1e-12)
         for attempt in range(MOST_ATTEMPTS):
             own = 0.1**attempt if attempt < FREE_ATTEMPTS else 0.0
@@ -370,15 +473,18 @@ class _Search:
             step *= min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-300))
             logarithms = np.clip(self.logarithms + step, self._lower, self._upper)
             step = logarithms - self.logarithms
+            if attempt and 2.0 * step @ right - step @ precision @ step < at.gain:
+                break
             starts = self.starts + equations.start_steps(step, own)
-            runs = self._run(logarithms, starts)
+            runs = yield from self._run(logarithms, starts)
             if runs is not None:
-                after = self._total(runs.residual_a, scale, logarithms, starts)
-                if after <= before + 1e-9 * abs(before):
+                after = self._total(runs.residual_a, at.scale_a, logarithms, starts)
+                if after <= at.total + 1e-9 * abs(at.total):
                     self.logarithms, self.starts, self._runs = logarithms, starts, runs
-                    return step, max(0.1 * damping, 1e-9)
+                    easier = 0.1 if attempt == 0 else 1.0
+                    return max(easier * damping, 1e-9), True
             damping = max(10.0 * damping, 1e-6)
-        return None, damping
+        return damping, False
 
     def result(self) -> Fit | None:
         """Return where the search has ended; None where nothing can be said of it."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.predictor.forecaster import Forecaster
+from gray_box_observer.predictor.forecaster import RunningNetwork
 from gray_box_observer.predictor.lag_features import LONGEST
 from gray_box_observer.predictor.network import Weights
 from gray_box_observer.predictor.operating_range import OperatingRange, saved_range
@@ -37,7 +37,7 @@ class OnlineTraining:
         motors: number of motors; they take turns, a job is of one motor.
         rules: settings.
         training: where jobs run.
-        forecaster: runs the network.
+        network: that runs.
         residual: runs the correction, which is learnt of a single motor only.
         speed_measured: whether speed is a signal; else whoever predicts sees none, and nobody must
             be taught with it.
@@ -50,13 +50,13 @@ class OnlineTraining:
     """
 
     def __init__(
-        self, motors: int, rules: TrainingSettings, training: Training, forecaster: Forecaster,
+        self, motors: int, rules: TrainingSettings, training: Training, network: RunningNetwork,
         residual: ResidualForecaster, *, speed_measured: bool,
     ) -> None:  # fmt: skip
         self._motors = motors
         self._rules = rules
         self._training = training
-        self._forecaster = forecaster
+        self._network = network
         self._residual = residual
         self._no_speed = None if speed_measured else np.full(motors, np.nan)
         self._schedule = ResidualSchedule(motors, rules)
@@ -188,7 +188,7 @@ class OnlineTraining:
             )
         if self._motors > 1:
             self._range_seen = self._range_seen.union(saved_range(arrays, 'seen'))
-            self._start_from = self._forecaster.start()
+            self._start_from = self._network.start()
             return
         self._range_seen = saved_range(arrays, 'seen')
         if 'schedule_theta' in arrays:  # neither a network alone nor a motor of a group brings one
@@ -200,7 +200,7 @@ class OnlineTraining:
             name: array for name, array in arrays.items() if name.startswith('learning_')
         }
         self._start_from = {
-            **self._forecaster.start(),
+            **self._network.start(),
             **{f'start_{name}': array for name, array in self._learning.items()},
         }
         job = {name[4:]: array.copy() for name, array in arrays.items() if name.startswith('job_')}
@@ -304,7 +304,7 @@ class OnlineTraining:
         if (
             'input' in result and not Weights.from_arrays(result).finite
         ):  # the trainer begins anew from the network that runs
-            self._learning, self._start_from = {}, self._forecaster.start()
+            self._learning, self._start_from = {}, self._network.start()
             return
         self._learning = {
             name: array for name, array in result.items() if name.startswith('learning_')
@@ -317,7 +317,7 @@ class OnlineTraining:
         if not self._schedule.anew:  # else it was learnt of parameters that are no more
             self._residual.adopt(result, newest(self.replay, LONGEST))
         if 'input' in result:
-            self._forecaster.adopt(result)
+            self._network.adopt(result)
 
 
 def _prefixed(prefix: str, bounds: Mapping[str, Any]) -> dict[str, Array]:

@@ -8,8 +8,9 @@ chance would.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -90,6 +91,21 @@ class _Run:
     residual_a: Array
 
 
+@dataclass(frozen=True, slots=True)
+class PhysicsRun:
+    """What the physics says along one signal history; arrays of (motor, time).
+
+    Attributes:
+        predicted_a: current at the end of every interval, run freely.
+        steady_a: current that the voltage leads to.
+        speed_rad_s: speed held over the interval; zero where none is known.
+    """
+
+    predicted_a: Array
+    steady_a: Array
+    speed_rad_s: Array
+
+
 class ResidualTrainer:
     """Holds the correction under training.
 
@@ -109,10 +125,25 @@ class ResidualTrainer:
     def learn(
         self, weights: Weights, histories: Sequence[History], steps: int = STEPS
     ) -> dict[str, Any]:
+        """Run one round beside the network that knows the physics; see :meth:`learn_beside`.
+
+        Args:
+            weights: of that network.
+            histories: of the motor.
+            steps: training steps.
+        """
+        return self.learn_beside(partial(_network_run, weights), histories, steps)
+
+    def learn_beside(
+        self,
+        physics: Callable[[History], PhysicsRun | None],
+        histories: Sequence[History],
+        steps: int = STEPS,
+    ) -> dict[str, Any]:
         """Run one round.
 
         Args:
-            weights: of the network that knows the physics.
+            physics: runs freely through a history; None: it cannot.
             histories: signal histories; the numbers of their samples settle for good which of them
                 judge.
             steps: training steps.
@@ -126,7 +157,9 @@ class ResidualTrainer:
         long_histories = [history for history in histories if history.number.size >= SHORTEST]
         if sum(history.number.size for history in long_histories) < FEWEST:
             return {}
-        run = _against_physics(weights, long_histories)
+        run = _against_physics(physics, long_histories)
+        if run is None:
+            return {}
         if self._trainable is None and not worth_learning(
             run.residual_a[:, run.is_warm], run.predicted_a[:, run.is_warm]
         ):
@@ -262,25 +295,39 @@ def judging(number: NDArray[np.int64]) -> NDArray[np.bool_]:
     return judges
 
 
-def _against_physics(weights: Weights, histories: Sequence[History]) -> _Run:
+def _network_run(weights: Weights, history: History) -> PhysicsRun:
+    """Let the network that knows the physics run freely through a history."""
+    sequences = history.sequences
+    predicted_a, _ = free_run(weights, sequences)
+    speed = np.nan_to_num(sequences.speed_rad_s)
+    return PhysicsRun(predicted_a, steady_currents(sequences), speed)
+
+
+def _against_physics(
+    physics: Callable[[History], PhysicsRun | None], histories: Sequence[History]
+) -> _Run | None:
+    """Put histories in a row, with what the physics says of them; None where it says nothing."""
     parts = []
     for history in histories:
+        said = physics(history)
+        if said is None:
+            continue
         sequences, current_a, number = history.sequences, history.current_a, history.number
-        predicted_a, _ = free_run(weights, sequences)
         anew = number == number[0]
         cut = anew & history.cut
         is_warm = (number >= number[0] + WARM) if history.cut else np.ones_like(anew)
-        speed, steady = np.nan_to_num(sequences.speed_rad_s), steady_currents(sequences)
         signals = (
             sequences.interval_s,
             sequences.voltage_v,
-            speed,
+            said.speed_rad_s,
             current_a,
-            predicted_a,
-            steady,
-            current_a - predicted_a,
+            said.predicted_a,
+            said.steady_a,
+            current_a - said.predicted_a,
         )
         parts.append((number, anew, cut, is_warm, *signals))
+    if not parts:
+        return None
     return _Run(*(np.concatenate(signal, axis=-1) for signal in zip(*parts, strict=True)))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from gray_box_observer.predictor.network_inputs import Variant
 from gray_box_observer.predictor.training.trainer import Trainer
+from gray_box_observer.white_box import MotorWhiteBox
 
 
 def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
@@ -19,6 +20,10 @@ def make_trainer(configuration: Mapping[str, Any]) -> Trainer:
     Raises:
         ImportError: no torch, which the thesis's variants need from the first job on.
     """
+    if MotorWhiteBox.from_dict(configuration['white_box']).has_rotor:
+        from gray_box_observer.predictor.training.rotor_trainer import RotorTrainer
+
+        return RotorTrainer(configuration)
     if configuration['rules']['variant'] == Variant.PHYSICS.value:
         from gray_box_observer.predictor.training.physics_trainer import PhysicsTrainer
 

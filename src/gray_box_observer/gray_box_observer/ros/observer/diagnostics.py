@@ -45,7 +45,16 @@ NAMESAKE = (
 )
 """What is wrong where somebody has started a second observer of the same name."""
 
-DOUBTS = ('units_of_current', 'units_of_voltage', 'units_of_time', 'speed_sign')
+DOUBTS = (
+    'units_of_current',
+    'units_of_voltage',
+    'units_of_time',
+    'units_of_speed',
+    'speed_sign',
+    'voltage_sign',
+    'torque_sign',
+    'data_sheet',
+)
 """Suspects that say more than a bound that is met."""
 
 REJECTIONS = {
@@ -269,6 +278,9 @@ def _something_spoilt(motor: str, now: Situation) -> Judgement | None:
     if undeclared is not None:  # before the verdicts: it may be what spoils them
         return DiagnosticStatus.WARN, undeclared
     fit = observer.fit(motor)
+    mixed = observer.mix_up(motor)
+    if mixed is not None:
+        return DiagnosticStatus.WARN, mixed.sentence
     doubted = any(suspect.effect in DOUBTS for suspect in fit.suspects)
     if fit.verdict is FitVerdict.MISFIT and (doubted or _advice(motor, now) is None):
         return DiagnosticStatus.WARN, fit.sentence  # it ends with the likeliest remedy

@@ -1,0 +1,97 @@
+"""Work in pieces: what a fit costs is spread over the samples that follow, by their number.
+
+A piece says how much work it was, in units of about a third of a microsecond. A
+:class:`WorkBudget` grants every sample its share, never by a clock, so that every door leads to the
+same results at the same sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from typing import Any, TypeVar
+
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.safe_io.saved_state import MOST, whole
+
+Result = TypeVar('Result')
+
+Pieces = Generator[int, None, Result]
+"""A piece of work at each ``next``, which gives its size; the result at the end."""
+
+SHARE = 192
+"""Work that every sample grants."""
+
+SAVED = 262144
+"""Work that samples at which nothing was to be done have saved up, at most."""
+
+MOST_PIECES = 100_000
+"""Of a saved piece of work, so that no file can make its restoration endless."""
+
+AT_ONCE = 4096
+"""Work at one sample, at most, beside what the last piece takes beyond it."""
+
+
+def completed(pieces: Pieces[Result]) -> Result:
+    """Do all of the work at once and return its result."""
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            result: Result = end.value
+            return result
+
+
+class WorkBudget:
+    """How much work may be done, by the number of samples that have come.
+
+    Attributes:
+        credit: work that is granted and not done; negative where a piece was larger.
+        pieces: of the work under way, done so far.
+    """
+
+    def __init__(self) -> None:
+        self.credit = SAVED
+        self.pieces = 0
+
+    def grant(self) -> None:
+        """Take note of a sample."""
+        self.credit = min(self.credit + SHARE, SAVED)
+
+    def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
+        """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""
+        done = 0
+        while self.credit > 0 and done < AT_ONCE:
+            try:
+                size = next(work)
+            except StopIteration as end:
+                self.pieces = 0
+                return True, end.value
+            self.pieces += 1
+            self.credit -= size
+            done += size
+        return False, None
+
+    def repeat(self, work: Pieces[Result], pieces: int) -> None:
+        """Do the pieces again that had been done of some work before it was saved.
+
+        Raises:
+            CheckpointError: the work has not as many.
+        """
+        try:
+            for _ in range(pieces):
+                next(work)
+        except StopIteration:
+            raise CheckpointError(f'the work under way has not {pieces} pieces') from None
+        self.pieces = pieces
+
+    @classmethod
+    def restored(cls, plain: Mapping[str, Any]) -> WorkBudget:
+        """Take back the ``credit`` of a saved state; full where releases before knew none.
+
+        Raises:
+            CheckpointError: it is none that there could have been.
+        """
+        budget = cls()
+        if 'credit' in plain:
+            budget.credit = whole(plain, 'credit', -MOST, SAVED)
+        return budget
