@@ -16,7 +16,8 @@ from linear_motor_records import (
     steps,
 )
 
-from gray_box_observer.fit_test import FitVerdict
+from gray_box_observer.fit_test import FitVerdict, residual_analysis
+from gray_box_observer.fit_test.free_run import FreeRun
 from gray_box_observer.fit_test.policy import judge
 from gray_box_observer.fit_test.residual_analysis import analyse, ljung_box, long_run_covariance
 
@@ -139,3 +140,19 @@ def test_the_long_run_covariance_is_that_of_sums(memory: float, inflation: float
         for seed in range(20)
     ]
     assert np.mean(values) == pytest.approx(inflation, rel=0.25)
+
+
+def test_a_free_run_that_never_moves_says_nothing_of_the_stamps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where values cannot be run, or nothing drives the motor, no part of the run is steep."""
+    current_a = np.zeros(SAMPLES)
+    current_a[-100:] = noise(100, 1.0, 1)
+    stretch = Record(np.zeros(SAMPLES), current_a).stretch
+    rest, intervals = np.zeros(SAMPLES), np.zeros(SAMPLES - 1)
+    creep = 1e-170 * np.maximum(np.arange(SAMPLES) - SAMPLES + 100, 0)  # whose square is zero
+    run = FreeRun(
+        stretch, 1.0, creep, current_a, np.zeros((SAMPLES, 3)), intervals, intervals, rest + 1.0
+    )
+    monkeypatch.setattr(residual_analysis, 'free_run', lambda *_: run)
+    assert analyse(WHITE_BOX, TRUTH, stretch).jitter == 0.0

@@ -20,7 +20,14 @@ from linear_motor_records import (
 )
 
 from gray_box_observer.context_nodes import Estimate, Verdict
-from gray_box_observer.fit_test.policy import UNIFORM_STD, UNTOLD_DELAY, Judgement, judge
+from gray_box_observer.fit_test.policy import (
+    UNIFORM_STD,
+    UNTOLD_DELAY,
+    WHITENESS_DOUBT,
+    WHITENESS_WIDENS,
+    Judgement,
+    judge,
+)
 from gray_box_observer.fit_test.residual_analysis import analyse
 
 SAMPLES = 3000
@@ -106,9 +113,9 @@ def test_kb_kt_is_not_left_open_where_it_is_small_or_the_speed_is_stated(
 
 def test_standard_deviations_grow_with_a_residual_that_is_hardly_coloured() -> None:
     voltage_v = steps(SAMPLES, 7)
-    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 8, memory=0.25))
+    record = Record(voltage_v, current_of(voltage_v) + noise(SAMPLES, STD_A, 8, memory=0.35))
     analysis = analyse(WHITE_BOX, TRUTH, record.stretch)
-    assert 3.0 < analysis.whiteness < 25.0
+    assert WHITENESS_WIDENS < analysis.whiteness < WHITENESS_DOUBT
     judgement = judge(analysis, 0.3 * SURE, SAMPLES, speed_measured=False, stamps_exact=True)
     assert judgement.factor == pytest.approx(
         np.maximum(1.25 * analysis.robust_std / (0.3 * SURE), 1.0)

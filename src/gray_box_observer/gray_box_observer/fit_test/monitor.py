@@ -22,7 +22,6 @@ from gray_box_observer.context_nodes.recursive.normal_equations import MAD_TO_ST
 from gray_box_observer.context_nodes.recursive.trajectory import SampleWindow
 from gray_box_observer.context_nodes.update_rule import ContextUpdate
 from gray_box_observer.delay import DelayEstimate
-from gray_box_observer.errors import CheckpointError
 from gray_box_observer.fit_test.assessment import FitAssessment, FitVerdict, Suspect
 from gray_box_observer.fit_test.data_doubts import doubt_of_range, doubts, may_be_duty
 from gray_box_observer.fit_test.data_sheet import doubt_of_data_sheet
@@ -37,22 +36,9 @@ from gray_box_observer.fit_test.policy import (
     with_shift,
 )
 from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analyse
+from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS, check_saved_test
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
-from gray_box_observer.safe_io.printable import printable
-from gray_box_observer.safe_io.saved_state import (
-    LARGEST,
-    MOST,
-    ArrayRule,
-    check_array,
-    check_covariance,
-    entry,
-    group,
-    number,
-    number_or_none,
-    positive,
-    whole,
-)
 from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
 from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
@@ -66,8 +52,7 @@ FEWEST = 64
 """Samples of which a test tells something."""
 
 SHORTEST_WAIT = 64
-LONGEST_WAIT = 2048
-"""Samples between two tests of a motor."""
+"""Samples between two tests of a motor, at least."""
 
 LONGEST_SOON = 512
 """Samples between two tests, at most, of a motor that does not fit and has become another one."""
@@ -101,11 +86,6 @@ small residual; else the free run is asked."""
 
 MILD = 1.5
 """Residual over noise floor up to which it is small."""
-
-MOST_SUSPECTS = 3
-
-LONGEST_REMEDY = 500
-"""Characters of a remedy."""
 
 MANY = 1024
 """Motors of which one is tested at one sample of the group; of more, as many more."""
@@ -471,7 +451,7 @@ class FitMonitor:
         Raises:
             CheckpointError: it is no state that a test could have left.
         """
-        _check_saved(plain, len(self._white_boxes[motor].parameters))
+        check_saved_test(plain, len(self._white_boxes[motor].parameters))
         if 'assessment' not in plain:
             self._results[motor] = None
             self._soon[motor] = self._begin[motor] = NEVER
@@ -508,63 +488,6 @@ def _soonest(misfits: int) -> int:
     One that goes on changing without ever fitting is asked less and less often.
     """
     return min(SHORTEST_WAIT << min(max(misfits - PASSING, 0), 8), LONGEST_SOON)
-
-
-def _check_saved(plain: dict[str, Any], parameters: int) -> None:
-    """Refuse a saved state that no test could have left.
-
-    Raises:
-        CheckpointError: something is missing, or out of its range.
-    """
-    whole(plain, 'due', -MOST, MOST)
-    if plain.get('soon') is not None:
-        whole(plain, 'soon', -MOST, MOST)
-    if 'assessment' not in plain:
-        return
-    assessment = group(plain, 'assessment')
-    if entry(assessment, 'verdict') not in [verdict.value for verdict in FitVerdict]:
-        raise CheckpointError('fit.verdict is none of those that there are')
-    number_or_none(assessment, 'ratio', 0.0, LARGEST)
-    number_or_none(assessment, 'whiteness', 0.0, LARGEST)
-    whole(assessment, 'samples')
-    suspects = entry(assessment, 'suspects')
-    if not isinstance(suspects, list) or len(suspects) > MOST_SUSPECTS:
-        raise CheckpointError(f'fit.suspects is no list of at most {MOST_SUSPECTS}')
-    for suspect in suspects:
-        number(suspect, 'evidence', -LARGEST, LARGEST)
-        if set(suspect) != {'effect', 'evidence', 'remedy'}:
-            raise CheckpointError(
-                'a suspect of the fit has other entries than effect, evidence and remedy'
-            )
-        texts = [suspect[name] for name in ('effect', 'remedy')]
-        if not all(
-            isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts
-        ):
-            raise CheckpointError(
-                'a suspect of the fit has a name or a remedy that nobody can have written'
-            )
-    numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
-    check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
-    check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
-    check_covariance('fit.spread', numbers['spread'])
-    check_array('fit.theta', numbers['theta'], positive(parameters))
-    whole(plain, 'place', -MOST, 0)
-    whole(plain, 'begin', -MOST, 0)
-    whole(plain, 'wait', 1, LONGEST_WAIT)
-    number(plain, 'range_v', 0.0, LARGEST)
-    whole(plain, 'misfits')
-
-
-def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
-    """Return a list of numbers as an array.
-
-    Raises:
-        CheckpointError: it is none.
-    """
-    try:
-        return np.array(entry(plain, name), dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise CheckpointError(f'fit.{name} is no list of numbers') from None
 
 
 def _largest_shares(nodes: ContextUpdate, motor: int, value: Array, judgement: Judgement) -> Array:

@@ -28,9 +28,12 @@ ones begin at 2.9."""
 
 WHITENESS_WARNING = 3.0
 
+WHITENESS_WIDENS = 10.0
+"""Whiteness from which the residual's correlation counts into standard deviations. A state that
+begins anew at one odd sample leaves up to 7."""
+
 WHITENESS_DOUBT = 25.0
-"""Whiteness from which the residual's correlation counts: into standard deviations, and with an
-effect as a misfit."""
+"""Whiteness from which the residual's correlation counts with an effect as a misfit."""
 
 SCORE_DOUBT = 25.0
 """Chi-square of one degree of freedom from which an effect explains a part of a residual that is
@@ -145,7 +148,7 @@ def judge(
         shift = np.clip(score.shift, -LARGEST_SHIFT, LARGEST_SHIFT)
         spread += np.outer(shift, shift)
     factor = np.ones(relative_std.size)
-    if analysis.whiteness > WHITENESS_WARNING:
+    if analysis.whiteness > WHITENESS_WIDENS:
         robust = (
             SAFETY
             * analysis.robust_std

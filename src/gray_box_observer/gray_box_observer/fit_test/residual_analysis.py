@@ -210,9 +210,10 @@ def _jitter(run: FreeRun, remainder: Array, floor_a: float) -> float:
     size = np.abs(remainder)
     steep_a = MAD_TO_STD * float(np.median(size[steep]))
     rest_a = max(MAD_TO_STD * float(np.median(size[rest])), floor_a)
-    if steep_a <= SCATTERED * rest_a:
+    steepness = math.sqrt(float(np.mean(slope[steep] ** 2)))
+    if steep_a <= SCATTERED * rest_a or not steepness > 0.0:  # a run that stands tells no instant
         return 0.0
-    return math.sqrt(steep_a**2 - rest_a**2) / math.sqrt(float(np.mean(slope[steep] ** 2)))
+    return math.sqrt(steep_a**2 - rest_a**2) / steepness
 
 
 def _intervals(white_box: WhiteBox, p: Array, stretch: SampleWindow) -> float:

@@ -18,6 +18,7 @@ from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.verdict_advice import verdict_advice
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.ros.observer.diagnostic_values import values_of
 from gray_box_observer.ros.observer.topic_inputs import Inputs
@@ -32,12 +33,6 @@ REFUSED = 0.05
 """Share of refused messages that is worth a warning."""
 
 Judgement = tuple[bytes, str]
-
-ADVICE = {
-    Verdict.IMPLAUSIBLE: 'check torque_constant, units and sign of voltage and torque',
-    Verdict.UNEXCITED: 'not excited: vary the voltage',
-}
-
 
 NAMESAKE = (
     'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r '
@@ -333,15 +328,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
 
 def _advice(motor: str, now: Situation) -> Judgement | None:
     """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
-    estimate = now.observer.motors[motor].estimate
-    for verdict, advice in ADVICE.items():
-        at = [j for j, own_verdict in enumerate(estimate.verdicts[0]) if own_verdict is verdict]
-        if at:
-            names = [
-                f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at
-            ]
-            return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
-    return None
+    advice = verdict_advice(now.observer.motors[motor].estimate)
+    return None if advice is None else (DiagnosticStatus.WARN, advice)
 
 
 def _small_print(motor: str, now: Situation) -> str:

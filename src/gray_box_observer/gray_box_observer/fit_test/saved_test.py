@@ -1,0 +1,95 @@
+"""What a test of a motor's fit must be like that comes from a checkpoint."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gray_box_observer.errors import CheckpointError
+from gray_box_observer.fit_test.assessment import FitVerdict
+from gray_box_observer.safe_io.printable import printable
+from gray_box_observer.safe_io.saved_state import (
+    LARGEST,
+    MOST,
+    ArrayRule,
+    check_array,
+    check_covariance,
+    entry,
+    group,
+    number,
+    number_or_none,
+    positive,
+    whole,
+)
+from gray_box_observer.white_box.interface import Array
+
+LONGEST_WAIT = 2048
+"""Samples between two tests of a motor, at most."""
+
+MOST_SUSPECTS = 3
+"""That are named of one motor."""
+
+LONGEST_REMEDY = 500
+"""Characters of a remedy."""
+
+
+def check_saved_test(plain: dict[str, Any], parameters: int) -> None:
+    """Refuse a saved state that no test could have left.
+
+    Args:
+        plain: it.
+        parameters: how many the motor has.
+
+    Raises:
+        CheckpointError: something is missing, or out of its range.
+    """
+    whole(plain, 'due', -MOST, MOST)
+    if plain.get('soon') is not None:
+        whole(plain, 'soon', -MOST, MOST)
+    if 'assessment' not in plain:
+        return
+    assessment = group(plain, 'assessment')
+    if entry(assessment, 'verdict') not in [verdict.value for verdict in FitVerdict]:
+        raise CheckpointError('fit.verdict is none of those that there are')
+    number_or_none(assessment, 'ratio', 0.0, LARGEST)
+    number_or_none(assessment, 'whiteness', 0.0, LARGEST)
+    whole(assessment, 'samples')
+    suspects = entry(assessment, 'suspects')
+    if not isinstance(suspects, list) or len(suspects) > MOST_SUSPECTS:
+        raise CheckpointError(f'fit.suspects is no list of at most {MOST_SUSPECTS}')
+    for suspect in suspects:
+        number(suspect, 'evidence', -LARGEST, LARGEST)
+        if set(suspect) != {'effect', 'evidence', 'remedy'}:
+            raise CheckpointError(
+                'a suspect of the fit has other entries than effect, evidence and remedy'
+            )
+        texts = [suspect[name] for name in ('effect', 'remedy')]
+        if not all(
+            isinstance(text, str) and text == printable(text, LONGEST_REMEDY) for text in texts
+        ):
+            raise CheckpointError(
+                'a suspect of the fit has a name or a remedy that nobody can have written'
+            )
+    numbers = {name: _saved_numbers(plain, name) for name in ('factor', 'spread', 'theta')}
+    check_array('fit.factor', numbers['factor'], ArrayRule((parameters,), 1.0, LARGEST))
+    check_array('fit.spread', numbers['spread'], ArrayRule((parameters, parameters)))
+    check_covariance('fit.spread', numbers['spread'])
+    check_array('fit.theta', numbers['theta'], positive(parameters))
+    whole(plain, 'place', -MOST, 0)
+    whole(plain, 'begin', -MOST, 0)
+    whole(plain, 'wait', 1, LONGEST_WAIT)
+    number(plain, 'range_v', 0.0, LARGEST)
+    whole(plain, 'misfits')
+
+
+def _saved_numbers(plain: dict[str, Any], name: str) -> Array:
+    """Return a list of numbers as an array.
+
+    Raises:
+        CheckpointError: it is none.
+    """
+    try:
+        return np.array(entry(plain, name), dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise CheckpointError(f'fit.{name} is no list of numbers') from None
