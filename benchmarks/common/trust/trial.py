@@ -264,12 +264,16 @@ def _voltage_share(record: Record, parameter: str, true: float) -> float:
     speed = log.speed_rad_s
     if not record.scenario.speed:
         speed = record.torque_nm
+    # a friction is the voltage that the resistance takes of the current which overcomes it
+    opposes = record.truth['resistance'] / record.parameters['motor.torque_constant']
     signals = {
         'hysteresis': np.abs(speed) * log.current_a,
         'resistance': log.current_a,
         'back_emf_constant': speed,
         'brush_drop': np.sign(log.current_a),
         'inductance': np.gradient(log.current_a) * record.scenario.rate_hz,
+        'coulomb_friction': np.sign(speed) * opposes,
+        'viscous_friction': speed * opposes,
     }
     voltage = float(np.sqrt(np.mean(log.voltage_v**2)))
     return true * float(np.sqrt(np.mean(signals[parameter] ** 2))) / max(voltage, 1e-12)
