@@ -18,6 +18,7 @@ from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.configuration import read_parameter_file
 
+LOOPBACK = '127.0.0.1'
 STDIN = 0
 LARGEST_SETTINGS = 16_000_000
 
@@ -39,8 +40,9 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         '--address',
-        default='127.0.0.1',
-        help='to listen on (default %(default)s, this host only); whoever reaches it may look',
+        default=LOOPBACK,
+        metavar='ADDRESS',
+        help=f'to listen on (default {LOOPBACK}, this host only); whoever reaches it may look',
     )
     parser.add_argument(
         '--observer',

@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from gray_box_observer.ros.running import run_node
 from gray_box_observer.ros.watching.observer_listener import ObserverListener
-from gray_box_observer.ros.watching.polling_executor import PollingExecutor
+from gray_box_observer.ros.watching.polling_executor import WITHOUT_SERVICES, PollingExecutor
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.watching.dashboard.page_feed import PageSource
@@ -60,7 +60,7 @@ class DashboardNode(Node):
     def __init__(self, settings: DashboardSettings) -> None:
         self._configuration = Configuration.from_flat(settings.parameters)
         self._settings = settings
-        super().__init__(NODE_NAME, start_parameter_services=False, enable_rosout=False)
+        super().__init__(NODE_NAME, **WITHOUT_SERVICES)
         self.source = PageSource(WatchedState(settings.observers), SignalCourses(), time.monotonic)
         self._server = PageServer(self.source, settings.address, settings.port)
         self._listener = ObserverListener(

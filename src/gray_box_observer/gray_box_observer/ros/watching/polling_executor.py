@@ -10,7 +10,17 @@ from __future__ import annotations
 import time
 from typing import Any, Protocol
 
+from rclpy.parameter import Parameter
+
 SLICE_S = 0.02
+
+
+WITHOUT_SERVICES: dict[str, Any] = {
+    'start_parameter_services': False,
+    'enable_rosout': False,
+    'parameter_overrides': [Parameter('start_type_description_service', value=False)],
+}
+"""How a node is made that is served so: nobody would answer its services."""
 
 
 class PollingNode(Protocol):

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from gray_box_observer.errors import GrayBoxError
 from gray_box_observer.ros.running import Stop, run_node
 from gray_box_observer.ros.watching.observer_listener import ObserverListener
-from gray_box_observer.ros.watching.polling_executor import PollingExecutor
+from gray_box_observer.ros.watching.polling_executor import WITHOUT_SERVICES, PollingExecutor
 from gray_box_observer.watching.motor_table import is_complete
 from gray_box_observer.watching.observer_state import SILENT_S, WatchedState
 from gray_box_observer.watching.table_display import TableDisplay
@@ -44,7 +44,7 @@ class WatchNode(Node):
         *,
         once: bool = False,
     ) -> None:
-        super().__init__(NODE_NAME, start_parameter_services=False, enable_rosout=False)
+        super().__init__(NODE_NAME, **WITHOUT_SERVICES)
         self._stop = stop
         self._display = display
         self._period_s = period_s

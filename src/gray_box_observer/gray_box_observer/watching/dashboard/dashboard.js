@@ -89,6 +89,7 @@
     const react = (name, unit, traces) => {
       const form = layout(name, unit);
       form.xaxis = { ...form.xaxis, range: [-SHOWN_S, 0] };
+      form.yaxis = { ...form.yaxis, tickformat: '.3~g' };
       Plotly.react(byId(name), traces, form, CONFIG);
     };
     const stepped = line('voltage', ago(voltage), 'measured');
