@@ -58,6 +58,9 @@ NOTICEABLE = 0.003
 UNIFORM_STD = 1.0 / math.sqrt(12.0)
 """Standard deviation of an unknown fraction of a sample interval."""
 
+FEWEST_SMOOTH = 256
+"""Samples from which a voltage that tells no delay counts as smooth: the next move may tell it."""
+
 HALF_INTERVAL = 0.5
 """Delay, in sample intervals, of a voltage that was sampled and not held."""
 
@@ -176,7 +179,9 @@ def _is_delay_untold(analysis: ResidualAnalysis) -> bool:
 
     A voltage that moves smoothly and acts d later looks like one that acts at once on L - R d.
     """
-    return analysis.delay_std > UNTOLD_DELAY and MATERIAL * analysis.intervals < HALF_INTERVAL
+    moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
+    is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay_std > UNTOLD_DELAY
+    return is_smooth and moves_inductance
 
 
 def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:
