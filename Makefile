@@ -8,9 +8,11 @@ CORES := src/dc_motor_sim/dc_motor_sim src/gray_box_observer/gray_box_observer
 
 # make demo
 DURATION ?= 60
-EXCITATION ?= R[5,15]D[1,20]
+MOTOR ?= thesis
+EXCITATION ?=
 SEED ?= 1
-TORQUE_NOISE ?= 0
+TORQUE_NOISE ?= 0.01
+DASHBOARD ?= 1
 BAG ?=
 PARAMS ?=
 RATE ?= 1
@@ -32,9 +34,10 @@ help:  ## show this list
 setup:  ## make .venv where needed and build ros_ws/install (ROS=auto|distribution|wheels PYTHON=)
 	@ROS='$(ROS)' PYTHON='$(PYTHON)' ros_ws/setup.sh
 
-demo: setup  ## identify a simulated motor live (DURATION= EXCITATION= SEED= TORQUE_NOISE=), or a bag (BAG= RATE= PARAMS=)
-	@$(RUN) python ros_ws/demo.py --duration '$(DURATION)' --excitation '$(EXCITATION)' --seed '$(SEED)' \
-		--torque-noise '$(TORQUE_NOISE)' $(if $(BAG),--bag '$(BAG)' --rate '$(RATE)') \
+demo: setup  ## identify a simulated motor live (DURATION= MOTOR=thesis|geared EXCITATION= SEED= TORQUE_NOISE= DASHBOARD=0), or a bag (BAG= RATE= PARAMS=)
+	@$(RUN) python ros_ws/demo.py --duration '$(DURATION)' --motor '$(MOTOR)' --seed '$(SEED)' \
+		--torque-noise '$(TORQUE_NOISE)' $(if $(EXCITATION),--excitation '$(EXCITATION)') \
+		$(if $(filter 0 no false,$(DASHBOARD)),--no-dashboard) $(if $(BAG),--bag '$(BAG)' --rate '$(RATE)') \
 		$(if $(PARAMS),--params '$(PARAMS)') $(DEMO_ARGS)
 
 # More processes than cores: tests of nodes mostly wait. `load`: the other ways of dealing tests out wait for ever once a process of tests has ended.

@@ -22,7 +22,9 @@ os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when nu
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
-from common.rotor.records import NODES, draw
+from common.rotor.joint_filters import JointExtended, tuned
+from common.rotor.peers import BATCH, OWN, peer_runs
+from common.rotor.records import NODES, Record, draw
 from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
 from common.rotor.speed_records import ELECTRICAL as MEASURED_NODES
@@ -59,6 +61,9 @@ SPEED_SENSORS = (
     (SpeedSensor('encoder of 500 counts', counts=500), 500.0),
     (SpeedSensor('speed 2 samples late', late=2), 1000.0),
 )
+FLEET, FLEET_HZ = 1000, 100.0
+"""Motors, and samples a second of each, that the cost of many is reckoned for."""
+
 ELECTRICAL = slice(0, 2)
 
 
@@ -74,6 +79,11 @@ def main() -> int:
     )
     parser.add_argument(
         '--mechanics', action='store_true', help='only inertia and frictions from a measured speed'
+    )
+    parser.add_argument(
+        '--peers',
+        action='store_true',
+        help='only Kalman filters and a batch fit beside it',
     )
     parser.add_argument(
         '--predict', action='store_true', help='only the prediction of robots never seen'
@@ -93,6 +103,11 @@ def main() -> int:
         print(f'\n{figure_table(figures)}')
         print(last_line('rotor', seeds, figures))
         return 0
+    if options.peers:
+        figures = peer_figures(seeds, length_s, counts=counts)
+        print(f'\n{figure_table(figures)}')
+        print(last_line('rotor', seeds, figures))
+        return 0
     if options.predict:
         figures = prediction_figures(options.data or DEFAULT_DATA, quick=options.quick)
         print(f'\n{figure_table(figures)}')
@@ -104,6 +119,7 @@ def main() -> int:
         *slow_figures(seeds, 100.0, 2.0 * length_s, 5e-3, counts=counts),
         *sticky_figures(seeds, length_s, counts=counts),
         *choice_figures(seeds, length_s, counts=counts),
+        *peer_figures(seeds, length_s, counts=counts),
     ]
     try:
         figures += robot_figures(options.data or DEFAULT_DATA)
@@ -166,7 +182,12 @@ def slow_figures(
     show(f'gear motors, {name}', trials)
     over = over_bound(trials)
     worst = max(abs(float(trial.error[NODES.index('resistance')])) for trial in trials)
+    cost = []
+    if rate_hz == FLEET_HZ:
+        cores = FLEET * rate_hz * 1e-6 * float(np.mean([trial.sample_us for trial in trials]))
+        cost.append(Figure(f'{FLEET} motors at {name}: cores', cores, 0.5, counts))
     return [
+        *cost,
         Figure(f'{name}: RMSE of inductance over the bound', float(over[0]), 1.3, counts),
         Figure(f'{name}: RMSE of resistance over the bound', float(over[1]), 1.3, counts),
         Figure(f'{name}: R of the worst motor, %', 100.0 * worst, 100.0 * nearest, counts),
@@ -310,6 +331,53 @@ def robot_figures(data: Path) -> list[Figure]:
         Figure('robots: lowest R, ohm', min(healthy, default=None), band),
         Figure('robots: highest R, ohm', max(healthy, default=None), band),
         Figure('robots: identified and wrong', float(false) if healthy else None, 0.0),
+    ]
+
+
+def peer_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
+    """Compare with joint Kalman filters, tuned on other seeds, and a batch output error fit."""
+
+    def drawn(seed: int, duration_s: float) -> Record:
+        return draw(gear_motor, seed, 1000.0, duration_s)
+
+    settings = tuned(drawn, quick=not counts)
+    records = [drawn(seed, length_s) for seed in range(seeds)]
+    runs = peer_runs(records, settings)
+    bounds = np.array([record.bound() for record in records])
+    over = {name: np.abs([run.error for run in found]) / bounds for name, found in runs.items()}
+    cost = {
+        name: float(np.nanmean([one.sample_us for one in found])) for name, found in runs.items()
+    }
+    rows = [
+        [
+            name,
+            *(number(float(np.sqrt(np.mean(column**2)))) for column in of_method.T),
+            *(number(float(np.median(column))) for column in of_method.T),
+            f'{cost[name]:.1f}',
+        ]
+        for name, of_method in over.items()
+    ]
+    heads = [*(f'{node[:9]} RMS' for node in NODES), *('median' for _ in NODES)]
+    print(f'\npeers: {settings}')
+    print(table(['errors over the bound', *heads, 'us a sample'], rows))
+    means = {name: float(np.mean(np.median(one, axis=0))) for name, one in over.items()}
+    return [
+        *(
+            Figure(
+                f'median error over that of {name}',
+                means[OWN] / mean,
+                1.3 if name == BATCH else 1.0,
+                counts,
+            )
+            for name, mean in means.items()
+            if name != OWN
+        ),
+        Figure(
+            "cost of an update over that of filterpy's EKF",
+            cost[OWN] / cost[JointExtended.title],
+            1.0,
+            counts,
+        ),
     ]
 
 

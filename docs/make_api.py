@@ -44,6 +44,7 @@ from gray_box_observer.ros import running
 from gray_box_observer.ros import topics as observed_topics
 from gray_box_observer.ros.bags import player_arguments, recorder_arguments
 from gray_box_observer.ros.observer import observer_node
+from gray_box_observer.ros.watching import dashboard_command, watch_command
 from gray_box_observer.settings.parameters import (
     MOTOR_PARAMETERS,
     OBSERVER_PARAMETERS,
@@ -60,6 +61,15 @@ TOPICS_OF_A_BAG = {
     '`clock` also `/clock`.',
 }
 """Of the two nodes whose topics depend on a bag."""
+
+WATCHED = {
+    'watch': 'Subscribes to `/diagnostics`, and to `~/estimates` of every observer that it finds, '
+    'or of those that `--observer` names. It has no parameters and no services.',
+    'dashboard': 'Subscribes to the same, and by best effort to `~/predicted_torque` and `~/speed` '
+    'of these observers and to voltage and torque as `--params` has them. It has no parameters '
+    'and no services.',
+}
+"""Of the two nodes that listen to observers."""
 
 HEAD = f"""<!-- Written by `make docs` from the code; edit the declarations, not this page. -->
 # API
@@ -131,6 +141,8 @@ def page() -> str:
     )
     lines += bag_lines('recorder', recorder_arguments, of_recorder, nodes['bag_recorder'], every)
     lines += bag_lines('player', player_arguments, of_player, nodes['bag_player'], every)
+    lines += watcher_lines('watch', watch_command, 'gray_box_watch', '; over a bag it needs no ROS')
+    lines += watcher_lines('dashboard', dashboard_command, 'gray_box_dashboard', '')
     lines += simulator_lines(nodes['motor_sim'], every)
     lines += launch_lines(ROOT / 'src')
     lines += [
@@ -174,6 +186,23 @@ def bag_lines(
         *table(PARAMETER_HEAD, spec_rows(specs)),
     ]
     return lines + override_lines(seen)
+
+
+def watcher_lines(name: str, command: ModuleType, node: str, note: str) -> list[str]:
+    """The section of an executable that watches observers."""
+    parser = command.make_parser()
+    said = ' '.join((parser.description or '').split())
+    return [
+        f'## {name}',
+        '',
+        f'Package `gray_box_observer`, node `{node}`{note}. {said}',
+        '',
+        *option_lines(parser),
+        '### Topics',
+        '',
+        WATCHED[name],
+        '',
+    ]
 
 
 def complain_of_others(name: str, seen: Seen, specs: Sequence[ParameterSpec]) -> None:

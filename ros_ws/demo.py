@@ -24,11 +24,21 @@ from demo_result import (
     estimates_text,
     fit_sentences,
     load_truth,
+    prediction_scores,
     recorded_samples,
     result_of,
+    scores_text,
     summary,
 )
-from demo_sources import START_PATIENCE_S, Source, executable, replay, simulator, write_parameters
+from demo_sources import (
+    MOTORS,
+    START_PATIENCE_S,
+    Source,
+    executable,
+    replay,
+    simulator,
+    write_parameters,
+)
 
 from gray_box_observer.safe_io.printable import printable
 
@@ -45,17 +55,27 @@ def parse_arguments(arguments: list[str] | None = None) -> argparse.Namespace:
         '--duration', type=_positive, default=60.0, metavar='S', help='seconds (default 60)'
     )
     parser.add_argument(
+        '--motor',
+        choices=list(MOTORS),
+        default='thesis',
+        help='what is simulated: the motor of the thesis (default), or one with gears whose speed '
+        'nobody measures',
+    )
+    parser.add_argument(
         '--excitation',
-        default='R[5,15]D[1,20]',
-        help='voltage of the simulator (default %(default)s)',
+        help='voltage of the simulator (default '
+        f'{", ".join(f"{motor.excitation}: {name}" for name, motor in MOTORS.items())})',
     )
     parser.add_argument('--seed', type=int, default=1, help='of everything random (default 1)')
     parser.add_argument(
         '--torque-noise',
         type=_not_negative,
-        default=0.0,
+        default=0.01,
         metavar='FRACTION',
-        help='torque noise as a fraction of the standard deviation of the torque (default 0)',
+        help='torque noise as a fraction of the standard deviation of the torque (default 0.01)',
+    )
+    parser.add_argument(
+        '--no-dashboard', action='store_true', help='serve no page that shows the run'
     )
     parser.add_argument('--bag', type=Path, help='replay this bag instead of simulating')
     parser.add_argument('--rate', type=_positive, default=1.0, help='of the replay (default 1)')
@@ -138,7 +158,37 @@ def make_run_folder(runs: Path) -> Path:
     raise DemoError(f'{runs} holds a hundred runs of this second already')
 
 
-def follow(children: Children, watch: Any, source: Source) -> None:
+class Page:
+    """The dashboard of the run, once estimates come: before, it would pass for a reader of torque.
+
+    Args:
+        children: which it becomes one of.
+        source: of the samples.
+    """
+
+    def __init__(self, children: Children, source: Source) -> None:
+        self._children = children
+        self._source = source
+        self._is_announced = False
+
+    def start(self) -> None:
+        """Start it; without it the run goes on all the same."""
+        command: list[str | Path] = [executable('gray_box_observer', 'dashboard')]
+        if self._source.params is not None:
+            command += ['--params', self._source.params]
+        self._children.start('dashboard', command)
+
+    def announce(self) -> None:
+        """Say where the page is, as soon as that is known."""
+        if self._is_announced or 'dashboard' not in self._children:
+            return
+        line = self._children['dashboard'].last_lines().strip()
+        if line.startswith('dashboard: '):
+            self._is_announced = True
+            say(f'watch it live: {line.removeprefix("dashboard: ")}')
+
+
+def follow(children: Children, watch: Any, source: Source, page: Page | None) -> None:
     """Show the estimates until the source has ended, and make sure that nobody else ends before."""
     from tqdm import tqdm
 
@@ -162,8 +212,13 @@ def follow(children: Children, watch: Any, source: Source) -> None:
                     'runs'
                 )
             if started_s is None:
-                started_s = now_s if watch.estimates else None
+                if watch.estimates:
+                    started_s = now_s
+                    if page is not None:
+                        page.start()
                 continue
+            if page is not None:
+                page.announce()
             elapsed_s = now_s - started_s
             bar.n = min(elapsed_s, source.duration_s)
             bar.set_postfix_str(estimates_text(watch.estimates))
@@ -212,6 +267,7 @@ def make_source(options: argparse.Namespace, run: Path) -> Source:
     return simulator(
         run,
         options.params,
+        motor=MOTORS[options.motor],
         excitation=options.excitation,
         duration_s=options.duration,
         seed=options.seed,
@@ -245,7 +301,7 @@ def run_demo(options: argparse.Namespace) -> None:
             [executable('gray_box_observer', 'recorder'), '--ros-args', '--params-file', recording],
         )
         children.start(source.name, source.command)
-        follow(children, watch, source)
+        follow(children, watch, source, None if options.no_dashboard else Page(children, source))
         settle(children, watch)
         for name in ('observer', 'recorder'):
             children.stop(name)
@@ -258,9 +314,18 @@ def run_demo(options: argparse.Namespace) -> None:
         identify_bag(run, bag, source)
         say(fit_sentences(run / 'identify.json', coloured=sys.stderr.isatty()))
         say(summary(motors, recorded_samples(bag), watch.samples_used()))
+        scores = prediction_scores(bag)
+        say(scores_text(scores))
     say(f'report: {shown(run / "report.html")}')
     print(
-        json.dumps({'bag': shown(bag), 'report': shown(run / 'report.html'), 'motors': motors}),
+        json.dumps(
+            {
+                'bag': shown(bag),
+                'report': shown(run / 'report.html'),
+                'motors': motors,
+                'prediction': scores,
+            }
+        ),
         flush=True,
     )
 

@@ -58,6 +58,9 @@ class Children:
     def __getitem__(self, name: str) -> Child:
         return self._children[name]
 
+    def __contains__(self, name: str) -> bool:
+        return name in self._children
+
     def start(self, name: str, command: Sequence[str | Path]) -> Child:
         """Start ``command`` in a new session: Ctrl-C at the terminal reaches only the demo.
 

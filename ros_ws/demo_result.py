@@ -10,6 +10,12 @@ from typing import Any
 
 from demo_processes import DemoError
 
+IDENTIFIED_DEPTH = 3
+"""Strokes in ``/gray_box_observer/<motor>/identified``; that of a parameter has one more."""
+
+CDR_HEADER_BYTES = 4
+LEAST_SCORED = 10
+
 Values = Mapping[str, Mapping[str, float]]
 """A number by motor and parameter."""
 
@@ -102,6 +108,87 @@ def recorded_samples(bag: Path) -> int | None:
         return count
     except (InputError, KeyError, TypeError, AttributeError):
         return None
+
+
+def prediction_scores(bag: Path) -> dict[str, dict[str, float | int | None]]:
+    """Score the live predictions in a recorded run, from the first identified sample on.
+
+    What was predicted before every parameter was identified is the observer's way in and no score.
+
+    Args:
+        bag: recorded torque, predictions and ``identified``.
+
+    Returns:
+        By motor: ``samples`` scored, ``since_s`` when that began, ``nmae`` (mean absolute error
+        over the standard deviation of the torque), and ``skill_vs_persistence`` (1 minus the error
+        over that of the torque before). None where there is nothing to score.
+    """
+    import numpy as np
+
+    from gray_box_observer.bag.joint_state import JointStateDecoder
+    from gray_box_observer.bag.reader import BagReader
+
+    decode = JointStateDecoder()
+    torque: dict[str, dict[int, float]] = {}
+    predicted: dict[str, dict[int, float]] = {}
+    since_ns: dict[str, int] = {}
+    newest_ns = first_ns = 0
+    with BagReader(bag) as reader:
+        wanted = {
+            topic: topic.rpartition('/')[2]
+            for topic in reader.topics
+            if topic.endswith(('/motor/torque', '/predicted_torque'))
+            or (topic.endswith('/identified') and topic.count('/') == IDENTIFIED_DEPTH)
+        }
+        # in the order of publication, for a recorder takes topics one after another
+        for message in sorted(reader.messages(wanted), key=lambda one: one.publish_time_ns):
+            kind = wanted[message.topic]
+            if kind == 'identified':
+                if message.data[CDR_HEADER_BYTES]:
+                    since_ns.setdefault(message.topic.split('/')[-2], newest_ns)
+                continue
+            view = decode(message.data)
+            courses = torque if kind == 'torque' else predicted
+            if kind == 'torque':
+                newest_ns, first_ns = view.stamp_ns, first_ns or view.stamp_ns
+            for name, value in zip(view.names, view.effort, strict=True):
+                if kind == 'torque' or name in since_ns:  # the form may change with the verdicts
+                    courses.setdefault(name, {})[view.stamp_ns] = value
+    scores: dict[str, dict[str, float | int | None]] = {}
+    for motor, measured in torque.items():
+        begin_ns = since_ns.get(motor)
+        stamps = [] if begin_ns is None else [s for s in predicted.get(motor, {}) if s > begin_ns]
+        stamps = sorted(stamp for stamp in stamps if stamp in measured)
+        scores[motor] = {'samples': len(stamps), 'since_s': None, 'nmae': None}
+        scores[motor]['skill_vs_persistence'] = None
+        if begin_ns is not None:
+            scores[motor]['since_s'] = round((begin_ns - first_ns) * 1e-9, 3)
+        if len(stamps) < LEAST_SCORED:
+            continue
+        truth = np.array([measured[stamp] for stamp in stamps])
+        error = float(np.mean(np.abs(truth - [predicted[motor][stamp] for stamp in stamps])))
+        spread, step = float(np.std(truth)), float(np.mean(np.abs(np.diff(truth))))
+        scores[motor]['nmae'] = error / spread if spread > 0.0 else None
+        scores[motor]['skill_vs_persistence'] = 1.0 - error / step if step > 0.0 else None
+    return scores
+
+
+def scores_text(scores: Mapping[str, Mapping[str, float | int | None]]) -> str:
+    """The scores for people: a line a motor."""
+    lines = []
+    for motor, score in scores.items():
+        since_s, nmae, skill = score['since_s'], score['nmae'], score['skill_vs_persistence']
+        if since_s is None:
+            lines.append(f'{motor}: not every parameter was identified')
+        elif nmae is None:
+            lines.append(f'{motor}: identified after {since_s:g} s; no torque was predicted')
+        else:
+            better = '' if skill is None else f', {100.0 * skill:.0f} % better than the last torque'
+            lines.append(
+                f'{motor}: identified after {since_s:g} s; torque predicted from then on with an '
+                f'error of {100.0 * nmae:.2g} % of its spread{better}'
+            )
+    return '\n'.join(lines)
 
 
 def fit_sentences(result: Path, *, coloured: bool) -> str:

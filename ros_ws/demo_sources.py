@@ -10,20 +10,69 @@ from typing import Any
 import yaml
 from demo_processes import DemoError
 
-TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 FIRST_GUESS_FACTOR = 3.0
 READERS_OF_TORQUE = 2
 """Observer and recorder; the source waits for both, so that neither misses the first sample."""
 START_PATIENCE_S = 60.0
 
 
-DEMO_CONSTANTS = {
-    'torque_constant': 0.01,
-    'back_emf_constant': 0.01,
-    'speed_source': 'torque_constant',
+@dataclass(frozen=True)
+class DemoMotor:
+    """A motor that the demo simulates.
+
+    Attributes:
+        truth: its parameters that are to be found, in SI units.
+        known: what the observer is told of it.
+        simulated: further parameters of the simulator's motor.
+        node: parameters of the simulator.
+        excitation: voltage unless the user says another; it moves within the first seconds.
+        guess_factor: how far off the observer starts; 0: from its defaults.
+        torque_spread_nm: standard deviation of its torque, where a dry run of the simulator would
+            take long to find it; 0: found so.
+    """
+
+    truth: Mapping[str, float]
+    known: Mapping[str, Any]
+    simulated: Mapping[str, Any]
+    node: Mapping[str, Any]
+    excitation: str
+    guess_factor: float
+    torque_spread_nm: float = 0.0
+
+
+_GEARED_CONSTANTS = {'torque_constant': 0.03, 'back_emf_constant': 0.03}
+
+MOTORS = {
+    'thesis': DemoMotor(
+        truth={'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0},
+        known={
+            'torque_constant': 0.01,
+            'back_emf_constant': 0.01,
+            'speed_source': 'torque_constant',
+        },
+        simulated={},
+        node={},
+        excitation='R[5,15]D[0.3,3]',
+        guess_factor=FIRST_GUESS_FACTOR,
+    ),
+    'geared': DemoMotor(
+        truth={
+            'inductance': 0.006,
+            'resistance': 2.0,
+            'inertia': 2.7e-5,
+            'viscous_friction': 2.25e-5,
+            'coulomb_friction': 0.009,
+        },
+        known={**_GEARED_CONSTANTS, 'speed_source': 'auto'},
+        simulated={**_GEARED_CONSTANTS, 'hysteresis': 0.0},
+        node={'speed_mode': 'rotor', 'speed_hidden': True, 'sample_rate_hz': 500.0},
+        excitation='R[-12,12]D[0.05,0.5]',
+        guess_factor=0.0,
+        torque_spread_nm=0.04,
+    ),
 }
-"""What is known of the simulated motor: its defaults, stated; its speed follows the current, as in
-the thesis."""
+"""By the name that ``--motor`` gives: the thesis's, whose speed follows the current, and one with a
+free rotor that nobody measures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,42 +100,55 @@ def simulator(
     run: Path,
     params: Path | None,
     *,
-    excitation: str,
+    motor: DemoMotor,
+    excitation: str | None,
     duration_s: float,
     seed: int,
     torque_noise: float,
 ) -> Source:
-    """The thesis's motor, simulated; without a parameter file the observer starts off by three.
+    """A simulated motor; without a parameter file the observer is told its constants.
 
     Args:
         run: folder for the files that it needs.
         params: the observer's parameter file, if the user has one.
-        excitation: voltage signal in the language of the simulator.
+        motor: which one.
+        excitation: voltage signal in the language of the simulator; None for the motor's own.
         duration_s: simulated and real seconds.
         seed: of everything random.
         torque_noise: as a fraction of the standard deviation of the torque.
     """
     truth = run / 'truth.yaml'
     truth.write_text(
-        yaml.safe_dump({'motors': {'motor': TRUTH}}, sort_keys=False), encoding='utf-8'
+        yaml.safe_dump({'motors': {'motor': dict(motor.truth)}}, sort_keys=False), encoding='utf-8'
     )
     parameters = {
-        'excitation': excitation,
+        **motor.node,
+        'excitation': excitation or motor.excitation,
         'duration_s': duration_s,
         'seed': seed,
-        'torque_noise_relative': torque_noise,
+        **_noise(motor, torque_noise),
         'wait_for_subscribers': READERS_OF_TORQUE,
         'wait_timeout_s': START_PATIENCE_S,
         'motors': ['motor'],
-        'motor': TRUTH,
+        'motor': {**motor.truth, **motor.simulated},
     }
     if params is None:
-        initial = {name: FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
-        known = {**DEMO_CONSTANTS, 'initial': initial}
+        known = dict(motor.known)
+        if motor.guess_factor:
+            known['initial'] = {
+                name: motor.guess_factor * value for name, value in motor.truth.items()
+            }
         params = write_parameters(run / 'observer.yaml', {'motors': ['motor'], 'motor': known})
     file = write_parameters(run / 'simulator.yaml', parameters)
     command = (executable('dc_motor_sim', 'motor_sim'), '--ros-args', '--params-file', file)
     return Source('simulator', command, duration_s, params, truth, record_all=False)
+
+
+def _noise(motor: DemoMotor, fraction: float) -> dict[str, float]:
+    """Return the simulator's parameter of the torque noise."""
+    if motor.torque_spread_nm:
+        return {'torque_noise_std': fraction * motor.torque_spread_nm}
+    return {'torque_noise_relative': fraction}
 
 
 def replay(run: Path, params: Path | None, *, bag: Path, rate: float) -> Source:

@@ -103,6 +103,8 @@ class Watch:
             name: math.sqrt(v) if v >= 0 else math.nan
             for name, v in zip(names, variances, strict=True)
         }
+        estimates = self.estimates.get(motor, {})  # parameters go where a rotor is found
+        self.estimates[motor] = {name: v for name, v in estimates.items() if name in names}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         ours = [status for status in message.status if OBSERVER in status.name]

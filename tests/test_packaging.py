@@ -31,6 +31,9 @@ WITHOUT_ROSDEP_KEY = {
         'dask',
         'distributed',
         'pyarrow',
+        'rich',
+        'scipy',
+        'tornado',
     )
 } | {'mcap_ros2': 'mcap-ros2-support'}
 

@@ -64,6 +64,9 @@ setup(
             'report/run/*.css',
             'report/run/*.html',
             'predictor/*.safetensors',
+            'watching/dashboard/*.html',
+            'watching/dashboard/*.js',
+            'watching/dashboard/*.css',
         ]
     },
     install_requires=['setuptools', 'numpy', 'PyYAML'],
@@ -79,6 +82,8 @@ setup(
             'recorder = gray_box_observer.executables:recorder',
             'player = gray_box_observer.executables:player',
             'identify = gray_box_observer.executables:identify',
+            'watch = gray_box_observer.executables:watch',
+            'dashboard = gray_box_observer.executables:dashboard',
         ]
     },
 )

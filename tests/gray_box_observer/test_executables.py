@@ -61,7 +61,9 @@ def test_a_missing_package_is_one_line_that_says_what_to_install(
     assert said.count('\n') == 1
 
 
-@pytest.mark.parametrize('executable', ['observer', 'recorder', 'player', 'identify'])
+@pytest.mark.parametrize(
+    'executable', ['observer', 'recorder', 'player', 'identify', 'watch', 'dashboard']
+)
 def test_with_every_package_an_executable_is_the_command_of_its_module(
     executable: str,
 ) -> None:

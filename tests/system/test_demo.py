@@ -16,6 +16,10 @@ from types import ModuleType
 import psutil
 import pytest
 
+from gray_box_observer.bag.joint_state import TYPE_NAME as JOINT_STATE
+from gray_box_observer.bag.joint_state import encode_joint_state
+from gray_box_observer.bag.writer import BagWriter
+
 ROOT = Path(__file__).resolve().parents[2]
 DEMO = ROOT / 'ros_ws' / 'demo.py'
 
@@ -76,6 +80,38 @@ def test_a_file_that_is_no_truth_is_refused_by_name(result: ModuleType, tmp_path
     path.write_text('resistance: 1.0')
     with pytest.raises(result.DemoError, match=r'truth\.yaml is no truth file'):
         result.load_truth(path)
+
+
+def test_predictions_score_from_the_first_identified_sample_on(result: ModuleType, tmp_path: Path):
+    """The way in, with an error of 100 %, is no score; afterwards the error is a tenth."""
+    truth = [1.0 if k % 2 else -1.0 for k in range(200)]
+    predicted = [0.0 if k < 100 else 0.9 * truth[k] for k in range(200)]
+    with BagWriter(tmp_path / 'bag') as writer:
+        for topic in ('/motor/torque', '/gray_box_observer/predicted_torque'):
+            writer.add_topic(topic, JOINT_STATE, '')
+        writer.add_topic('/gray_box_observer/motor/identified', 'std_msgs/msg/Bool', '')
+        for k in range(200):
+            at_ns = (k + 1) * 10_000_000
+            for topic, value, later_ns in (
+                ('/gray_box_observer/predicted_torque', predicted[k], 0),
+                ('/motor/torque', truth[k], 1),
+            ):
+                data = encode_joint_state(at_ns, ('motor',), effort=(value,))
+                writer.write(topic, data, at_ns + later_ns, at_ns + later_ns)
+            said = bytes([0, 1, 0, 0, int(k >= 99)])
+            writer.write('/gray_box_observer/motor/identified', said, at_ns + 2, at_ns + 2)
+    scores = result.prediction_scores(tmp_path / 'bag')
+    score = scores['motor']
+    assert (score['samples'], score['since_s']) == (100, 0.99)
+    assert score['nmae'] == pytest.approx(0.1)
+    assert score['skill_vs_persistence'] == pytest.approx(0.95)
+    assert 'an error of 10 % of its spread, 95 % better' in result.scores_text(scores)
+
+
+def test_without_an_identified_sample_there_is_no_score(result: ModuleType):
+    score = {'samples': 0, 'since_s': None, 'nmae': None, 'skill_vs_persistence': None}
+    assert result.scores_text({'m': score}) == 'm: not every parameter was identified'
+    assert 'no torque was predicted' in result.scores_text({'m': {**score, 'since_s': 2.0}})
 
 
 def test_lost_samples_are_said(result: ModuleType):
@@ -169,8 +205,23 @@ def test_a_short_demo_identifies_the_motor_and_loses_no_sample(tmp_path: Path):
     assert set(parameters) == {'inductance', 'resistance', 'hysteresis'}
     assert all(abs(entry['error_percent']) < 20.0 for entry in parameters.values()), parameters
     assert '800 torque samples recorded, 800 used' in errors
+    assert 'watch it live: http://127.0.0.1:' in errors
+    assert answer['prediction']['motor']['nmae'] < 0.1
     assert Path(answer['bag'], 'metadata.yaml').is_file()
     assert '<html' in Path(answer['report']).read_text(encoding='utf-8')[:2000].lower()
+
+
+@pytest.mark.system
+def test_a_motor_whose_speed_nobody_measures_is_found_to_have_a_rotor(tmp_path: Path):
+    demo = start_demo('--motor', 'geared', '--duration', '5', '--runs', tmp_path, '--no-dashboard')
+    output, errors = demo.communicate(timeout=240)
+    assert demo.returncode == 0, errors
+    parameters = json.loads(output)['motors']['motor']
+    assert set(parameters) == {
+        *('inductance', 'resistance', 'inertia', 'viscous_friction', 'coulomb_friction')
+    }
+    assert abs(parameters['resistance']['error_percent']) < 2.0
+    assert 'watch it live' not in errors
 
 
 @pytest.mark.system

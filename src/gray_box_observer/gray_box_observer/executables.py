@@ -59,6 +59,16 @@ def identify(args: Sequence[str] | None = None) -> int:
     return _start('identify', 'gray_box_observer.identify.command', args, is_node=False)
 
 
+def watch(args: Sequence[str] | None = None) -> int:
+    """Start the table of observers; the result is the exit code."""
+    return _start('watch', 'gray_box_observer.ros.watching.watch_command', args)
+
+
+def dashboard(args: Sequence[str] | None = None) -> int:
+    """Start the page of observers; the result is the exit code."""
+    return _start('dashboard', 'gray_box_observer.ros.watching.dashboard_command', args)
+
+
 def settle_memory() -> None:
     """Let the C library give large blocks back, however many there have been.
 

@@ -17,8 +17,9 @@ from launch_ros.parameter_descriptions import ParameterValue
 from gray_box_observer.ros import discovery, launch_arguments
 
 ARGUMENTS = {
-    'excitation': ('R[5,15]D[1,20]', 'voltage signal of the simulator'),
+    'excitation': ('R[5,15]D[0.3,3]', 'voltage signal of the simulator'),
     'duration': ('60.0', 'seconds'),
+    'torque_noise': ('0.01', 'noise of the torque, as a fraction of its standard deviation'),
     'output': (
         '',
         'folder of the bag, which must not exist yet; empty: demo_bag, or demo_bag_2 and so on',
@@ -40,6 +41,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
         'params_file', LaunchConfiguration('params_file').perform(context)
     )
     duration = LaunchConfiguration('duration').perform(context)
+    torque_noise = LaunchConfiguration('torque_noise').perform(context)
     output = LaunchConfiguration('output').perform(context)
     motor = {f'motor.{name}': value for name, value in TRUTH.items()}
     guess = {f'motor.initial.{name}': FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
@@ -47,6 +49,7 @@ def make_nodes(context: LaunchContext) -> list[Node]:
     simulated = {
         'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
         'duration_s': launch_arguments.number('duration', duration),
+        'torque_noise_relative': launch_arguments.number('torque_noise', torque_noise),
         'wait_for_subscribers': READERS_OF_TORQUE,
     }
 

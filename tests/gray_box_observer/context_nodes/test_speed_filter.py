@@ -101,3 +101,22 @@ def test_the_record_of_the_simulator_agrees() -> None:
     estimate = filtered(THETA, record.voltage_v[0], measured, noise_a)[SETTLED:, 0]
     error = estimate - record.speed_rad_s[0, SETTLED:]
     assert np.sqrt(np.mean(error**2)) < 0.01 * record.speed_rad_s[0].std()
+
+
+def test_compiled_code_gives_the_same_speed() -> None:
+    theta, voltage, current, _ = simulated(1, 0.1, count=400)
+    noise_a = 0.01 * float(current.std())
+    measured = current + np.random.default_rng(2).normal(0.0, noise_a, current.size)
+    measured[100] += 50.0 * noise_a
+    box = MotorWhiteBox(NODES, KT, {'back_emf_constant': KB})
+    one, other = SpeedFilter(box), SpeedFilter(box, compiled=False)
+    for k, value in enumerate(measured.tolist()):
+        interval_s = 0.0 if k in (0, 200) else INTERVAL_S
+        told = [
+            each.step(theta, noise_a, interval_s, float(voltage[max(k - 1, 0)]), value, 0.01)
+            for each in (one, other)
+        ]
+        assert told[0] is not None
+        assert told[1] is not None
+        assert told[0].speed_rad_s == pytest.approx(told[1].speed_rad_s, rel=1e-8, abs=1e-8)
+        assert told[0].std_rad_s == pytest.approx(told[1].std_rad_s, rel=1e-6)

@@ -114,7 +114,7 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
     found = json.loads(json_file.read_text(encoding='utf-8'))['motors']['motor']
     assert found['speed_source'] == 'rotor'
     assert found['fit']['verdict'] == 'ok'
-    assert found['predictor'] is None
+    assert found['predictor']['nmae'] < 0.05
     for name in ('resistance', 'inertia'):
         parameter, truth = found['parameters'][name], getattr(GEAR_MOTOR, name)
         assert parameter['verdict'] == 'identified', name
@@ -136,3 +136,33 @@ def test_with_a_rotor_as_a_hidden_state_the_same_motor_is_identified(
         derived = found['derived'][name]
         assert derived['value'] == pytest.approx(truth, rel=0.03), name
         assert 0.0 < derived['std'] < 0.05 * truth, name
+
+
+@pytest.mark.slow
+def test_a_free_rotor_is_predicted_and_validated(
+    tmp_path: Path,
+    messages_of: Callable[..., Any],
+    write_bag: Callable[..., Path],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    bags = []
+    for seed, duration_s in ((1, 4.0), (2, 1.5)):
+        simulation = Simulation(
+            {'motor': GEAR_MOTOR}, 'R[-12,12]D[0.1,0.5]', seed=seed, speed_mode='rotor',
+            sample_rate_hz=500.0, torque_noise_std=2e-3,
+        )  # fmt: skip
+        bags.append(write_bag(tmp_path / f'run{seed}', messages_of(simulation.record(duration_s))))
+    params = tmp_path / 'p.yaml'
+    constants = 'torque_constant: 0.3, back_emf_constant: 0.3, speed_source: rotor'
+    params.write_text(f'/**:\n  ros__parameters:\n    motor: {{{constants}}}\n')
+    known, asked = map(str, bags)
+    command = ['identify', known, '--params', str(params), '--validate', asked, '--json', '-']
+    assert main(command) == 0
+    motor = json.loads(capsys.readouterr().out)['motors']['motor']
+    assert motor['speed_source'] == 'rotor'
+    assert motor['predictor']['nmae'] < 0.05
+    assert motor['alarms'] == {'raised': 0, 'first_s': None}
+    validation = motor['validation']
+    assert validation['predictor'] is True
+    assert validation['nmae'] < 0.05
+    assert validation['persistence']['nmae'] > 10.0 * validation['nmae']

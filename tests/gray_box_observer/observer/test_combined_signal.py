@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer.input_alignment import InputAlignment
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
@@ -181,8 +180,9 @@ def test_several_motors_and_one_number_are_refused() -> None:
             'duty.topic': 'duty',
         }
     )
-    with pytest.raises(ConfigurationError, match='one number, but there are 2 motors'):
-        taker.ingest('voltage', SimpleNamespace(data=1.0), 5, 'duty')
+    assert taker.ingest('voltage', SimpleNamespace(data=1.0), 5, 'duty').groups == []
+    assert taker.rejected['voltage'] == {Rejection.MALFORMED: 1}
+    assert 'one number, but there are 2 motors' in taker.complaints['voltage']
 
 
 def test_a_message_that_cannot_be_read_is_counted_and_nothing_is_lost() -> None:

@@ -161,7 +161,7 @@ def test_a_message_whose_values_do_not_fit_its_names_is_counted(message: Any) ->
 
 
 def test_a_number_without_a_name_cannot_belong_to_several_motors() -> None:
-    with pytest.raises(ConfigurationError, match=r'is one number.* but there are 2 motors'):
+    with pytest.raises(SampleError, match=r'is one number.* but there are 2 motors'):
         signal(torque__field='data', motors=['a', 'b']).read(SimpleNamespace(data=1.0))
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from dc_motor_sim.simulation import Recording
 from gray_box_observer.context_nodes import Verdict
-from gray_box_observer.errors import ConfigurationError
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.observer import Observer, Result
 from gray_box_observer.predictor import InlineTraining, Predictor
 from gray_box_observer.predictor.elementwise import Floats
 from gray_box_observer.predictor.steady_state import course, flow
+from gray_box_observer.samples import Rejection
 from gray_box_observer.settings.configuration import Configuration
 from gray_box_observer.white_box import MotorWhiteBox
 
@@ -401,22 +401,23 @@ def test_a_motor_whose_torque_brings_speed_has_measured_speed() -> None:
 
 
 @pytest.mark.parametrize(
-    ('given', 'message'),
+    'given',
     [
-        ({'motor.speed_source': 'measured'}, 'motor motor: speed_source is measured, but'),
-        (
-            {'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant']},
-            'back_emf_constant cannot be told from resistance without measured speed',
-        ),
+        {'motor.speed_source': 'measured'},
+        {'motor.context_nodes': ['inductance', 'resistance', 'back_emf_constant']},
     ],
+    ids=['measured', 'Kb among the context nodes'],
 )
-def test_a_promised_speed_that_does_not_come_is_an_error_that_says_so(
-    given: dict[str, Any], message: str
+def test_torque_without_the_speed_that_a_motor_needs_is_counted_until_speed_comes(
+    given: dict[str, Any],
 ) -> None:
     one = observer(**given)
     one.voltage('motor', 0, 5.0)
-    with pytest.raises(ConfigurationError, match=message):
-        one.torque('motor', 0, 0.1)
+    assert one.torque('motor', 0, 0.1) == []
+    assert one.counts('motor').rejected == {Rejection.NO_SPEED: 1}
+    one.voltage('motor', 10_000_000, 5.0)
+    assert len(one.torque('motor', 10_000_000, 0.1, 3.0)) == 1
+    assert one.motors['motor'].white_box.speed_measured
 
 
 def test_flush_learns_what_still_waits(record: Callable[..., Recording]) -> None:

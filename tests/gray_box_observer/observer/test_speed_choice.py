@@ -12,7 +12,9 @@ import pytest
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.simulation import Recording, Simulation
 from gray_box_observer.checkpoints import checkpoint
+from gray_box_observer.observer.builder import motor_observer
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
 
 GEAR_MOTOR = PlantParameters(
@@ -109,6 +111,41 @@ def test_a_restored_motor_has_the_form_that_it_had(tmp_path: Path) -> None:
     assert motor.speed_reason == before.motors['motor'].speed_reason
     assert np.array_equal(motor.estimate.value, before.motors['motor'].estimate.value)
     assert motor.state()[0]['speed'] == before.motors['motor'].state()[0]['speed']
+
+
+def samples_of(record: Recording) -> list[Sample]:
+    """Return samples as pairing would make them."""
+    return [
+        Sample.of_one_motor(
+            stamp,
+            1e-3 if k else 0.0,
+            float(record.voltage_v[0, max(k - 1, 0)]),
+            float(record.torque_nm[0, k]),
+        )
+        for k, stamp in enumerate(record.stamp_ns.tolist())
+    ]
+
+
+def test_a_trial_under_way_goes_on_bit_for_bit_where_it_is_restored() -> None:
+    configuration = Configuration.from_flat(CONSTANTS)
+    motors = list(configuration.motors.values())
+    through = motor_observer(configuration, motors, None, speed_measured=False)
+    restored = None
+    for sample in samples_of(recorded(GEAR_MOTOR, LIVELY, 1.5, 1)):
+        through.step(sample)
+        if restored is not None:
+            restored.step(sample)
+            continue
+        plain, arrays = through.state()
+        if plain['speed'].get('trial', {}).get('pieces', 0) > 5:
+            restored = motor_observer(configuration, motors, None, speed_measured=False)
+            restored.restore(plain, {name: array.copy() for name, array in arrays.items()})
+    assert restored is not None, 'no trial took more than a sample'
+    assert through.white_box.speed_source == restored.white_box.speed_source == 'rotor'
+    one, other = through.estimate(), restored.estimate()
+    assert one.value.tobytes() == other.value.tobytes()
+    assert one.covariance.tobytes() == other.covariance.tobytes()
+    assert through.state()[0]['speed'] == restored.state()[0]['speed']
 
 
 def test_the_choice_does_not_depend_on_when_deferred_work_is_done() -> None:

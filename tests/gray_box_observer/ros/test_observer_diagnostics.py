@@ -119,7 +119,7 @@ def test_refusals_name_what_to_look_at(rig, record):
         DiagnosticStatus.WARN, 'messages refused in 1 s: see rejected (names and values differ'
     )
     rig.wait_for_level(
-        DiagnosticStatus.STALE, 'could be read: see rejected (1 names but 0 values of effort)'
+        DiagnosticStatus.ERROR, 'could be read: see rejected (1 names but 0 values of effort)'
     )
     rig.send(recording, range(100))
     rig.wait_for(samples_used=100)

@@ -296,6 +296,24 @@ def test_silence_is_explained_nobody_there_another_type_and_other_names(rig):
     )
 
 
+def test_one_number_for_several_motors_is_counted_and_told_and_ends_nothing(rig):
+    rig.start(
+        motors='[left, right]',
+        voltage__type='std_msgs/msg/Float64',
+        voltage__field='data',
+    )
+    volts = rig.peer.publisher(Float64, 'motor/voltage', RELIABLE, readers=1)
+    for _ in range(3):
+        volts.publish(Float64(data=6.0))
+    rig.wait_for_level(
+        DiagnosticStatus.ERROR,
+        'voltage.field data is one number, but there are 2 motors: use a message with names',
+    )
+    volts.publish(Float64(data=6.0))
+    rig.wait_for_level(DiagnosticStatus.ERROR, 'no message so far could be read')
+    assert rig.process.poll() is None
+
+
 def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(
     rig, record, learnt_offline
 ):

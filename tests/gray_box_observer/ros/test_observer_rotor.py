@@ -41,9 +41,15 @@ def test_the_nodes_of_a_rotor_are_published_and_survive_a_restart(rig, tmp_path)
     )  # fmt: skip
     recording = simulation.record(2.3)
     resume = {'checkpoint__path': path, 'checkpoint__resume': 'true'}
-    rig.start(**ROTOR, **resume)
+    rig.start(**ROTOR, **resume, predictor='true')
     rig.send(recording, range(2000))
     rig.wait_for(samples_used=2000)
+    rig.peer.wait(lambda: len(rig.predicted) > 100, 'predicted torques')
+    assert rig.predicted[-1].name == ['motor']
+    stamp = rig.predicted[-1].header.stamp
+    k = int(np.flatnonzero(recording.stamp_ns == stamp.sec * 10**9 + stamp.nanosec - 10**9)[0])
+    spread = recording.torque_nm[0].std()
+    assert rig.predicted[-1].effort[0] == pytest.approx(recording.torque_nm[0, k], abs=0.1 * spread)
     learnt = {name: rig.latched(Float64, f'motor/{name}').data for name in NODES}
     for name in ('inductance', 'resistance', 'inertia'):
         assert learnt[name] == pytest.approx(getattr(PLANT, name), rel=0.02), name

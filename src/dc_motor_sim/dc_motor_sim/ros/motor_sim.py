@@ -88,7 +88,8 @@ class MotorSim(Node):
         self._created_ns = time.monotonic_ns()
         self._torque_matched_ns: int | None = None
         self._all_matched_ns: int | None = None
-        self._with_speed = self._options.speed_measured or self._options.speed_mode == 'rotor'
+        has_encoder = self._options.speed_mode == 'rotor' and not self._options.speed_hidden
+        self._with_speed = self._options.speed_measured or has_encoder
 
         names = list(self._simulation.motors)
         self._voltage = JointState(name=names)

@@ -64,7 +64,13 @@ class NodeParameters:
     )
     speed_measured: bool = field(
         default=False,
-        metadata=about('publish the speed in thesis mode too (rotor mode always does)'),
+        metadata=about(
+            'publish the speed in thesis mode too (rotor mode does unless speed_hidden)'
+        ),
+    )
+    speed_hidden: bool = field(
+        default=False,
+        metadata=about('in rotor mode, publish no speed: a motor without encoder'),
     )
     solver_step_s: float = field(
         default=0.01,

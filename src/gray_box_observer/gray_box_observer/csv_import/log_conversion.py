@@ -1,4 +1,4 @@
-"""Turns a measurement log (CSV, or columns between blanks) into a bag for the observer."""
+"""Turns a measurement log (CSV, columns between blanks, MAT) into a bag for the observer."""
 
 from __future__ import annotations
 

@@ -2,6 +2,7 @@
 
 Every row must have the cells that the first one promises, and a cell that is asked for must be a
 number in ASCII digits: a log that could mean something else is refused by line, column and content.
+Of a MAT file (`mat_table.py`) the vectors are the columns.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gray_box_observer.csv_import.mat_table import is_mat, read_vectors, vector_names
 from gray_box_observer.errors import BagError, InputError, brief
 from gray_box_observer.safe_io.input_files import open_regular
 from gray_box_observer.safe_io.plain_number import parse_float
@@ -65,6 +67,9 @@ def look_at(path: Path) -> TableShape:
     Raises:
         BagError: The log cannot be read or holds no rows.
     """
+    if is_mat(path):
+        names = vector_names(path)
+        return TableShape(names, len(names), None)
     rows = _rows(path)
     line_number, line = next(rows, (0, ''))
     if not line:
@@ -97,6 +102,10 @@ def read_columns(path: Path, shape: TableShape, column_numbers: Collection[int])
     Raises:
         BagError: A row has other cells than the first, or a wanted cell is no number; says where.
     """
+    if is_mat(path):
+        vectors = read_vectors(path, shape.names, column_numbers)
+        row_count = next(iter(vectors.values())).size
+        return Columns(vectors, np.arange(1, row_count + 1))
     rows = _rows(path)
     if shape.names:
         next(rows, None)

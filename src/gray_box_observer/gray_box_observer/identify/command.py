@@ -106,8 +106,8 @@ def _parser() -> argparse.ArgumentParser:
         nargs='+',
         type=Path,
         metavar='LOG.csv',
-        help='make the bag BAG of this log first (it must not exist yet); of several logs as many '
-        'bags, which are one recording',
+        help='make the bag BAG of this log first (it must not exist yet), a CSV or a MAT file of '
+        'vectors; of several logs as many bags, which are one recording',
     )
     parser.add_argument(
         '--columns',

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import SampleError
 from gray_box_observer.expressions.formula import Formula, Name, Value
 from gray_box_observer.observer.input_alignment import Aligned, InputAlignment, stale_limits
 from gray_box_observer.observer.signal_reading import Reading, Signal
@@ -133,14 +133,14 @@ class CombinedSignal:
         """Return the motors that every input with names speaks of.
 
         Raises:
-            ConfigurationError: no input has names, and there are several motors.
+            SampleError: no input has names, and there are several motors.
         """
         lists = list(
             dict.fromkeys(one.names for one in readings.values() if one.names is not OF_EVERY_MOTOR)
         )
         if not lists:
             if len(self._motors) != 1:
-                raise ConfigurationError(
+                raise SampleError(
                     f'{self.name}.expression is one number, but there are {len(self._motors)} '
                     'motors: use an input with names, or one observer a motor'
                 )

@@ -198,7 +198,12 @@ class Grouping:
         uses_speed = first.values['speed_source'] not in ('torque_constant', 'rotor')
         rules = pairing_rules(self._configuration)
         return Pairing(
-            rules, len(names), own_speed=own_speed, uses_speed=uses_speed, delay_s=first.delay_s
+            rules,
+            len(names),
+            own_speed=own_speed,
+            uses_speed=uses_speed,
+            needs_speed=first.needs_speed,
+            delay_s=first.delay_s,
         )
 
     def pairing_of(self, group: Group) -> Pairing:

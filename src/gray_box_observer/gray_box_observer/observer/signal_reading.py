@@ -106,9 +106,8 @@ class Signal:
 
         Raises:
             SampleError: names and values differ in number, an array is too short or too long for
-                the field, or a motor is named twice.
-            ConfigurationError: the message has no such field, or one value stands for several
-                motors.
+                the field, a motor is named twice, or one value stands for several motors.
+            ConfigurationError: the message has no such field.
         """
         try:
             value = self._path(message)
@@ -204,7 +203,7 @@ class Signal:
 
     def _only_motor(self) -> tuple[str, ...]:
         if len(self._motors) != 1:
-            raise ConfigurationError(
+            raise SampleError(
                 f'{self.name}.field {self._path.text} is one number, but there are '
                 f'{len(self._motors)} motors: '
                 'use a message with names, or one observer a motor'

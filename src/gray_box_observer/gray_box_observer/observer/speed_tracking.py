@@ -25,8 +25,8 @@ class SpeedTracking:
 
     Attributes:
         newest: the speed at the newest sample; None where none may be believed.
-        followed: the same, whether the white box explains the data or not; None where L and R are
-            not known.
+        followed: the same, whether the white box explains the data or not; None where R is not
+            known.
         stall: whether the rotor stands still though it is driven.
     """
 
@@ -55,11 +55,13 @@ class SpeedTracking:
             if name in ('inductance', 'resistance')
         ]
         stds = {place: math.sqrt(max(float(covariance[place, place]), 0.0)) for place in places}
-        self._is_known = all(std < LARGEST_STD * float(theta[place]) for place, std in stds.items())
+        known = {place: std < LARGEST_STD * float(theta[place]) for place, std in stds.items()}
+        # L may be withheld for its stamps alone, which hardly moves the speed
+        self._is_known = known[places[-1]]
         resistance = self._white_box.known.get('resistance', theta[places[-1]])
         self._constants = float(resistance), float(self._white_box.known['back_emf_constant'])
         self._resistance_std = stds[places[-1]] if len(places) > 1 else 0.0
-        self._is_credible = self._is_known and fit.verdict is not FitVerdict.MISFIT
+        self._is_credible = all(known.values()) and fit.verdict is not FitVerdict.MISFIT
 
     def step(self, sample: Sample, theta: Array) -> SpeedEstimate | None:
         """Go on by one sample; return its speed where that may be believed.

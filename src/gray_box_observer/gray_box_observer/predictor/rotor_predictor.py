@@ -18,6 +18,7 @@ from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.context_nodes.rotor.speed_filter import SpeedEstimate
 from gray_box_observer.predictor.forecaster import ForecastRequest
+from gray_box_observer.predictor.held_speed import held_speed_current
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
 from gray_box_observer.predictor.residual_model import Recollection
 from gray_box_observer.predictor.steady_state import Course
@@ -215,20 +216,6 @@ class RotorPredictor(TorquePredictor):
         return ForecastRequest(
             interval_s, np.array([volt]), np.array([speed]), theta, way, usable=True
         )
-
-
-def held_speed_current(values: dict[str, float], voltage_v: Array, speed_rad_s: Array) -> Array:
-    """Return the current in A that balances a voltage while the rotor holds its speed.
-
-    The brush drop is left out: what is learnt beside the physics sees a feature, not a forecast.
-
-    Args:
-        values: parameters by name.
-        voltage_v: of any shape.
-        speed_rad_s: of the same shape.
-    """
-    ohms = values['resistance'] + values.get('hysteresis', 0.0) * np.abs(speed_rad_s)
-    return np.asarray((voltage_v - values['back_emf_constant'] * speed_rad_s) / ohms)
 
 
 def _parts(instants_s: Array) -> Array:

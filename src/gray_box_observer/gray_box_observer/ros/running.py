@@ -120,6 +120,7 @@ def run_node(
     *,
     name: str,
     executor_factory: Callable[[], Executor] = make_executor,
+    tells_range: bool = True,
 ) -> int:
     """Run one node until it is asked to end; the result is the exit code of the process.
 
@@ -133,6 +134,7 @@ def run_node(
         args: The whole command line with the program's name first; None means ``sys.argv``.
         name: The executable's name, which starts the error line.
         executor_factory: Makes the executor once rclpy is initialised.
+        tells_range: Log that discovery stays on this host, where nobody has decided otherwise.
 
     Returns:
         0 after a clean end, 2 after an error the user must act on.
@@ -147,7 +149,7 @@ def run_node(
                 signal_handler_options=SignalHandlerOptions.NO,
             )
             node = make_node(stop)
-            if kept_here:
+            if kept_here and tells_range:
                 node.get_logger().info(discovery.OPENED_BY)
         except GrayBoxError as error:
             return _fail(name, error)

@@ -72,6 +72,7 @@ class Pairing:
             between its samples.
         uses_speed: whether the motor is observed with the speed that its first sample brings, if it
             brings one.
+        needs_speed: whether nothing can be learnt of the motor without speed.
         delay_s: voltage acts that much later than its stamp says; negative where its stamp comes
             late.
 
@@ -89,12 +90,13 @@ class Pairing:
 
     def __init__(
         self, rules: PairingSettings | None = None, motors: int = 1, *, own_speed: bool = False,
-        uses_speed: bool = True, delay_s: float = 0.0,
+        uses_speed: bool = True, needs_speed: bool = False, delay_s: float = 0.0,
     ) -> None:  # fmt: skip
         self.motors = motors
         self._own_speed = own_speed
         self._uses_speed = uses_speed
-        self.needs_speed: bool | None = True if own_speed else None
+        self._always_needs_speed = own_speed or needs_speed
+        self.needs_speed: bool | None = True if self._always_needs_speed else None
         self._delay_ns = 0
         self.reconfigure(rules or PairingSettings())
         self.refused: Refused = {signal: Counter() for signal in ('voltage', 'torque', 'speed')}
@@ -213,6 +215,7 @@ class Pairing:
             len(motors),
             own_speed=self._own_speed,
             uses_speed=self._uses_speed,
+            needs_speed=self._always_needs_speed,
             delay_s=delay_s,
         )
         index = motors[0] if len(motors) == 1 else list(motors)

@@ -128,6 +128,15 @@ class MotorConfiguration:
         """Whether Kb is stated; else a rotor takes it for Kt, which it nearly is in SI units."""
         return BACK_EMF in self.stated
 
+    @property
+    def needs_speed(self) -> bool:
+        """Whether nothing can be learnt of it before speed is measured."""
+        source = self.values['speed_source']
+        nodes = self.values['context_nodes']
+        return source == 'measured' or (
+            source == 'auto' and any(TERMS[name].needs_speed for name in nodes)
+        )
+
     def with_rotor(self) -> MotorConfiguration:
         """Return the same motor with its speed a hidden state.
 

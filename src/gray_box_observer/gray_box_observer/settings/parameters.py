@@ -281,6 +281,19 @@ OBSERVER_PARAMETERS: tuple[ParameterSpec, ...] = (
         1e6,
         live=True,
     ),
+    ParameterSpec(
+        'dashboard.port',
+        0,
+        'Port of a page that shows the motors live in a browser; 0: none.',
+        0,
+        65_535,
+    ),
+    ParameterSpec(
+        'dashboard.address',
+        '127.0.0.1',
+        'Address that this page is served on: this host only; whoever reaches another one may '
+        'look.',
+    ),
 )
 """Parameters of the node as a whole."""
 
@@ -333,14 +346,15 @@ MOTOR_PARAMETERS: tuple[ParameterSpec, ...] = (
         'context_nodes',
         ['inductance', 'resistance', 'hysteresis'],
         'Parameters to identify; inductance first. With speed_source rotor hysteresis gives way to '
-        'inertia, viscous_friction and coulomb_friction unless it is stated.',
+        'inertia, viscous_friction and coulomb_friction unless it is stated. With speed_source '
+        'measured these three, and load_torque, may be added.',
     ),
     *_known_values(own=False),
     ParameterSpec(
         'speed_source',
         'auto',
         'measured: speed is a signal; torque_constant: w = Kt i (thesis); rotor: a hidden state '
-        '(recursive rule, no predictor); auto: measured where torque brings speed, '
+        '(recursive rule); auto: measured where torque brings speed, '
         'else torque_constant until the data tell a rotor.',
         choices=('auto', 'measured', 'torque_constant', 'rotor'),
     ),

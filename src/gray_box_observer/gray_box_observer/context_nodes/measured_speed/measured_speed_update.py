@@ -87,6 +87,7 @@ and the least of it that counts."""
 STILL = 1e-6
 """Range of the speed in rad/s in which a rotor stands still, or its sensor does."""
 
+_CHANGED, _UNCHANGED = np.ones(1, dtype=bool), np.zeros(1, dtype=bool)
 _PREFIX = 'outputs.'
 _SAMPLES, _SHARES = 'measured_speed.samples', 'measured_speed.shares'
 _SPREAD = 'measured_speed.load_spread'
@@ -302,7 +303,7 @@ class MeasuredSpeedUpdate:
             has_changed = has_fitted or self._is_noisy != was_noisy
         if self._mechanics is not None:
             has_changed |= self._outputs.counters() != fits
-        self._changed = np.array([has_changed])
+        self._changed = _CHANGED if has_changed else _UNCHANGED
         return has_changed
 
     def _ask(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -67,8 +68,11 @@ class OutputUpdate(RotorUpdate):
 
     def remember(self, sample: Sample) -> None:
         """Take one sample; without its speed the speed before holds on."""
-        self._speed = np.where(np.isfinite(sample.speed_rad_s), sample.speed_rad_s, self._speed)
-        super().remember(sample._replace(speed_rad_s=self._speed))
+        if math.isfinite(sample.speed_rad_s[0]):
+            self._speed = sample.speed_rad_s
+        else:
+            sample = sample._replace(speed_rad_s=self._speed)
+        super().remember(sample)
 
     @property
     def unfitted(self) -> Array:

@@ -139,3 +139,104 @@ void whole_motor_by_knot(int64_t count, int64_t knots, const double *place, cons
         }
     }
 }
+
+enum { LOADED = STATES, FILTER_STATES };
+typedef struct {
+    double noise, no_load_speed, share, coarseness, slip, stall, furthest, memory, largest_step;
+    int64_t most_steps;
+} FilterSettings;
+
+int64_t whole_motor_filter_size(void) { return sizeof(FilterSettings); }
+
+/* How much every filter counts, by its log-likelihood. */
+static void shares_of(int64_t filters, const double *likelihood, double *share)
+{
+    double most = likelihood[0], sum = 0.0;
+    for (int64_t f = 1; f < filters; f++) most = larger(most, likelihood[f]);
+    for (int64_t f = 0; f < filters; f++) sum += share[f] = exp(likelihood[f] - most);
+    for (int64_t f = 0; f < filters; f++) share[f] /= sum;
+}
+
+/* One sample of the filters of rotor/speed_filter.py: predict about their common mean, correct by
+ * the measured current, mix. Room: `states` [filters][3], `covariance` [filters][3][3],
+ * `likelihood` and `share` [filters], `mixed` [2] for the speed and its variance. Returns 0 where
+ * the mean cannot be followed; then nothing has changed. */
+int64_t whole_motor_filter_step(const double *p, double torque_constant,
+                                const FilterSettings *set, const double *walks, int64_t filters,
+                                double length, double voltage, double reading, double *states,
+                                double *covariance, double *likelihood, double *share,
+                                double *mixed)
+{
+    double mean[FILTER_STATES] = {0}, loaded[COORDINATES];
+    shares_of(filters, likelihood, share);
+    for (int64_t f = 0; f < filters; f++)
+        for (int s = 0; s < FILTER_STATES; s++) mean[s] += share[f] * states[f * FILTER_STATES + s];
+    for (int j = 0; j < COORDINATES; j++) loaded[j] = p[j];
+    loaded[LOAD_TORQUE] = mean[LOADED];
+    int64_t taken = 0;
+    const Linear moved = interval_moved(loaded, torque_constant, mean, voltage, length,
+                                        set->largest_step, set->most_steps, &taken);
+    const double most[STATES] = {100.0 * (absolute(mean[CURRENT]) + set->noise) + 1e3,
+                                 100.0 * set->no_load_speed + absolute(mean[SPEED])};
+    for (int s = 0; s < STATES; s++)
+        if (!(absolute(moved.value[s]) <= most[s])) return 0;
+    double motion[FILTER_STATES][FILTER_STATES] = {{0}};
+    for (int s = 0; s < STATES; s++) {
+        for (int r = 0; r < STATES; r++) motion[s][r] = moved.by_state[s][r];
+        motion[s][LOADED] = moved.by_coordinate[s][LOAD_TORQUE];
+    }
+    motion[LOADED][LOADED] = 1.0;
+    const double end[FILTER_STATES] = {moved.value[CURRENT], moved.value[SPEED], mean[LOADED]};
+    const double current_noise = set->coarseness * set->noise;
+    const double slip = set->slip * set->no_load_speed;
+    for (int64_t f = 0; f < filters; f++) {
+        double *x = states + f * FILTER_STATES;
+        double *c = covariance + f * FILTER_STATES * FILTER_STATES;
+        double apart[FILTER_STATES], half[FILTER_STATES][FILTER_STATES];
+        for (int s = 0; s < FILTER_STATES; s++) apart[s] = x[s] - mean[s];
+        for (int s = 0; s < FILTER_STATES; s++) {
+            x[s] = end[s];
+            for (int r = 0; r < FILTER_STATES; r++) x[s] += motion[s][r] * apart[r];
+            for (int r = 0; r < FILTER_STATES; r++) {
+                half[s][r] = 0.0;
+                for (int k = 0; k < FILTER_STATES; k++)
+                    half[s][r] += motion[s][k] * c[k * FILTER_STATES + r];
+            }
+        }
+        for (int s = 0; s < FILTER_STATES; s++)
+            for (int r = 0; r < FILTER_STATES; r++) {
+                double sum = 0.0;
+                for (int k = 0; k < FILTER_STATES; k++) sum += half[s][k] * motion[r][k];
+                c[s * FILTER_STATES + r] = sum;
+            }
+        c[CURRENT * FILTER_STATES + CURRENT] += current_noise * current_noise;
+        c[SPEED * FILTER_STATES + SPEED] += set->share * slip * slip;
+        c[LOADED * FILTER_STATES + LOADED] += set->share * walks[f] * set->stall * set->stall;
+        const double variance = c[CURRENT] + set->noise * set->noise;
+        const double largest = set->furthest * sqrt(variance);
+        double innovation = reading - x[CURRENT];
+        innovation = smaller(larger(innovation, -largest), largest);
+        likelihood[f] *= set->memory;
+        likelihood[f] -= 0.5 * (log(variance) + innovation * innovation / variance);
+        double gain[FILTER_STATES], row[FILTER_STATES];
+        for (int s = 0; s < FILTER_STATES; s++) {
+            gain[s] = c[s * FILTER_STATES + CURRENT] / variance;
+            row[s] = c[CURRENT * FILTER_STATES + s];
+        }
+        for (int s = 0; s < FILTER_STATES; s++) {
+            x[s] += gain[s] * innovation;
+            for (int r = 0; r < FILTER_STATES; r++) c[s * FILTER_STATES + r] -= gain[s] * row[r];
+        }
+    }
+    shares_of(filters, likelihood, share);
+    double speed = 0.0, spread = 0.0;
+    for (int64_t f = 0; f < filters; f++) speed += share[f] * states[f * FILTER_STATES + SPEED];
+    for (int64_t f = 0; f < filters; f++) {
+        const double off = states[f * FILTER_STATES + SPEED] - speed;
+        const int64_t place = f * FILTER_STATES * FILTER_STATES + SPEED * FILTER_STATES + SPEED;
+        spread += share[f] * (covariance[place] + off * off);
+    }
+    mixed[0] = speed;
+    mixed[1] = spread;
+    return 1;
+}

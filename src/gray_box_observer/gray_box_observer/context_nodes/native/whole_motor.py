@@ -15,11 +15,21 @@ from gray_box_observer.white_box import forms
 _COUNT, _NUMBER, _POINTER = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
 
 
+class FilterSettings(ctypes.Structure):
+    """What a step of the speed's filters needs to know; the order is that of `whole_motor.c`."""
+
+    _fields_ = (
+        *((name, _NUMBER) for name in ('noise', 'no_load_speed', 'share', 'coarseness', 'slip')),
+        *((name, _NUMBER) for name in ('stall', 'furthest', 'memory', 'largest_step')),
+        ('most_steps', _COUNT),
+    )
+
+
 @cache
 def library() -> ctypes.CDLL | None:
     """Load the compiled code; None where there is none, or where it is of another motor."""
     handle = compiled.load()
-    if handle is None or not hasattr(handle, 'whole_motor_follow'):
+    if handle is None or not hasattr(handle, 'whole_motor_filter_step'):
         return None
     fingerprint, run = handle.whole_motor_fingerprint, handle.whole_motor_follow
     fingerprint.restype = run.restype = _COUNT
@@ -30,6 +40,14 @@ def library() -> ctypes.CDLL | None:
     by_knot = handle.whole_motor_by_knot
     by_knot.restype = None
     by_knot.argtypes = (_COUNT, _COUNT, _POINTER, _POINTER, _POINTER, _POINTER)
+    size, step = handle.whole_motor_filter_size, handle.whole_motor_filter_step
+    size.restype = step.restype = _COUNT
+    step.argtypes = (
+        *(_POINTER, _NUMBER, ctypes.POINTER(FilterSettings), _POINTER, _COUNT, _NUMBER, _NUMBER),
+        *(_NUMBER, _POINTER, _POINTER, _POINTER, _POINTER, _POINTER),
+    )
+    if size() != ctypes.sizeof(FilterSettings):
+        return None
     return handle if fingerprint() == forms.WHOLE_MOTOR_FINGERPRINT else None
 
 

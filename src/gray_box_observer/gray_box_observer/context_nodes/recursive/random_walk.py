@@ -86,24 +86,34 @@ def select_rate(
     Returns:
         The rate, shape (motor,), and what is believed at the end of the stretch under it.
     """
-    still = replace(walk, rate=np.zeros(start.state.size))
-    best, kept_still = _run(white_box, start, stretch, still, block)
-    rate, most = still.rate, np.zeros(start.state.size)
+    motors = start.state.size
+    tried = (0.0, *((0.0,) if jump is not None else ()), *RATES)
+    index = np.tile(np.arange(motors), len(tried))
+    jumps = np.arange(index.size) // motors == 1 if jump is not None else np.zeros(index.size, bool)
+    # side by side, for every motor learns what it would learn alone
+    end, fitted = _run(
+        white_box.of_motors(index),
+        start.select(index),
+        stretch.select(index),
+        replace(walk, rate=np.repeat(tried, motors)),
+        block,
+        jump,
+        jumps,
+    )
+    rows = np.split(np.arange(index.size), len(tried))
+    ends, kept_still = [end.select(row) for row in rows], fitted.select(rows[0])
+    evidences = [kept_still.less_likely_than(fitted.select(row)) for row in rows]
+    best, rate, most = ends[0], np.zeros(motors), np.zeros(motors)
     if jump is not None:
-        most = np.maximum(
-            most,
-            kept_still.less_likely_than(_run(white_box, start, stretch, still, block, jump)[1]),
-        )
+        most = np.maximum(most, evidences[1])
     most = most + WALK_EVIDENCE
-    for candidate in RATES:
-        rates = np.full(rate.size, candidate)
-        after, fitted = _run(white_box, start, stretch, replace(walk, rate=rates), block)
-        evidence = kept_still.less_likely_than(fitted)
+    walks = slice(-len(RATES), None)
+    for candidate, after, evidence in zip(RATES, ends[walks], evidences[walks], strict=True):
         better = evidence > most
         best, most, rate = (
             best.overwritten(after, better),
             np.fmax(evidence, most),
-            np.where(better, rates, rate),
+            np.where(better, candidate, rate),
         )
     return rate, best
 
@@ -121,6 +131,10 @@ class _Fitted:
     squares: Array
     size: Array
     count: Array
+
+    def select(self, index: NDArray[np.intp]) -> _Fitted:
+        """Return the same of the chosen motors."""
+        return _Fitted(self.squares[:, index], self.size[:, index], self.count[:, index])
 
     def less_likely_than(self, other: _Fitted) -> Array:
         """Log-likelihood that another run brings over this one, shape (motor,).
@@ -149,14 +163,18 @@ def _run(
     stretch: SampleWindow,
     walk: Walk,
     block: int,
-    jump: Jump | None = None,
+    jump: Jump | None,
+    jumps: NDArray[np.bool_],
 ) -> tuple[Belief, _Fitted]:
-    """Learn a window block by block; return the belief and the quality of its predictions."""
+    """Learn a window block by block; return the belief and the quality of its predictions.
+
+    Those motors jump that are marked so, shape (motor,).
+    """
     likelihoods = []
     for begin in range(0, stretch.restart.shape[1], block):
         part = stretch.part(begin, min(begin + block, stretch.restart.shape[1]))
         if jump is not None and begin <= jump.at < begin + block:
-            belief = belief.loosened(jump.directions)
+            belief = belief.overwritten(belief.loosened(jump.directions), jumps)
         predicted = block_step.predict(white_box, belief, part)
         likelihoods.append(block_step.likelihood(belief, predicted))
         belief = block_step.learn(

@@ -13,8 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gray_box_observer.context_nodes.native import whole_motor as native
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import STATES, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
+    LARGEST_STEP,
+    MOST_STEPS,
+    STATES,
+    run,
+)
 from gray_box_observer.white_box.declaration import TERMS, State
 from gray_box_observer.white_box.interface import Array
 from gray_box_observer.white_box.motor import MotorWhiteBox
@@ -45,6 +51,8 @@ FINEST = 3e-4
 FURTHEST = 5.0
 """Standard deviations of an innovation that count at most: an outlier moves the speed little."""
 
+_TO_WALKS = native.pointer(WALKS)
+
 LEAST_V = 1e-3
 """Voltage by which the no-load speed is reckoned at least."""
 
@@ -67,9 +75,17 @@ class SpeedFilter:
 
     Args:
         white_box: its physics.
+        compiled: whether compiled code is used where there is any; it gives the same to rounding.
     """
 
-    def __init__(self, white_box: MotorWhiteBox) -> None:
+    def __init__(self, white_box: MotorWhiteBox, *, compiled: bool = True) -> None:
+        self._library = native.library() if compiled else None
+        self._settings = native.FilterSettings(
+            coarseness=COARSENESS, slip=SLIP, furthest=FURTHEST, memory=MEMORY,
+            largest_step=LARGEST_STEP, most_steps=MOST_STEPS,
+        )  # fmt: skip
+        self._share = np.empty(WALKS.size)
+        self._mean = np.empty(2)
         self._white_box = white_box
         self._is_running = False
         self._states = np.zeros((WALKS.size, STATES + 1))
@@ -77,6 +93,9 @@ class SpeedFilter:
         self._log_likelihood = np.zeros(WALKS.size)
         self._values: Array | None = None
         self._p = np.empty(0)
+        self._pointers: tuple[int, ...] = ()
+        self._to_p = 0
+        self._torque_constant = float(white_box.torque_constant)
         self._resistance = self._back_emf = self._time_s = 0.0
         self._largest_v = LEAST_V
 
@@ -110,6 +129,10 @@ class SpeedFilter:
         self._largest_v = max(self._largest_v, abs(voltage_v))
         if begins:
             self._start(noise_a, voltage_v, current_a)
+        elif self._library is not None:
+            self._is_running = self._compiled_step(noise_a, interval_s, voltage_v, current_a)
+            speed, spread = self._mean.tolist()
+            return self._told(speed, spread, resistance_std * current_a / self._back_emf)
         else:
             self._is_running = self._predict(noise_a, interval_s, voltage_v)
         if self._is_running:
@@ -125,9 +148,11 @@ class SpeedFilter:
         values = {name: float(value) for name, value in box.known.items()}
         values |= dict(zip(box.context_nodes, theta.tolist(), strict=True))
         self._p = coordinates(box, theta)
+        self._to_p = native.pointer(self._p)
         self._resistance, self._back_emf = values['resistance'], values['back_emf_constant']
-        torque_constant = float(box.torque_constant)
-        self._time_s = values['inertia'] * self._resistance / (self._back_emf * torque_constant)
+        self._time_s = (
+            values['inertia'] * self._resistance / (self._back_emf * self._torque_constant)
+        )
 
     @property
     def _no_load_speed(self) -> float:
@@ -140,6 +165,24 @@ class SpeedFilter:
         self._covariance[:] = np.diag([noise_a**2, self._no_load_speed**2, 0.0])
         self._log_likelihood[:] = 0.0
 
+    def _compiled_step(
+        self, noise_a: float, interval_s: float, voltage_v: float, current_a: float
+    ) -> bool:
+        """Predict and correct every filter in compiled code; tell whether that was possible."""
+        assert self._library is not None
+        own = self._settings
+        own.noise, own.no_load_speed = noise_a, self._no_load_speed
+        own.share = interval_s / self._time_s
+        own.stall = own.no_load_speed / self._time_s
+        if not self._pointers:
+            arrays = (self._states, self._covariance, self._log_likelihood, self._share, self._mean)
+            self._pointers = tuple(map(native.pointer, arrays))
+        done = self._library.whole_motor_filter_step(
+            self._to_p, self._torque_constant, own, _TO_WALKS, WALKS.size, interval_s, voltage_v,
+            current_a, *self._pointers,
+        )  # fmt: skip
+        return bool(done)
+
     def _predict(self, noise_a: float, interval_s: float, voltage_v: float) -> bool:
         """Move every filter on by an interval; tell whether that could be followed."""
         mean = self._shares() @ self._states
@@ -149,7 +192,7 @@ class SpeedFilter:
         p = self._p.copy()
         p[LOAD] = mean[ACCELERATION]
         path = run(
-            float(self._white_box.torque_constant), p, mean[:STATES].copy(),
+            self._torque_constant, p, mean[:STATES].copy(),
             np.array([voltage_v]), np.array([interval_s]), limits,
         )  # fmt: skip
         if not path.is_bounded:
@@ -160,8 +203,8 @@ class SpeedFilter:
         apart = (self._states - mean) @ motion.T
         apart[:, :STATES] += path.states[1]
         apart[:, ACCELERATION] += mean[ACCELERATION]
-        self._states = apart
-        self._covariance = motion @ self._covariance @ motion.T
+        self._states[:] = apart
+        self._covariance[:] = motion @ self._covariance @ motion.T
         self._covariance[:, CURRENT, CURRENT] += (COARSENESS * noise_a) ** 2
         share = interval_s / self._time_s
         self._covariance[:, SPEED, SPEED] += share * (SLIP * self._no_load_speed) ** 2
@@ -193,7 +236,13 @@ class SpeedFilter:
         shares, speeds = self._shares(), self._states[:, SPEED]
         speed = float(shares @ speeds)
         spread = self._covariance[:, SPEED, SPEED] + (speeds - speed) ** 2
+        return self._told(speed, float(shares @ spread), more_std)
+
+    def _told(self, speed: float, spread: float, more_std: float) -> SpeedEstimate | None:
+        """Return a speed with its variance and what adds to it; None where it is none."""
+        if not self._is_running:
+            return None
         least_std = FINEST * self._no_load_speed
-        variance = float(shares @ spread) + more_std**2 + least_std**2
+        variance = spread + more_std**2 + least_std**2
         self._is_running = math.isfinite(speed) and 0.0 <= variance < math.inf
         return SpeedEstimate(speed, math.sqrt(variance)) if self._is_running else None

@@ -40,7 +40,7 @@ FREE_ATTEMPTS = 3
 Of a rotor that friction holds, the first speed has no derivative and would leap.
 """
 
-MOST_IDLE = 3
+MOST_IDLE = 2
 """Steps in a row that gain nothing and end a search."""
 
 NEAR = 0.5
@@ -260,7 +260,7 @@ class _Accuracy:
     gain: float
 
 
-ROUGHLY, NEARLY = _Accuracy(0.1, 0.1), _Accuracy(1e-3, 1e-3)
+ROUGHLY, NEARLY = _Accuracy(0.1, 0.1), _Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from gray_box_observer.context_nodes.rotor.window import History as RotorHistory
 from gray_box_observer.context_nodes.rotor.window import Window
 from gray_box_observer.context_nodes.rotor.window_fit import settled_runs
+from gray_box_observer.predictor.held_speed import held_speed_current
 from gray_box_observer.predictor.predictor_settings import TrainingSettings
-from gray_box_observer.predictor.rotor_predictor import held_speed_current
 from gray_box_observer.predictor.training import random_state
 from gray_box_observer.predictor.training.histories import History, histories
 from gray_box_observer.predictor.training.residual_trainer import PhysicsRun, ResidualTrainer

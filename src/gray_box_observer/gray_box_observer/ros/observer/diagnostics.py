@@ -18,6 +18,7 @@ from gray_box_observer.fit_test.assumptions import assumptions
 from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.message_input import MessageInput
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.observer.verdict_advice import verdict_advice
 from gray_box_observer.predictor.alarm import REMEDY
 from gray_box_observer.ros.observer.diagnostic_values import values_of
 from gray_box_observer.ros.observer.topic_inputs import Inputs
@@ -32,12 +33,6 @@ REFUSED = 0.05
 """Share of refused messages that is worth a warning."""
 
 Judgement = tuple[bytes, str]
-
-ADVICE = {
-    Verdict.IMPLAUSIBLE: 'check torque_constant, units and sign of voltage and torque',
-    Verdict.UNEXCITED: 'not excited: vary the voltage',
-}
-
 
 NAMESAKE = (
     'another node is called {} too: what both publish is mixed up; end one, or give it a name, -r '
@@ -63,7 +58,8 @@ REJECTIONS = {
     Rejection.OUT_OF_ORDER: 'stamps that go back: do two publishers share the topic?',
     Rejection.NO_VOLTAGE: 'torque without voltage: does its driver pause, and have both stamps of '
     'the same clock?',
-    Rejection.NO_SPEED: 'torque without speed, which came at first: does the encoder run?',
+    Rejection.NO_SPEED: 'torque without speed, which came at first or is needed: does the encoder '
+    'run?',
     Rejection.ABSURD: 'beyond 1e9 in SI units: check field and scale',
     Rejection.OVERSIZED: 'larger than max_message_mb: who sends it, or raise that parameter',
     Rejection.STALE_INPUT: 'an input of the expression is silent: does its driver run?',
@@ -190,7 +186,7 @@ def _nothing_yet(motor: str, now: Situation) -> Judgement | None:
             '',
         )
         return _judge_refusals(motor, now) or (
-            DiagnosticStatus.STALE,
+            DiagnosticStatus.ERROR if complaint else DiagnosticStatus.STALE,
             f'no message so far could be read: see rejected{printable(complaint)}',
         )
     topics = ' and '.join(now.message_input.signals[n].topic for n in silent)
@@ -331,15 +327,8 @@ def _verdicts(motor: str, now: Situation) -> Judgement:
 
 def _advice(motor: str, now: Situation) -> Judgement | None:
     """What verdicts ask for; a bound comes before a residual, for it names the parameter."""
-    estimate = now.observer.motors[motor].estimate
-    for verdict, advice in ADVICE.items():
-        at = [j for j, own_verdict in enumerate(estimate.verdicts[0]) if own_verdict is verdict]
-        if at:
-            names = [
-                f'{estimate.parameters[j].name} {estimate.bound_met(0, j)}'.rstrip() for j in at
-            ]
-            return DiagnosticStatus.WARN, f'{", ".join(names)}: {advice}'
-    return None
+    advice = verdict_advice(now.observer.motors[motor].estimate)
+    return None if advice is None else (DiagnosticStatus.WARN, advice)
 
 
 def _small_print(motor: str, now: Situation) -> str:

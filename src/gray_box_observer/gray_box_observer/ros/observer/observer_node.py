@@ -30,6 +30,7 @@ from gray_box_observer.ros.life_cycle import survive_impossible_transitions
 from gray_box_observer.ros.listed_parameters import help_text
 from gray_box_observer.ros.node_parameters import LiveParameters, declare
 from gray_box_observer.ros.observer.commentary import Commentary
+from gray_box_observer.ros.observer.dashboard_process import DashboardProcess
 from gray_box_observer.ros.observer.diagnoser import Diagnoser
 from gray_box_observer.ros.observer.topic_inputs import Inputs
 from gray_box_observer.ros.observer.topic_outputs import Outputs
@@ -115,6 +116,7 @@ class ObserverNode(LifecycleNode):
         self.create_service(Trigger, '~/save', self._save)
         self.create_service(Trigger, '~/load', self._load)
         self.create_service(SetBool, '~/freeze', self._freeze)
+        self._dashboard = self._make_dashboard()
         LiveParameters(self, self._configuration, self._check, self._reconfigure)
         if self._configuration['autostart']:
             for transition in (self.trigger_configure, self.trigger_activate):
@@ -181,6 +183,8 @@ class ObserverNode(LifecycleNode):
     def close(self) -> None:
         """Write the last checkpoint and end the training processes before the node goes."""
         self._inputs.close()
+        if self._dashboard is not None:
+            self._dashboard.close()
         self._sum_up()
         failure = self._keeper.close(self._observer)
         if failure is not None:
@@ -538,6 +542,15 @@ class ObserverNode(LifecycleNode):
         if self._observer is not None:
             self._observer.close()
         self._observer = self._message_input = None
+
+    def _make_dashboard(self) -> DashboardProcess | None:
+        """Start the page that shows the motors, where one is asked for."""
+        if not self._configuration['dashboard.port']:
+            return None
+        log = self.get_logger()
+        return DashboardProcess(
+            self, self._configuration, lambda line: log.info(line), lambda line: log.warning(line)
+        )
 
     def _make_keeper(self, configuration: Configuration) -> CheckpointKeeper:
         path = configuration['checkpoint.path']

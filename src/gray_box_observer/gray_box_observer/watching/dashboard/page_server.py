@@ -1,0 +1,273 @@
+"""Serves the page and what it is told, by `tornado` in a thread of its own.
+
+It only answers GET. Three files of ours and plotly.js are all it can send, and one stream of
+events: nothing of it is written by whoever asks. See docs/SECURITY.md.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import json
+import socket
+import threading
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+
+from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.watching.dashboard.page_feed import PageFeed, PageSource
+
+UPDATE_S = 0.25
+"""Between two updates of a page."""
+
+MOST_PAGES = 8
+"""Open pages; each takes about a hundredth of a core."""
+
+STALLED_S = 30.0
+"""A page that does not read its updates for so long is given up."""
+
+MAX_HEADER_BYTES = 16_384
+IDLE_S = 60.0
+LONGEST_NAME = 256
+
+FILES = {
+    '/': ('dashboard.html', 'text/html; charset=utf-8'),
+    '/dashboard.js': ('dashboard.js', 'text/javascript; charset=utf-8'),
+    '/dashboard.css': ('dashboard.css', 'text/css; charset=utf-8'),
+}
+PLOTLY = '/plotly.js'
+
+HEADERS = {
+    'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    'X-Content-Type-Options': 'nosniff',
+    'Referrer-Policy': 'no-referrer',
+    'Cross-Origin-Resource-Policy': 'same-origin',
+    'Cross-Origin-Opener-Policy': 'same-origin',
+    'Cache-Control': 'no-store',
+}
+
+
+class PageServer:
+    """Serves pages until it is stopped.
+
+    Args:
+        source: what pages are told.
+        address: to listen on; loopback unless somebody asks for more.
+        port: 0: one that is free.
+
+    Attributes:
+        url: where the page is.
+
+    Raises:
+        ConfigurationError: address or port cannot be had.
+    """
+
+    def __init__(self, source: PageSource, address: str = '127.0.0.1', port: int = 0) -> None:
+        try:
+            self._sockets = bind_sockets(port, address or None, backlog=16)
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, 'strerror', None) or str(error)
+            raise ConfigurationError(
+                f'the dashboard cannot listen on {address}, port {port}: {reason}; choose another '
+                'port, or 0 for a free one'
+            ) from error
+        own_port = self._sockets[0].getsockname()[1]
+        shown = f'[{address}]' if ':' in address else address
+        self.url = f'http://{shown}:{own_port}/'
+        self._source = source
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended: asyncio.Event | None = None
+        self._is_ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
+
+    def start(self) -> None:
+        """Begin to serve, in a thread of its own."""
+        self._thread.start()
+        self._is_ready.wait()
+
+    def stop(self) -> None:
+        """End; open pages are told no more."""
+        if self._loop is not None and self._ended is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._ended.set)
+            self._thread.join(timeout=5.0)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
+        server = HTTPServer(
+            make_application(self._source),
+            max_header_size=MAX_HEADER_BYTES,
+            max_body_size=0,
+            max_buffer_size=4 * MAX_HEADER_BYTES,
+            idle_connection_timeout=IDLE_S,
+            body_timeout=IDLE_S,
+        )
+        server.add_sockets(self._sockets)
+        self._is_ready.set()
+        await self._ended.wait()
+        server.stop()
+        await server.close_all_connections()
+
+
+def make_application(
+    source: PageSource, host_name: Callable[[], str] = socket.gethostname
+) -> Application:
+    """Make what answers requests.
+
+    Args:
+        source: what pages are told.
+        host_name: says what this machine is called.
+    """
+    shared: dict[str, Any] = {'own_names': frozenset({'localhost', host_name().lower()})}
+    files = [
+        (path, _FileHandler, {**shared, 'content': _own_file(name), 'kind': kind})
+        for path, (name, kind) in FILES.items()
+    ]
+    plotly = {**shared, 'content': None, 'kind': 'text/javascript; charset=utf-8'}
+    pages: set[object] = set()
+    return Application(
+        [
+            *files,
+            (PLOTLY, _FileHandler, plotly),
+            ('/events', _EventHandler, {**shared, 'source': source, 'pages': pages}),
+        ],
+        default_handler_class=_NothingHandler,
+        default_handler_args=shared,
+        log_function=lambda _handler: None,
+        compress_response=False,
+    )
+
+
+def _own_file(name: str) -> bytes:
+    return (Path(__file__).parent / name).read_bytes()
+
+
+def is_own_host(host: str, own_names: frozenset[str]) -> bool:
+    """Whether a Host header names this machine, and no name that somebody may have rebound.
+
+    A page elsewhere can make its own name lead to this server (DNS rebinding), but not an address.
+
+    Args:
+        host: the header, with or without a port.
+        own_names: names of this machine, in small letters.
+    """
+    try:
+        name = urlsplit(f'//{host}').hostname or ''
+    except ValueError:
+        return False
+    if name in own_names:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+class _Handler(RequestHandler):
+    """What all answers have in common: who may ask, and what a browser may do with them."""
+
+    SUPPORTED_METHODS: tuple[str, ...] = ('GET', 'HEAD')
+
+    def initialize(self, own_names: frozenset[str]) -> None:
+        self._own_names = own_names
+
+    def set_default_headers(self) -> None:
+        self.clear_header('Server')
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        hosts = self.request.headers.get_list('Host')
+        if len(hosts) != 1 or not is_own_host(hosts[0], self._own_names):
+            raise HTTPError(421)
+        # a page elsewhere could not read an answer, but take the places of those who may
+        if self.request.headers.get('Sec-Fetch-Site', 'none') not in ('same-origin', 'none'):
+            is_page = self.request.headers.get('Sec-Fetch-Dest') == 'document'
+            if not is_page or self.request.path != '/':
+                raise HTTPError(403)
+
+    def write_error(self, status_code: int, **_kwargs: Any) -> None:
+        self.set_header('Content-Type', 'text/plain; charset=utf-8')
+        self.finish(f'{status_code}\n')
+
+
+class _NothingHandler(_Handler):
+    """Answers what is asked for and not there."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        raise HTTPError(404)
+
+
+class _FileHandler(_Handler):
+    """Sends one file; None stands for plotly.js, which is read when it is first asked for."""
+
+    def initialize(self, own_names: frozenset[str], content: bytes | None, kind: str) -> None:  # type: ignore[override]
+        super().initialize(own_names)
+        self._content = content
+        self._kind = kind
+
+    def get(self) -> None:
+        content = self._content
+        if content is None:
+            content = (resources.files('plotly') / 'package_data' / 'plotly.min.js').read_bytes()
+            self.set_header('Cache-Control', 'private, max-age=86400')
+        self.set_header('Content-Type', self._kind)
+        self.finish(content)
+
+    head = get
+
+
+class _EventHandler(_Handler):
+    """Tells a page what is new, as server-sent events (HTML Standard, 9.2)."""
+
+    SUPPORTED_METHODS = ('GET',)
+
+    def initialize(  # type: ignore[override]
+        self, own_names: frozenset[str], source: PageSource, pages: set[object]
+    ) -> None:
+        super().initialize(own_names)
+        self._source = source
+        self._pages = pages
+
+    async def get(self) -> None:
+        observer, motor = (
+            self.get_query_argument(name, '')[:LONGEST_NAME] for name in ('observer', 'motor')
+        )
+        if len(self._pages) >= MOST_PAGES:
+            self.set_status(503)
+            self.set_header('Retry-After', '10')
+            self.finish('503\n')
+            return
+        self._pages.add(self)
+        try:
+            self.set_header('Content-Type', 'text/event-stream')
+            feed = PageFeed(self._source, observer, motor)
+            while True:
+                told = json.dumps(feed.update(), allow_nan=False, separators=(',', ':'))
+                self.write(f'data: {told}\n\n')
+                await asyncio.wait_for(self.flush(), STALLED_S)
+                await asyncio.sleep(UPDATE_S)
+        except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):
+            # the page has gone, does not read, or the server ends
+            stream = getattr(self.request.connection, 'stream', None)
+            if stream is not None:
+                stream.close()
+        finally:
+            self._pages.discard(self)
+
+    def on_connection_close(self) -> None:
+        self._pages.discard(self)

@@ -1,0 +1,51 @@
+"""The command line of ``watch``, without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gray_box_observer.ros.watching import watch_command
+
+MODERATE = Path(__file__).resolve().parents[3] / 'bags' / 'moderate'
+
+
+def test_a_bag_ends_with_its_last_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert watch_command.main(['watch', str(MODERATE), '--once']) == 0
+    out, err = capsys.readouterr()
+    assert out.count('1 motor, 1 identified') == 1
+    assert err == ''
+
+
+@pytest.mark.parametrize(
+    ('words', 'complaint'),
+    [
+        (['--rate', '2'], '--rate is for a BAG'),
+        (['--params', 'x.yaml'], '--params is for a BAG'),
+        (['--period', '0'], '--period must be'),
+        (['--period', 'soon'], 'is no number'),
+        (['--motors', '0'], '--motors must be'),
+        (['bag', '--rate', '-1'], '--rate must be'),
+        (['bag', '--ros-args', '-p', 'x:=1'], 'is for live topics'),
+        (['--nosuch'], 'unrecognized arguments'),
+    ],
+)
+def test_a_wrong_word_is_refused(
+    words: list[str], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        watch_command.main(['watch', *words])
+    assert end.value.code == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_a_bag_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert watch_command.main(['watch', str(tmp_path / 'nothing')]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith('watch: error: ') and err.count('\n') == 1
+
+
+def test_words_of_ros_end_at_two_dashes() -> None:
+    words = ['a', '--ros-args', '-r', '__ns:=/r', '--', 'b']
+    assert watch_command.part_words(words) == (['a', 'b'], ['--ros-args', '-r', '__ns:=/r', '--'])
