@@ -55,6 +55,15 @@ def test_jumps_at_most_moves_of_the_voltage_are_the_models_fault() -> None:
     assert follow_moves(kicks, voltage_v).tolist() == [True, False]
 
 
+def test_jumps_at_wrong_readings_of_the_voltage_are_not() -> None:
+    """A reading of zero in one sample of fifty moves the voltage more often than its source."""
+    voltage_v = np.concatenate([np.full((1, 200), 6.0), np.full((1, 200), -6.0)], axis=1)
+    voltage_v[0, 20::50] = 0.0
+    kicks = np.zeros(voltage_v.shape, dtype=bool)
+    kicks[0, 20::50] = True
+    assert follow_moves(kicks, voltage_v).tolist() == [False]
+
+
 def test_an_inductance_that_explains_no_move_of_the_voltage_is_not_believed() -> None:
     """With L/R far below a sample interval, a run anew behind every step fits any inductance."""
     voltage_v = _stop_and_go(5000, 3)

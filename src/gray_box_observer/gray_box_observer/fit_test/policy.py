@@ -58,6 +58,12 @@ NOTICEABLE = 0.003
 UNIFORM_STD = 1.0 / math.sqrt(12.0)
 """Standard deviation of an unknown fraction of a sample interval."""
 
+FEWEST_SMOOTH = 256
+"""Samples from which a voltage that tells no delay counts as smooth: the next move may tell it."""
+
+HALF_INTERVAL = 0.5
+"""Delay, in sample intervals, of a voltage that was sampled and not held."""
+
 UNIFORM_MEAN = math.sqrt(3.0)
 """Mean of a delay that is anything from none to its largest, in standard deviations of it."""
 
@@ -159,13 +165,23 @@ def judge(
     if not stamps_exact:
         fully, from_here = SHORTEST
         share = float(np.clip((from_here - analysis.intervals) / (from_here - fully), 0.0, 1.0))
-        late += UNIFORM_STD if analysis.delay_std > UNTOLD_DELAY else share * UNIFORM_STD
+        late += UNIFORM_STD if _is_delay_untold(analysis) else share * UNIFORM_STD
     delay_effect = late * np.clip(analysis.delay_shift, -LARGEST_SHIFT, LARGEST_SHIFT)
     spread += np.outer(delay_effect, delay_effect)
     numbers = (analysis.ratio, analysis.whiteness, *factor, *spread.ravel())
     if not np.isfinite(numbers).all():  # what is no number says nothing, and nothing is believed
         return Judgement(FitVerdict.MISFIT, np.ones_like(factor), np.zeros_like(spread))
     return Judgement(verdict, factor, spread)
+
+
+def _is_delay_untold(analysis: ResidualAnalysis) -> bool:
+    """Tell whether half an interval of delay may pass unseen, and would falsify the inductance.
+
+    A voltage that moves smoothly and acts d later looks like one that acts at once on L - R d.
+    """
+    moves_inductance = MATERIAL * analysis.intervals < HALF_INTERVAL
+    is_smooth = analysis.samples >= FEWEST_SMOOTH and analysis.delay_std > UNTOLD_DELAY
+    return is_smooth and moves_inductance
 
 
 def with_shift(judgement: Judgement, place: int, share: float) -> Judgement:

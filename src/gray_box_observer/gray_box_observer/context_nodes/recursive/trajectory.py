@@ -271,7 +271,8 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
     """Tell whose state jumps at most moves of the voltage: that is the model's fault.
 
     A run that begins anew behind every move would rest on the held levels alone, and these tell
-    nothing of the inductance.
+    nothing of the inductance. A voltage that is back after one interval has not moved: that may be
+    a wrong reading.
 
     Args:
         kicks: shape (motor, k): where the state has jumped.
@@ -280,8 +281,10 @@ def follow_moves(kicks: NDArray[np.bool_], voltage_v: Array) -> NDArray[np.bool_
     Returns:
         Shape (motor,).
     """
-    change_v = np.abs(np.diff(voltage_v, axis=1, prepend=voltage_v[:, :1]))
-    moves = change_v > MOVE * np.ptp(voltage_v, axis=1, keepdims=True)
+    around = np.pad(voltage_v, ((0, 0), (1, 1)), mode='edge')
+    lasting_v = np.median(np.stack([around[:, :-2], voltage_v, around[:, 2:]]), axis=0)
+    change_v = np.abs(np.diff(lasting_v, axis=1, prepend=lasting_v[:, :1]))
+    moves = change_v > MOVE * np.ptp(lasting_v, axis=1, keepdims=True)
     near = kicks.copy()
     near[:, :-1] |= kicks[:, 1:]  # what a delayed voltage does comes an interval later
     at_moves: NDArray[np.bool_] = (moves & near).sum(axis=1) > MAX_KICKED_MOVES * moves.sum(axis=1)
