@@ -95,8 +95,9 @@ class Robot:
         return found
 
 
-def try_mistake(mistake: Mistake, seed: int) -> tuple[str, int, bool, list[str]]:
+def try_mistake(place: int, seed: int) -> tuple[str, int, bool, list[str]]:
     """Make a mistake on a robot; return whether it is named, and what is wrong and sure."""
+    mistake: Mistake = MISTAKES[place]
     wheels, rng = draw(seed)
     log = drive(wheels, mistake.battery, RATE_HZ, NAMED_WITHIN_S, rng)
     robot = Robot(mistake.wired(wheels))
@@ -138,7 +139,7 @@ def main() -> int:
     seeds = range(options.first_seed, options.first_seed + count)
     robots = round(hours * 3600.0 / options.robot_s)
     with ProcessPoolExecutor(options.processes) as pool:
-        jobs = [pool.submit(try_mistake, one, seed) for one in MISTAKES for seed in seeds]
+        jobs = [pool.submit(try_mistake, k, seed) for k in range(len(MISTAKES)) for seed in seeds]
         flag = partial(false_flags, options.robot_s)
         long_jobs = [pool.submit(flag, 10_000 + options.first_seed + k) for k in range(robots)]
         results = [job.result() for job in tqdm(jobs, unit='mistake', disable=None)]

@@ -59,8 +59,8 @@ class Mistake:
     name: str
     words: str
     parameters: Parameters | None = None
-    log: Callable[[Log], Log] = lambda log: log
-    stream: Callable[[Stream], Stream] = lambda stream: stream
+    log: Callable[[Log], Log] | None = None
+    stream: Callable[[Stream], Stream] | None = None
     battery: Battery = NOMINAL
 
     def wired(self, wheels: Sequence[Wheel]) -> Parameters:
@@ -69,7 +69,8 @@ class Mistake:
 
     def published(self, log: Log) -> Stream:
         """Return what the robot publishes with this mistake."""
-        return self.stream(messages(self.log(log)))
+        stream = messages(log if self.log is None else self.log(log))
+        return stream if self.stream is None else self.stream(stream)
 
     def is_named(self, text: str) -> bool:
         """Tell whether a text names it."""

@@ -57,6 +57,13 @@ def test_without_a_speed_or_with_few_samples_there_is_none() -> None:
     assert inductance_shift(BOX, samples[:, :8], THETA) == 0.0
 
 
+def test_a_speed_that_follows_the_current_bends_as_little_as_it() -> None:
+    samples = recorded(200.0)
+    noise = np.random.default_rng(1).standard_normal(samples.shape[1])
+    samples[3] = 0.04 * samples[2] / 0.04 + 1e-6 * noise
+    assert inductance_shift(BOX, samples, THETA) < 1e-3
+
+
 def test_an_inductance_that_comes_out_too_low_is_within_its_deviation() -> None:
     values = {'torque_constant': 0.04, 'back_emf_constant': 0.04}
     settings = {f'motor.{name}': value for name, value in values.items()}

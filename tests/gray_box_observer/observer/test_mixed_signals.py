@@ -99,6 +99,16 @@ def test_a_wiring_that_fits_neither_motor_is_no_mix_up(recording: Recording) -> 
     assert mix_up('left', wrong) is None
 
 
+def test_a_broken_sensor_of_two_wheels_that_are_driven_alike_is_no_mix_up(
+    recording: Recording,
+) -> None:
+    alike = samples_of(recording)
+    alike['right'] = alike['left'].copy()
+    noise = np.random.default_rng(2).standard_normal(alike['left'].shape[1])
+    alike['left'][TORQUE] = 1e-3 * noise
+    assert mix_up('left', alike) is None
+
+
 def test_the_observer_says_which_motors_are_mixed_up(recording: Recording) -> None:
     values = {'torque_constant': 0.04, 'back_emf_constant': 0.04}
     settings = {f'{motor}.{name}': value for motor in NAMES for name, value in values.items()}

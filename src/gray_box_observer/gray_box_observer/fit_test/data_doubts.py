@@ -192,7 +192,8 @@ def _doubt_of_voltage(
     )
     if balance is not None and balance.contradicts(kb) and kb != DEFAULT_KB:
         share = abs(balance.kb) / kb
-        if may_be_duty(samples[VOLTAGE]) and share < 1.0 / LEAST_BATTERY_V:
+        is_sure = abs(balance.kb) > SURE * balance.std
+        if is_sure and may_be_duty(samples[VOLTAGE]) and share < 1.0 / LEAST_BATTERY_V:
             text = f'{DUTY_REMEDY}; by the Kb given that is near {1.0 / max(share, 1e-9):.3g} V'
             return Suspect('units_of_voltage', balance.evidence, text)
     if peak_v <= LARGEST_VOLTAGE_V and not by_kb:
@@ -295,7 +296,8 @@ def _doubts_of_back_emf(
 def _doubt_of_sign(balance: BackEmfFit, is_contradicted: bool) -> Suspect | None:
     """Doubt a sign: of the voltage where R and Kb are negative, of torque or speed where one is."""
     is_negative = balance.kb < 0.0 and is_contradicted
-    evidence = max(balance.evidence, 0.5 * balance.windows * -math.log(balance.unexplained))
+    unexplained = max(balance.unexplained, 1e-300)
+    evidence = max(balance.evidence, 0.5 * balance.windows * -math.log(unexplained))
     if balance.has_negative_resistance:
         signal, column = ('voltage', 'voltage') if is_negative else ('torque', 'current')
         cause = 'R and back-EMF have' if is_negative else 'R has'

@@ -128,10 +128,9 @@ class _Finding:
 def _findings(motor: MotorConfiguration, estimate: Estimate) -> list[_Finding]:
     """Return the parameters that lie far from what was given."""
     findings = []
-    priors = zip(motor.initial(), motor.initial_relative_std(), strict=True)
-    for j, (parameter, (initial, relative_std)) in enumerate(
-        zip(estimate.parameters, priors, strict=True)
-    ):
+    for j, parameter in enumerate(estimate.parameters):  # mechanics of a measured speed among them
+        initial = float(motor.values[f'initial.{parameter.name}'])
+        relative_std = float(motor.values[f'initial_relative_std.{parameter.name}'])
         given_spread = relative_std if relative_std > 0.0 else _untold_spread(motor, parameter.name)
         if given_spread <= 0.0 or estimate.verdicts[0][j] is not Verdict.IDENTIFIED:
             continue

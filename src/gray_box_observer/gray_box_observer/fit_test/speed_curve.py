@@ -19,6 +19,10 @@ from gray_box_observer.white_box.interface import Array
 FEWEST = 16
 """Intervals of which the acceleration is fitted."""
 
+MOST_LEFT = 0.5
+"""Share of the squared changes of the speed that may be left. With more, the current does not tell
+the acceleration: the speed itself follows the current, or its readings are noise."""
+
 
 def inductance_shift(white_box: MotorWhiteBox, samples: Array, theta: Array) -> float:
     """Return by how much L may be too low, relative to it; 0 where no speed is measured.
@@ -38,10 +42,14 @@ def inductance_shift(white_box: MotorWhiteBox, samples: Array, theta: Array) -> 
         return 0.0
     means = 0.5 * (speed_rad_s[1:] + speed_rad_s[:-1])
     columns = np.stack(
-        [0.5 * (current_a[1:] + current_a[:-1]), means, np.sign(means), np.ones_like(means)], axis=1
+        [0.5 * (current_a[1:] + current_a[:-1]), np.sign(means), np.ones_like(means)], axis=1
     )
     rows = (columns * interval_s[:, None])[is_usable]
-    weights = np.linalg.lstsq(rows, np.diff(speed_rad_s)[is_usable], rcond=1e-9)[0]
+    changes = np.diff(speed_rad_s)[is_usable]
+    weights = np.linalg.lstsq(rows, changes, rcond=1e-9)[0]
+    rest = changes - rows @ weights
+    if not float(rest @ rest) < MOST_LEFT * float(changes @ changes):
+        return 0.0
     acceleration = max(float(weights[0]), 0.0)
     values = dict(zip(names, theta.tolist(), strict=True))
     kb = abs(values.get(BACK_EMF, float(white_box.known.get(BACK_EMF, 0.0))))

@@ -19,6 +19,9 @@ from gray_box_observer.white_box.interface import Array
 FEWEST = 256
 """Samples by which it is told."""
 
+MOST_COMPARED = 64
+"""Motors of an observer from which on names are not compared: that would cost too much."""
+
 COMPARED = 2048
 """Newest samples that are compared, at most."""
 
@@ -36,7 +39,7 @@ PACE = (16.0, 64.0, 256.0, 1024.0, 4096.0, 65536.0)
 """Time constants in samples of the leaky integrals that stand for the speed of a rotor."""
 
 MOST_MOTORS = 16
-"""Other motors that are tried."""
+"""Other motors that are tried, at most: of those that do not fit either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +94,23 @@ def mix_up(motor: str, samples: Mapping[str, Array]) -> MixUp | None:
             ('voltage', _left(other[VOLTAGE], own[TORQUE], own)),
             ('current', _left(own[VOLTAGE], other[TORQUE], own)),
         ):
-            if left < limit and TIMES * left < own_left and (best is None or left < best.left):
+            closes = left < limit and TIMES * left < own_left
+            if closes and (best is None or left < best.left) and _is_mutual(own, other, signal):
                 best = MixUp(motor, name, signal, left, own_left)
     return best
+
+
+def _is_mutual(own: Array, other: Array, signal: str) -> bool:
+    """Tell whether the other motor closes with this one's signal, and not with its own.
+
+    Motors that are driven alike close with each other's voltage. One of them with a broken sensor
+    is not mixed up with the other.
+    """
+    limit = CLOSED if np.isfinite(other[SPEED]).all() else CLOSED_UNMEASURED
+    voltage_v = own[VOLTAGE] if signal == 'voltage' else other[VOLTAGE]
+    torque_nm = other[TORQUE] if signal == 'voltage' else own[TORQUE]
+    left = _left(voltage_v, torque_nm, other)
+    return left < limit and TIMES * left < _left(other[VOLTAGE], other[TORQUE], other)
 
 
 def _left(voltage_v: Array, torque_nm: Array, own: Array) -> float:

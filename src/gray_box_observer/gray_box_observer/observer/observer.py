@@ -30,7 +30,7 @@ from gray_box_observer.observer.builder import (
 )
 from gray_box_observer.observer.grouping import Grouping, Part, Values
 from gray_box_observer.observer.incident import Incident
-from gray_box_observer.observer.mixed_signals import COMPARED, MixUp, mix_up
+from gray_box_observer.observer.mixed_signals import COMPARED, MOST_COMPARED, MixUp, mix_up
 from gray_box_observer.observer.motor_group import Group, GroupResult, Result
 from gray_box_observer.observer.motor_observer import MotorObserver
 from gray_box_observer.observer.motor_view import MotorView
@@ -89,6 +89,7 @@ class Observer:
         self._grouping = Grouping(configuration)
         self.motors: dict[str, MotorView] = {}
         self.incidents: dict[str, Incident] = {}
+        self._mix_ups: dict[str, tuple[FitAssessment, MixUp | None]] = {}
 
     def voltage(self, motor: str, stamp_ns: int, voltage_v: float) -> list[Result]:
         """Take one armature voltage; part of the Python API.
@@ -369,11 +370,16 @@ class Observer:
 
     def mix_up(self, motor: str) -> MixUp | None:
         """Return the motor that one which does not fit is mixed up with; None where none is."""
-        if len(self.motors) < 2 or self.fit(motor).verdict is not FitVerdict.MISFIT:
+        fit = self.fit(motor)
+        if not 2 <= len(self.motors) <= MOST_COMPARED or fit.verdict is not FitVerdict.MISFIT:
             return None
-        views = {motor: self.motors[motor], **self.motors}
-        samples = {name: view.newest(COMPARED) for name, view in views.items()}
-        return mix_up(motor, samples)
+        tested, answer = self._mix_ups.get(motor, (None, None))
+        if tested != fit:  # asked once after every test that has found something else
+            misfits = [n for n in self.motors if self.fit(n).verdict is FitVerdict.MISFIT]
+            samples = {n: self.motors[n].newest(COMPARED) for n in (motor, *misfits)}
+            answer = mix_up(motor, samples)
+            self._mix_ups[motor] = fit, answer
+        return answer
 
     def delays(self) -> dict[str, DelayEstimate]:
         """Return the delay between voltage and torque of every motor that has been seen."""

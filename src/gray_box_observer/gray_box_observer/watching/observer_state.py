@@ -25,6 +25,9 @@ MOST_HISTORIES = 1000
 MOST_MOTORS = 100_000
 """Motors of one observer that are told of at all; as many as an observer takes."""
 
+MOST_PARAMETERS = 32
+"""That are remembered of one motor."""
+
 MOST_OBSERVERS = 100
 """Observers that are told of: names on a network may be anything."""
 
@@ -165,6 +168,8 @@ class WatchedState:
         for name, row in zip(motors[:MOST_MOTORS], table, strict=False):
             motor = state.motors.get(name)
             if motor is None:
+                if len(state.motors) >= MOST_MOTORS:
+                    continue
                 motor = state.motors[name] = MotorState(name)
             keeps_history = len(state.motors) <= MOST_HISTORIES
             _update(motor, parameters, row, now_s, keeps_history=keeps_history)
@@ -235,6 +240,8 @@ def _update(
         if std == NO_STD:
             if name in motor.parameters:
                 motor.parameters[name].value = motor.parameters[name].std = math.nan
+            continue
+        if name not in motor.parameters and len(motor.parameters) >= MOST_PARAMETERS:
             continue
         parameter = motor.parameters.setdefault(name, _new_parameter(name))
         parameter.value, parameter.std = value, std

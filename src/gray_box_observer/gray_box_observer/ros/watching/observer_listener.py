@@ -10,8 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from std_msgs.msg import Float64MultiArray
 
 from gray_box_observer.ros.topics import DIAGNOSTICS, ESTIMATES
@@ -92,7 +94,7 @@ class ObserverListener:
             name, colon, motor = status.name.partition(': ')
             observer = '/' + name.lstrip('/')
             facts = {pair.key: pair.value for pair in status.values}
-            if colon and self._is_observer(observer, facts):
+            if colon and self._is_observer(observer, facts) and _is_name_of_node(observer):
                 level = int.from_bytes(status.level, 'little')
                 self._state.add_status(observer, motor, level, status.message, facts, now_s)
 
@@ -103,6 +105,14 @@ class ObserverListener:
             or name in self._state.observers
             or name.rpartition('/')[2] == NODE_NAME
         )
+
+
+def _is_name_of_node(name: str) -> bool:
+    """Tell whether topics can stand below a name: anybody may write to diagnostics."""
+    try:
+        return bool(validate_full_topic_name(name))
+    except InvalidTopicNameException:
+        return False
 
 
 def taken(subscription: Subscription, *, raw: bool = False) -> Iterator[Any]:

@@ -73,8 +73,13 @@ class PageServer:
     """
 
     def __init__(self, source: PageSource, address: str = '127.0.0.1', port: int = 0) -> None:
+        if not address:
+            raise ConfigurationError(
+                'the address of the dashboard is empty, which would be every interface: give '
+                '127.0.0.1, or 0.0.0.0 where that is meant'
+            )
         try:
-            self._sockets = bind_sockets(port, address or None, backlog=16)
+            self._sockets = bind_sockets(port, address, backlog=16)
         except (OSError, UnicodeError) as error:
             reason = getattr(error, 'strerror', None) or str(error)
             raise ConfigurationError(
