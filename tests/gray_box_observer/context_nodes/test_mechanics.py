@@ -19,6 +19,7 @@ from gray_box_observer.context_nodes.measured_speed.mechanics import Mechanics, 
 from gray_box_observer.context_nodes.rotor.coordinates import coordinates
 from gray_box_observer.context_nodes.rotor.rotor_trajectory import run
 from gray_box_observer.errors import CheckpointError, ConfigurationError
+from gray_box_observer.fit_test.data_sheet import contradiction
 from gray_box_observer.observer.observer import Observer
 from gray_box_observer.samples import Sample
 from gray_box_observer.settings.configuration import Configuration
@@ -84,6 +85,17 @@ def test_the_rotor_is_identified_beside_l_and_r() -> None:
     off = np.abs(estimate.value[0] - THETA)
     assert (off < 4.0 * estimate.std[0]).all()
     assert (estimate.std[0] < 0.1 * THETA).all()
+
+
+def test_a_data_sheet_of_the_rotor_is_compared_too() -> None:
+    motor = observed().motors['motor']
+    assert contradiction(motor.configuration, motor.estimate) is None
+    sheet = {
+        'motor.initial.inertia': 2.0 * float(THETA[2]),
+        'motor.initial_relative_std.inertia': 0.1,
+    }
+    stated = configured(**sheet).motors['motor']
+    assert 'inertia of' in str(contradiction(stated, motor.estimate))
 
 
 def test_what_follows_from_the_rotor_is_told() -> None:
