@@ -22,8 +22,6 @@ os.environ.update(OMP_NUM_THREADS='1', OPENBLAS_NUM_THREADS='1')  # read when nu
 import numpy as np
 from common.figures import Figure, figure_table, last_line, number, table
 from common.rotor.choices import Choice, run_choice
-from common.rotor.joint_filters import JointExtended, tuned
-from common.rotor.peers import BATCH, OWN, peer_runs
 from common.rotor.records import NODES, Record, draw
 from common.rotor.robot_prediction import PREDICTORS, robot_errors, robot_logs
 from common.rotor.runs import Trial, run_trial
@@ -336,6 +334,9 @@ def robot_figures(data: Path) -> list[Figure]:
 
 def peer_figures(seeds: int, length_s: float, *, counts: bool) -> list[Figure]:
     """Compare with joint Kalman filters, tuned on other seeds, and a batch output error fit."""
+    # only here, for tests run without requirements/bench.txt
+    from common.rotor.joint_filters import JointExtended, tuned
+    from common.rotor.peers import BATCH, OWN, peer_runs
 
     def drawn(seed: int, duration_s: float) -> Record:
         return draw(gear_motor, seed, 1000.0, duration_s)

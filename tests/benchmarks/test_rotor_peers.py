@@ -6,6 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+pytest.importorskip('filterpy', reason='needs the peers of requirements/bench.txt')
+
 from common.rotor.batch import Signals, arx_fit, arx_run, batch_fit, free_run_at_rest
 from common.rotor.joint_filters import (
     START_FACTOR,

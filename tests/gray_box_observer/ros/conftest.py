@@ -75,12 +75,18 @@ class Rig:
                 self._senders[name].get_subscription_count, f'the observer to listen to {topic}'
             )
         if not listens:
-            # What comes before its executor knows of a new subscription is served topic by topic,
-            # not as it came. The executor hears of one right after the call in which it was made:
-            # behind the first answer from then on.
-            for _ in range(2):
-                self.lifecycle_state()
+            self.settle()
         return self._senders['voltage'], self._senders['torque']
+
+    def settle(self) -> None:
+        """Wait until the observer's executor knows of every subscription.
+
+        What comes before is served topic by topic, not as it came. The executor hears of a
+        subscription right after the call in which it was made: behind the first answer from then
+        on.
+        """
+        for _ in range(2):
+            self.lifecycle_state()
 
     def send(self, recording, indices: Sequence[int]) -> None:
         """Send samples of a recording: a chunk of voltages, then the torques of the same stamps."""

@@ -8,9 +8,12 @@ from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.duration import Duration
 from safetensors import safe_open
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
+
+from .conftest import ACKNOWLEDGE_TIMEOUT_S, CHUNK
 
 pytestmark = pytest.mark.system
 
@@ -43,6 +46,9 @@ def send(rig, samples: range, *, right_nm: float | None = None) -> None:
         volts = 5.0 + 3.0 * ((k // 7) % 3)
         voltage.publish(rig.state('left right', stamp_ns, volts, volts))
         torque.publish(rig.state('left right', stamp_ns, 0.1 * volts, right_nm or 0.1 * volts))
+        if (k + 1) % CHUNK == 0:
+            for publisher in (voltage, torque):
+                assert publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
 
 
 def publishers(rig, motor: str) -> int:

@@ -22,6 +22,8 @@ TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 START_NS = 1_000_000_000
 CHUNK = 20
 RELIABLE = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.RELIABLE)
+SLOW = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+"""Of a single message at a time: with a full history DDS asks its readers at once."""
 BEST_EFFORT = QoSProfile(depth=CHUNK, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
@@ -30,8 +32,9 @@ def stamped(message: Any, stamp_ns: int) -> Any:
     return message
 
 
-def publish(peer: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> None:
+def publish(rig: Any, senders: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     """Publish rows of messages by sender, in order, within the depth of the queues."""
+    rig.settle()
     for k, row in enumerate(rows, start=1):
         for name, message in row.items():
             senders[name].publish(message)
@@ -78,7 +81,7 @@ def test_current_and_speed_come_from_topics_and_fields_of_their_own(rig, record,
                 'torque': stamped(current, stamp_ns),
             }
         )
-    publish(rig.peer, senders, rows)
+    publish(rig, senders, rows)
     rig.wait_for(samples_used=800)
     assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
 
@@ -122,10 +125,11 @@ def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record)
         hold_s=60.0,
     )
     senders = {
-        'battery': rig.peer.publisher(BatteryState, 'battery_state', RELIABLE, readers=1),
+        'battery': rig.peer.publisher(BatteryState, 'battery_state', SLOW, readers=1),
         'duty': rig.peer.publisher(JointState, 'duty', RELIABLE, readers=1),
         'torque': rig.peer.publisher(JointState, 'joint_states', RELIABLE, readers=1),
     }
+    rig.settle()
     first = stamped(BatteryState(voltage=16.0), START_NS)
     senders['battery'].publish(first)
     rig.peer.wait(lambda: senders['battery'].wait_for_all_acked(Duration(seconds=5)), 'the battery')
@@ -142,7 +146,7 @@ def test_duty_and_battery_make_the_voltage_and_a_current_the_torque(rig, record)
         if k % 150 == 149:
             row['battery'] = stamped(BatteryState(voltage=16.0), stamp_ns)
         rows.append(row)
-    publish(rig.peer, senders, rows)
+    publish(rig, senders, rows)
     rig.wait_for(samples_used=800)
     assert rig.estimates() == pytest.approx(TRUTH, rel=5e-3)
 
@@ -325,7 +329,7 @@ def test_a_motor_that_is_silent_disturbs_no_other_and_may_join_and_leave(
     def send(names: str, indices: range) -> None:
         columns = [both.motors.index(name) for name in names.split()]
         publish(
-            rig.peer,
+            rig,
             {'voltage': voltage, 'torque': torque},
             [
                 {
