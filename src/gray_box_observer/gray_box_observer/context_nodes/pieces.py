@@ -53,9 +53,9 @@ class WorkBudget:
         self.credit = SAVED
         self.pieces = 0
 
-    def grant(self) -> None:
-        """Take note of a sample."""
-        self.credit = min(self.credit + SHARE, SAVED)
+    def grant(self, samples: int = 1) -> None:
+        """Take note of samples that have come."""
+        self.credit = min(self.credit + SHARE * samples, SAVED)
 
     def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
         """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""

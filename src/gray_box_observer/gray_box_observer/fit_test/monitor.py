@@ -39,7 +39,7 @@ from gray_box_observer.fit_test.residual_analysis import ResidualAnalysis, analy
 from gray_box_observer.fit_test.saved_test import LONGEST_WAIT, MOST_SUSPECTS, check_saved_test
 from gray_box_observer.fit_test.speed_curve import inductance_shift
 from gray_box_observer.fit_test.suspects import Explanation, explanations, select_explanations
-from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE
+from gray_box_observer.samples.replay_buffer import TORQUE, VOLTAGE, ReplayBuffer
 from gray_box_observer.settings.configuration import BACK_EMF, MotorConfiguration
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.flow import to_coordinates
@@ -91,6 +91,10 @@ MANY = 1024
 """Motors of which one is tested at one sample of the group; of more, as many more."""
 
 NEVER = np.iinfo(np.int64).max
+
+_UNTESTED = FitAssessment()
+
+_ALONE = np.zeros(1, dtype=np.intp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +160,7 @@ class FitMonitor:
     def assessment(self, motor: int) -> FitAssessment:
         """Return what is known of the fit of one motor."""
         result = self._results[motor]
-        return FitAssessment() if result is None else result.assessment
+        return _UNTESTED if result is None else result.assessment
 
     def is_urgent(self, motor: int) -> bool:
         """Tell whether the estimate awaits a test; untested, nothing is believed of the motor."""
@@ -174,6 +178,8 @@ class FitMonitor:
         """
         replay = nodes.replay
         self._moved = frozenset()
+        if len(self._motors) == 1:  # the usual case, in plain numbers
+            return [0] if motors.size and self._is_due(replay, estimate) else []
         places = replay.received[motors]
         if (places < np.minimum(self._due[motors], self._soon[motors])).all():
             return []
@@ -182,6 +188,8 @@ class FitMonitor:
         moved = (places >= self._soon[motors]) & self._has_moved(estimate, motors)
         self._moved = frozenset(motors[moved].tolist())
         rows = np.flatnonzero(waited | moved)
+        if not rows.size:
+            return []
         rows = rows[
             np.argsort(self._due[motors[rows]], kind='stable')
         ]  # who has waited longest is first
@@ -191,6 +199,18 @@ class FitMonitor:
             if self._is_ripe(estimate, row, motors[row], places[row])
         )
         return list(islice(due_motors, max(1, len(self._motors) // MANY)))
+
+    def _is_due(self, replay: ReplayBuffer, estimate: Estimate) -> bool:
+        """Tell whether a motor that is alone is to be tested now; see :meth:`due`."""
+        place, due, soon = int(replay.received[0]), int(self._due[0]), int(self._soon[0])
+        if place < due and place < soon:
+            return False
+        has_waited = place >= (soon if replay.begin()[0] > self._begin[0] else due)
+        if place >= soon and self._has_moved(estimate, _ALONE)[0]:
+            self._moved = frozenset((0,))
+        elif not has_waited:
+            return False
+        return self._is_ripe(estimate, 0, 0, place)
 
     def _is_ripe(self, estimate: Estimate, row: int, motor: int, place: int) -> bool:
         """Tell whether a first test is worth its time: something would be believed without it."""
@@ -205,6 +225,8 @@ class FitMonitor:
         """
         far = np.abs(np.log(estimate.value / self._theta[motors])) > MOVED
         has_moved: NDArray[np.bool_] = far.any(axis=1)
+        if not has_moved.any():
+            return has_moved
         for row in np.flatnonzero(has_moved).tolist():
             result = self._results[motors[row]]
             if result is not None and result.assessment.verdict is not FitVerdict.MISFIT:

@@ -179,19 +179,23 @@ class MotorObserver:
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
             deferred.followed_speed = self._speed.followed
-        self._deferred = deferred
+        if self._predictor is None and self.speed_choice.is_idle:
+            deferred.alarm = self.alarmed  # nothing is left to be done
+        else:
+            self._deferred = deferred
         return deferred, estimate
 
     def run_deferred(self) -> None:
         """Judge and learn the prediction of the last sample, where that is still to be done."""
-        tests, self._tests = self._tests, []
-        for motor in tests:
-            self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
+        if self._tests:
+            tests, self._tests = self._tests, []
+            for motor in tests:
+                self._know(self._test(motor, is_out=True), slice(motor, motor + 1))
         deferred = self._deferred
         if deferred is None:
             return
         self._judge_prediction(deferred)
-        if self.speed_choice.is_open and not self._is_frozen:
+        if not (self.speed_choice.is_idle or self._is_frozen):
             self._try_other_form(deferred.sample.stamp_ns)
 
     def _judge_prediction(self, deferred: DeferredUpdate) -> None:
@@ -326,6 +330,7 @@ class MotorObserver:
         estimate = self.context_nodes.estimate(one)
         before = self._fit.judged(self.context_nodes, estimate, self._places[one])
         self._fit.test(self.context_nodes, estimate, motor, self.delay_of(motor))
+        self.speed_choice.wake()
         after = self._fit.judged(self.context_nodes, estimate, self._places[one])
         has_changed = before.verdicts != after.verdicts or not np.array_equal(
             before.covariance, after.covariance

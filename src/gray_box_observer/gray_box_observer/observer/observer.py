@@ -6,7 +6,6 @@ One core, three doors: live topics, a replayed bag and the offline command all f
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -546,10 +545,10 @@ class Observer:
 
     def _learn(self, group: Group, samples: list[Sample]) -> list[GroupResult]:
         results: list[GroupResult] = []
-        queue, pairing = deque(samples), group.pairing
+        pairing, still = group.pairing, samples[::-1]
         assert isinstance(pairing, Pairing)  # one that has stopped makes no samples
-        while queue:
-            sample = queue.popleft()
+        while still:
+            sample = still.pop()
             if group.observer is None:
                 self._adopt(group, self._make(group, bool(np.isfinite(sample.speed_rad_s).any())))
             observer = group.observer
@@ -584,7 +583,7 @@ class Observer:
                 results[-1] = replace(
                     results[-1], estimate=estimate, changed=np.arange(len(group.names))
                 )
-                queue = deque(later_samples)
+                still = later_samples[::-1]
         return results
 
     def _adopt(self, group: Group, observer: MotorObserver) -> None:

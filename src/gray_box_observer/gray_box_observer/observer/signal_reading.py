@@ -69,6 +69,20 @@ class _NameCheck(NamedTuple):
     strangers: tuple[str, ...]
 
 
+class _Usual(NamedTuple):
+    """The usual message: one motor of ours, named, with one value.
+
+    Attributes:
+        names: as they stand in the message.
+        kind: type of what holds the value.
+        motors: the same names, as motors.
+    """
+
+    names: Sequence[str]
+    kind: type
+    motors: tuple[str, ...]
+
+
 class Signal:
     """One measured quantity in the messages of one topic.
 
@@ -100,6 +114,7 @@ class Signal:
         )
         self.unknown_names: Counter[str] = Counter()
         self._readable = False
+        self._usual: _Usual | None = None
 
     def read(self, message: Any) -> ReadValues:
         """Return the motor names, a value in SI units for each, and whether any is configured.
@@ -118,6 +133,14 @@ class Signal:
                 f'{self.name}.field {self._path.text!r} on {self.topic}: {error}'
             ) from error
         names = names_of(message)
+        usual = self._usual
+        if (
+            usual is not None
+            and type(value) is usual.kind
+            and len(value) == 1
+            and names == usual.names
+        ):
+            return usual.motors, (self.scale * float(value[0]) + self.offset,), True
         if isinstance(value, (int, float)):
             self._readable = True
             return self._single(self.scale * value + self.offset)
@@ -147,6 +170,10 @@ class Signal:
                 self.unknown_names[name] += 1
         if self._torque_constants:
             values = self._as_torque(name_check.names, values)
+        elif (
+            len(message_names) == 1 and name_check.has_our_motor and not self._path.may_have_entries
+        ):
+            self._usual = _Usual(type(names)(names), type(value), name_check.names)
         return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:

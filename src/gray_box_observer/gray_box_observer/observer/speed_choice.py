@@ -98,6 +98,7 @@ class SpeedChoice:
 
     Attributes:
         source: where the speed comes from now.
+        is_idle: whether nothing is to be done until the fit is tested again.
     """
 
     def __init__(
@@ -107,7 +108,9 @@ class SpeedChoice:
         self._reason = printable(reason, LONGEST_REASON)
         self._refusal = ''
         self._make = make
+        self.is_idle = make is None
         self._due = self._wait = FEWEST
+        self._granted = 0
         self._trials = 0
         self._budget = WorkBudget()
         self._trial: _Trial | None = None
@@ -138,12 +141,13 @@ class SpeedChoice:
         """
         if self._make is None:
             return None
-        self._budget.grant()
+        received = int(nodes.replay.received[0])
+        self._grant(received)
         is_doubted = self._is_doubted(fit)
+        self.is_idle = not is_doubted and self._trial is None
         if not is_doubted:
             self._refusal = ''
         if self._trial is None:
-            received = int(nodes.replay.received[0])
             if not is_doubted or received < self._due:
                 return None
             self._trial = self._begun(white_box, nodes, received, stamp_ns)
@@ -157,14 +161,23 @@ class SpeedChoice:
         if not has_ended:
             return None
         self._trial = None
-        received = int(nodes.replay.received[0])
         if form is None or not is_doubted:
             self._due = received + self._wait
             return None
         self.source = OTHER[self.source]
         form.catch_up(_newer(nodes, received - trial.place), stamp_ns)
-        self._due = int(form.context_nodes.replay.received[0]) + self._wait
+        self._granted = int(form.context_nodes.replay.received[0])
+        self._due = self._granted + self._wait
         return form
+
+    def wake(self) -> None:
+        """Take note that the fit was tested: what was idle goes on."""
+        self.is_idle = self._make is None
+
+    def _grant(self, received: int) -> None:
+        """Grant the work of all samples that have come, those of idle times included."""
+        self._budget.grant(max(0, received - self._granted))
+        self._granted = received
 
     def _is_doubted(self, fit: FitAssessment) -> bool:
         if fit.verdict is FitVerdict.MISFIT:
@@ -235,6 +248,7 @@ class SpeedChoice:
 
     def state(self, received: int) -> tuple[dict[str, Any], dict[str, Array]]:
         """Everything, as plain values and arrays; places count back from the newest sample."""
+        self._grant(received)
         plain = {
             'source': self.source,
             'reason': self._reason,
@@ -284,6 +298,7 @@ class SpeedChoice:
         self._trial = trial
         self._reason, self._refusal = reasons
         self._due, self._wait, self._trials = received + due, wait, trials
+        self._granted = received
 
 
 def _newer(nodes: ContextUpdate, count: int) -> Array:
