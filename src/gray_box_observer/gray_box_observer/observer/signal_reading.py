@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +80,7 @@ class _Usual(NamedTuple):
     """
 
     names: Sequence[str]
-    kind: type
+    kind: Any
     motors: tuple[str, ...]
 
 
@@ -173,7 +174,7 @@ class Signal:
         elif (
             len(message_names) == 1 and name_check.has_our_motor and not self._path.may_have_entries
         ):
-            self._usual = _Usual(type(names)(names), type(value), name_check.names)
+            self._usual = _Usual(copy(names), type(value), name_check.names)
         return name_check.names, values, name_check.has_our_motor
 
     def speed_path(self) -> FieldPath | None:
