@@ -48,7 +48,7 @@ from gray_box_observer.white_box.interface import Array
 WINDOW = 4096
 """Newest samples, at most, that a test looks at."""
 
-FEWEST = 64
+FEWEST = 32
 """Samples of which a test tells something."""
 
 SHORTEST_WAIT = 64

@@ -35,6 +35,11 @@ LIKELY = 10.0
 COLOURED = 3.0
 """Whiteness from which correlated residuals are taken into the covariance of the parameters."""
 
+FEW_PERIODS = 2.5
+"""Factor on a deviation, less 1, by bandwidth over samples: a covariance that is itself estimated
+from few periods of the correlation is often too small (Kiefer and Vogelsang 2005). With it three
+deviations hold what three of a known normal distribution do, within 3 % from 64 to 2048 samples."""
+
 DISTINCT = 1e-6
 """Share of an effect's response that must not be explained by the parameters: of less nothing can
 be told."""
@@ -264,7 +269,8 @@ class _Projection:
             1 : self._unknowns, 1 : self._unknowns
         ]
         shift = _of_parameters(_of_parameters(spread).T)
-        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
+        few = 1.0 + FEW_PERIODS * bandwidth(self.remainder.size) / self.remainder.size
+        std: Array = few * np.sqrt(np.maximum(np.diagonal(shift), 0.0))
         return std
 
     def _solved(self, right: Array) -> Array:
@@ -281,15 +287,20 @@ def _of_parameters(coordinates: Array) -> Array:
     return shift
 
 
+def bandwidth(count: int) -> int:
+    """Return the lags up to which correlation counts, of so many samples."""
+    return int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
+
+
 def long_run_covariance(terms: Array) -> Array:
     """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
     count = terms.shape[0]
-    bandwidth = int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
-    padded = 1 << (count + bandwidth).bit_length()
+    width = bandwidth(count)
+    padded = 1 << (count + width).bit_length()
     spectrum = np.fft.rfft(terms, padded, axis=0)
-    lags = np.arange(bandwidth + 1)
+    lags = np.arange(width + 1)
     kernel = np.zeros(padded)
-    kernel[lags] = 1.0 - lags / (bandwidth + 1.0)
+    kernel[lags] = 1.0 - lags / (width + 1.0)
     kernel[-lags[1:]] = kernel[lags[1:]]
     weights = np.fft.rfft(kernel).real.copy()
     weights[1 : (padded + 1) // 2] *= 2.0
