@@ -35,11 +35,6 @@ LIKELY = 10.0
 COLOURED = 3.0
 """Whiteness from which correlated residuals are taken into the covariance of the parameters."""
 
-FEW_PERIODS = 2.5
-"""Factor on a deviation, less 1, by bandwidth over samples: a covariance that is itself estimated
-from few periods of the correlation is often too small (Kiefer and Vogelsang 2005). With it three
-deviations hold what three of a known normal distribution do, within 3 % from 64 to 2048 samples."""
-
 DISTINCT = 1e-6
 """Share of an effect's response that must not be explained by the parameters: of less nothing can
 be told."""
@@ -269,8 +264,7 @@ class _Projection:
             1 : self._unknowns, 1 : self._unknowns
         ]
         shift = _of_parameters(_of_parameters(spread).T)
-        few = 1.0 + FEW_PERIODS * bandwidth(self.remainder.size) / self.remainder.size
-        std: Array = few * np.sqrt(np.maximum(np.diagonal(shift), 0.0))
+        std: Array = np.sqrt(np.maximum(np.diagonal(shift), 0.0))
         return std
 
     def _solved(self, right: Array) -> Array:
