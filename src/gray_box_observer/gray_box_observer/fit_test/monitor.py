@@ -429,7 +429,7 @@ class FitMonitor:
                 value = estimate.value[row : row + 1]
                 most = _largest_shares(nodes, motor, value[0], result.judgement)[None]
                 verdicts[row] = nodes.verdict_rules.judge(
-                    estimate.parameters, value, std, frozen=frozen, most=most
+                    estimate.parameters, value, std, is_frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(misfit, verdicts[row]))
