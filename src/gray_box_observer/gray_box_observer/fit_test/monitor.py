@@ -276,8 +276,8 @@ class FitMonitor:
             place - begin,
             speed_measured=knows_speed,
             stamps_exact=bool(self._motors[motor].values['stamps_exact']),
-            doubted=before is not None and before.misfits > PASSING,
-            drifting=drifting,
+            is_doubted=before is not None and before.misfits > PASSING,
+            is_drifting=drifting,
         )
         shift = inductance_shift(white_box, samples[:, 0], theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)

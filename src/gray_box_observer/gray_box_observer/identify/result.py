@@ -147,6 +147,6 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     }
     if motor.alarm is not None:
         values['alarms'] = {'raised': len(alarms_s), 'first_s': alarms_s[0] if alarms_s else None}
-    if delay.asked or delay.complaint(name) is not None:
+    if delay.is_estimated or delay.complaint(name) is not None:
         values['delay_s'] = {'value': delay.value_s, 'std': delay.std_s, 'applied': delay.applied_s}
     return values

@@ -111,7 +111,7 @@ def _form(
             boxes[motor],
             initial,
             first.delay_s,
-            asked=estimates_delay,
+            is_estimated=estimates_delay,
             gap_s=configuration['gap_s'],
         )
 

@@ -261,7 +261,7 @@ def notes(name: str, observer: Observer) -> list[str]:
         sentences.append(
             f'{complaint[0].upper()}{complaint[1:]}. Until then L is not to be trusted.'
         )
-    elif delay.asked:
+    elif delay.is_estimated:
         delay_text = (
             'the data do not tell it'
             if math.isnan(delay.value_s)
