@@ -87,11 +87,11 @@ def _stops(observer: Observer) -> list[str]:
 def describe(outcome: Outcome) -> dict[str, Any]:
     """Return the result as plain values for ``--json``; numbers that are not finite are None."""
     observer = outcome.observer
-    described = {
+    descriptions = {
         name: observer.contain(observer.group_of(name), partial(_motor, outcome, name))
         for name in [*observer.motors]
     }
-    motors = {name: values for name, values in described.items() if values is not None}
+    motors = {name: values for name, values in descriptions.items() if values is not None}
     incidents = observer.incidents.items()
     stopped_motors = {
         name: {'reason': incident.reason, 'traceback': incident.trace}
