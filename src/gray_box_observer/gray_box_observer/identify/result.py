@@ -44,7 +44,7 @@ def warnings_of(outcome: Outcome) -> list[str]:
         *(f'no usable sample of motor {name}; it is not in the result' for name in unseen_motors),
         *(
             f'{counts.total()} messages of {name} could not be read'
-            for name, counts in outcome.message_input.rejected.items()
+            for name, counts in outcome.message_input.rejection_counts.items()
             if counts
         ),
         *(
@@ -115,7 +115,7 @@ def _motor(outcome: Outcome, name: str) -> dict[str, Any]:
     skill = outcome.observer.skill(name)
     alarms_s = [round(time_s, 6) for time_s in course.alarms_s]
     values: dict[str, Any] = {
-        'samples': counts.used,
+        'samples': counts.used_count,
         'duration_s': round(course.duration_s, 6),
         'rejected': {reason.value: counts.rejected[reason] for reason in Rejection},
         'parameters': {
