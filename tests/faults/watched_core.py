@@ -23,7 +23,7 @@ from gray_box_observer.settings.configuration import Configuration
 class IdleTraining:
     """Training that takes every job and never ends one."""
 
-    resting = False
+    is_resting = False
     busy = False
     failure: str | None = None
     share = 1.0

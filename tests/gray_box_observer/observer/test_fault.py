@@ -32,7 +32,7 @@ FAULTS = {
 class Untrained:
     """Training that never changes the network that comes with the package."""
 
-    resting, busy, failure = False, False, None
+    is_resting, busy, failure = False, False, None
 
     def __init__(self, _configuration: dict[str, Any]) -> None:
         pass

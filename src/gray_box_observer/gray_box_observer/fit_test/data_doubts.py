@@ -281,7 +281,7 @@ def _doubts_of_back_emf(
     far = FAR_FROM_DEFAULT if kb == DEFAULT_KB else FAR
     if max(magnitude, kb) <= far * min(magnitude, kb) or magnitude <= SURE * balance.std:
         return
-    unit = _unit_of_speed(magnitude / kb) if BACK_EMF in motor.stated and kb > 0.0 else None
+    unit = _unit_of_speed(magnitude / kb) if BACK_EMF in motor.stated_names and kb > 0.0 else None
     if unit is not None:
         factor = UNITS_OF_SPEED[unit]
         text = (

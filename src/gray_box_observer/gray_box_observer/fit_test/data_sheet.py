@@ -159,7 +159,7 @@ def _distance(away: float, sheet_value: str, relative_std: float) -> str:
 def _untold_spread(motor: MotorConfiguration, name: str) -> float:
     """Return how well a value is known that was given without a standard deviation."""
     key = f'initial.{name}'
-    is_given = key in motor.stated and motor.values[key] != DEFAULTS[key]
+    is_given = key in motor.stated_names and motor.values[key] != DEFAULTS[key]
     return UNTOLD_SPREAD if is_given else 0.0
 
 
