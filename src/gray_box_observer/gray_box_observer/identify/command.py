@@ -358,7 +358,7 @@ def _write_report(
         RunHistory(
             title=f'Identification of {", ".join(result["motors"])}',
             source=[path.name for path in options.bags],
-            created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+            creation_time=datetime.now(timezone.utc).isoformat(timespec='seconds'),
             motors=tuple(replace(motor, validation=validations[motor.name]) for motor in histories),
             summary={
                 'samples': sum(motor['samples'] for motor in result['motors'].values()),

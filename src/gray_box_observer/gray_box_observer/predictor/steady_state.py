@@ -312,11 +312,11 @@ def relaxation(
 def exponent(ops: Any, interval: Relaxation, readout: Any) -> Any:
     """Mean decay rate times length of the interval, ``h c_mean``; numpy, floats or torch.
 
-    ``log(c_mean / c(i0)) = g (log_end_rate + d n)``: ``g`` is how far the mean has moved from its start
-    towards its end if the approach were a plain exponential, ``n`` the network's answer, ``d`` how
-    much the rate varies at all. So, whatever the weights: the slope is that of the white box where
-    the interval is short, the end is its steady state where it is long, and a linear motor is
-    exact. A fresh network says 0.
+    ``log(c_mean / c(i0)) = g (log_end_rate + d n)``: ``g`` is how far the mean has moved from its
+    start towards its end if the approach were a plain exponential, ``n`` the network's answer,
+    ``d`` how much the rate varies at all. So, whatever the weights: the slope is that of the white
+    box where the interval is short, the end is its steady state where it is long, and a linear
+    motor is exact. A fresh network says 0.
 
     Args:
         ops: whose functions.

@@ -287,8 +287,8 @@ class Configuration:
         reserved_names = [name for name in names if name in RESERVED]
         if reserved_names:
             raise ConfigurationError(
-                f'motors: {reserved_names[0]} is the name of parameters of the observer itself; give '
-                'the motor another one'
+                f'motors: {reserved_names[0]} is the name of parameters of the observer itself; '
+                'give the motor another one'
             )
         if values['verdict.identified_relative_std'] > values['verdict.excited_relative_std']:
             raise ConfigurationError(
@@ -481,8 +481,8 @@ def _check_rule(rule: str, motors: Mapping[str, MotorConfiguration]) -> None:
     inertia_motors = [name for name, motor in motors.items() if motor.mechanical_nodes]
     if rule != 'recursive' and inertia_motors:
         raise ConfigurationError(
-            f'motor {inertia_motors[0]}: inertia among context_nodes needs context_update recursive, '
-            f'got {rule}'
+            f'motor {inertia_motors[0]}: inertia among context_nodes needs context_update '
+            f'recursive, got {rule}'
         )
     if rule != 'recursive' and informed_motors:
         raise ConfigurationError(

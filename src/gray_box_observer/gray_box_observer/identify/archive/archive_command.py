@@ -162,9 +162,9 @@ def _history(
         if len(motors) != 1
         else f'Trends of {motors[0].name}',
         source=places,
-        created=datetime.now(timezone.utc).isoformat(timespec='seconds'),
+        creation_time=datetime.now(timezone.utc).isoformat(timespec='seconds'),
         motors=motors,
-        failed=failures,
+        failures=failures,
         summary={
             'bags': len(results),
             'without result': len(failures),
