@@ -59,8 +59,8 @@ class WorkBudget:
 
     def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
         """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""
-        done = 0
-        while self.credit > 0 and done < AT_ONCE:
+        spent_work = 0
+        while self.credit > 0 and spent_work < AT_ONCE:
             try:
                 size = next(work)
             except StopIteration as end:
@@ -68,7 +68,7 @@ class WorkBudget:
                 return True, end.value
             self.pieces += 1
             self.credit -= size
-            done += size
+            spent_work += size
         return False, None
 
     def repeat(self, work: Pieces[Result], pieces: int) -> None:

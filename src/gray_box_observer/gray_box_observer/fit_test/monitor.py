@@ -287,8 +287,8 @@ class FitMonitor:
             place - begin,
             speed_measured=knows_speed,
             stamps_exact=bool(self._motors[motor].values['stamps_exact']),
-            doubted=before is not None and before.misfits > PASSING,
-            drifting=drifting,
+            is_doubted=before is not None and before.misfits > PASSING,
+            is_drifting=drifting,
         )
         shift = inductance_shift(white_box, samples[:, 0], theta[0])
         judgement = with_shift(judgement, white_box.context_nodes.index('inductance'), shift)
@@ -449,7 +449,7 @@ class FitMonitor:
                 value = estimate.value[row : row + 1]
                 most = _largest_shares(nodes, motor, value[0], result.judgement)[None]
                 verdicts[row] = nodes.verdict_rules.judge(
-                    estimate.parameters, value, std, frozen=frozen, most=most
+                    estimate.parameters, value, std, is_frozen=frozen, most=most
                 )[0]
             if result.assessment.verdict is FitVerdict.MISFIT:
                 verdicts[row] = tuple(map(misfit, verdicts[row]))

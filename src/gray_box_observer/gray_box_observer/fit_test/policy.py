@@ -119,8 +119,8 @@ def judge(
     *,
     speed_measured: bool,
     stamps_exact: bool,
-    doubted: bool = False,
-    drifting: bool = False,
+    is_doubted: bool = False,
+    is_drifting: bool = False,
 ) -> Judgement:
     """Judge one motor.
 
@@ -130,14 +130,14 @@ def judge(
         samples: how many its estimate rests on.
         speed_measured: whether its speed is a signal.
         stamps_exact: whether the voltage acts at the very instant of its stamp.
-        doubted: whether it did not fit so far: less is enough then to go on doubting.
-        drifting: whether it is followed as a winding that heats, which leaves a white residual.
+        is_doubted: whether it did not fit so far: less is enough then to go on doubting.
+        is_drifting: whether it is followed as a winding that heats, which leaves a white residual.
     """
     limit = SCORE_MEASURED if speed_measured else SCORE_UNMEASURED
-    coloured = analysis.whiteness > WHITENESS_DOUBT
-    if coloured and not speed_measured:
+    is_coloured = analysis.whiteness > WHITENESS_DOUBT
+    if is_coloured and not speed_measured:
         limit = SCORE_DOUBT
-    if doubted:
+    if is_doubted:
         limit *= STANDING
     spread = np.zeros((relative_std.size, relative_std.size))
     strong = [
@@ -147,8 +147,8 @@ def judge(
     ]
     material = any(np.max(np.abs(score.shift)) > MATERIAL for score in strong)
     best = analysis.scores[0].score if analysis.scores else 0.0
-    doubtful = best > SCORE_DOUBT and (coloured or analysis.ratio > RATIO_DOUBT)
-    doubtful |= drifting and coloured
+    doubtful = best > SCORE_DOUBT and (is_coloured or analysis.ratio > RATIO_DOUBT)
+    doubtful |= is_drifting and is_coloured
     if analysis.ratio > RATIO_MISFIT or doubtful or (strong and (material or not speed_measured)):
         verdict = FitVerdict.MISFIT
     elif strong or analysis.ratio > RATIO_WARNING or analysis.whiteness > WHITENESS_WARNING:

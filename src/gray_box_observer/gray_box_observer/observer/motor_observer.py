@@ -96,7 +96,7 @@ class MotorObserver:
         self.delay = form.delay
         self._fit = form.fit
         self._scales = form.scales
-        self._predictor, self._alarm = form.forecasting()
+        self._predictor, self._alarm = form.make_forecasting()
         self._speed: SpeedTracking | None = None
         if isinstance(form.context_nodes, RotorUpdate):
             self._speed = SpeedTracking(form.white_box, form.context_nodes)
@@ -178,7 +178,7 @@ class MotorObserver:
         estimate = self.update_parameters(sample)
         if self._speed is not None:
             deferred.speed = self._speed.step(sample, self._theta[0])
-            deferred.followed_speed = self._speed.followed
+            deferred.followed_speed = self._speed.estimate
         if self._predictor is None and self.speed_choice.is_idle:
             deferred.alarm = self.alarmed  # nothing is left to be done
         else:
@@ -425,7 +425,7 @@ class MotorObserver:
         if self._alarm is None:
             return self._nobody
         self.run_deferred()
-        return self._alarm.raised
+        return self._alarm.is_raised
 
     def relearn(self, context_nodes: ContextUpdate, samples: list[Sample]) -> None:
         """Restart with new context nodes from samples paired anew; the network trains on.

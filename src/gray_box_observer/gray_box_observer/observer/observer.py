@@ -571,7 +571,7 @@ class Observer:
             delay_s = None
             if not self._is_frozen:
                 delay_s = observer.delay.update(
-                    pairing.history, sample.stamp_ns, awaited=estimate is not None
+                    pairing.history, sample.stamp_ns, is_awaited=estimate is not None
                 )
             if delay_s is not None:
                 past_samples, later_samples = pairing.redelay(delay_s, sample.stamp_ns)

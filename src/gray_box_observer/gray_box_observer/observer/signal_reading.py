@@ -222,11 +222,12 @@ class Signal:
 
         A motor whose joint is not among the names may be there by its own name.
         """
-        renamed = {self._joints[name] for name in message_names if name in self._joints}
-        if not renamed:
+        motor_names = {self._joints[name] for name in message_names if name in self._joints}
+        if not motor_names:
             return message_names
         return tuple(
-            self._joints.get(name, NOBODY if name in renamed else name) for name in message_names
+            self._joints.get(name, NOBODY if name in motor_names else name)
+            for name in message_names
         )
 
     def _only_motor(self) -> tuple[str, ...]:

@@ -242,7 +242,7 @@ class MeasuredSpeedUpdate:
         parameters = self._white_box.parameters
         std = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
         is_frozen = self._outputs.is_frozen
-        verdicts = self.verdict_rules.judge(parameters, value, std, frozen=is_frozen, most=most)
+        verdicts = self.verdict_rules.judge(parameters, value, std, is_frozen=is_frozen, most=most)
         return Estimate(both.stamp_ns, parameters, value, covariance, verdicts)
 
     @property

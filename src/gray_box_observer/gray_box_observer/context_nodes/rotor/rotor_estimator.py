@@ -212,7 +212,9 @@ class RotorUpdate:
         std = np.sqrt(covariance.diagonal(0, 1, 2))
         parameters = self._white_box.parameters
         most = np.where(self._share > 0.0, theta * self._share + self._reach, np.inf)
-        verdicts = self.verdict_rules.judge(parameters, theta, std, frozen=self._frozen, most=most)
+        verdicts = self.verdict_rules.judge(
+            parameters, theta, std, is_frozen=self._frozen, most=most
+        )
         return Estimate(self._stamp_ns, parameters, theta, covariance, verdicts)
 
     def learn(self, sample: Sample) -> bool:
