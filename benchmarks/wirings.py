@@ -17,7 +17,16 @@ from functools import partial
 import numpy as np
 from common.figures import Figure, figure_table, last_line, table
 from common.wirings.mistakes import MISTAKES, NOMINAL, Mistake, right_parameters
-from common.wirings.robot import WHEELS, Log, Published, Wheel, draw_wheel, drive, messages
+from common.wirings.robot import (
+    START_NS,
+    WHEELS,
+    Log,
+    Published,
+    Wheel,
+    draw_wheel,
+    drive,
+    messages,
+)
 from tqdm import tqdm
 
 from gray_box_observer.fit_test import FitVerdict
@@ -123,11 +132,11 @@ def try_mistake(place: int, seed: int) -> Trial:
     return Trial(mistake.name, seed, named, robot.wrong(wheels))
 
 
-def false_flags(duration_s: float, seed: int) -> tuple[int, list[str]]:
-    """Let a right robot run; return the flags at all looks, and what is wrong and sure."""
+def false_flags(duration_s: float, seed: int) -> tuple[list[str], list[str]]:
+    """Let a right robot run; return what is said at all looks, and what is wrong and sure."""
     wheels, rng = draw(seed)
     robot = Robot(right_parameters(wheels))
-    flags = 0
+    flags = []
     log: Log = drive(wheels, NOMINAL, RATE_HZ, duration_s, rng)
     look_ns: int | None = None
     for one in messages(log):
@@ -135,7 +144,9 @@ def false_flags(duration_s: float, seed: int) -> tuple[int, list[str]]:
         look_ns = one.stamp_ns + round(LOOK_S * 1e9) if look_ns is None else look_ns
         if one.stamp_ns >= look_ns:
             look_ns += round(LOOK_S * 1e9)
-            flags += sum(bool(robot.says(name)) for name in WHEELS)
+            at_s = (one.stamp_ns - START_NS) * 1e-9
+            said = ((name, robot.says(name)) for name in WHEELS)
+            flags += [f'robot {seed}, {at_s:.0f} s, {name}: {text}' for name, text in said if text]
     return flags, robot.wrong(wheels)
 
 
@@ -179,14 +190,18 @@ def main() -> int:
         flag = partial(false_flags, options.robot_s)
         long_jobs = [pool.submit(flag, 10_000 + options.first_seed + k) for k in range(robots)]
         results = [job.result() for job in tqdm(jobs, unit='mistake', disable=None)]
-        runs = [job.result() for job in tqdm(long_jobs, unit='robot', disable=None)]
+        runs = []
+        for job in tqdm(long_jobs, unit='robot', disable=None):
+            runs.append(job.result())
+            for line in runs[-1][0]:
+                print(line, flush=True)
     print(table(['mistake', 'named', 'on wheels', 'not with seeds', 'identified and wrong'],
                 [_row(mistake.name, results) for mistake in MISTAKES]), end='\n\n')  # fmt: skip
     named = sum(any(trial.named) for trial in results)
     figures = [
         Figure('mistakes named, in %', 100.0 * named / len(results), (100.0, 100.0)),
         Figure('of these records, identified and wrong', sum(bool(t.wrong) for t in results), 0.0),
-        Figure(f'false flags in {hours:g} h of right robots', sum(r[0] for r in runs), 0.0),
+        Figure(f'false flags in {hours:g} h of right robots', sum(len(r[0]) for r in runs), 0.0),
         Figure('right robots with anything wrong and sure', sum(bool(r[1]) for r in runs), 0.0),
     ]
     print(figure_table(figures))
