@@ -19,7 +19,11 @@ Pieces = Generator[int, None, Result]
 """A piece of work at each ``next``, which gives its size; the result at the end."""
 
 SHARE = 192
-"""Work that every sample grants."""
+"""Work that every sample grants, at least."""
+
+SHARE_A_SECOND, LARGEST_SHARE = 192_000, 1920
+"""Work that a sample grants for the time since the one before, and at one sample at most: slow
+samples have more time, and their runs take more steps."""
 
 SAVED = 262144
 """Work that samples at which nothing was to be done have saved up, at most."""
@@ -53,9 +57,10 @@ class WorkBudget:
         self.credit = SAVED
         self.pieces = 0
 
-    def grant(self) -> None:
-        """Take note of a sample."""
-        self.credit = min(self.credit + SHARE, SAVED)
+    def grant(self, interval_s: float) -> None:
+        """Take note of a sample, so long after the one before by their stamps; 0: not known."""
+        share = int(min(max(SHARE_A_SECOND * interval_s, SHARE), LARGEST_SHARE))
+        self.credit = min(self.credit + share, SAVED)
 
     def advance(self, work: Pieces[Result]) -> tuple[bool, Result | None]:
         """Do as many pieces of some work as one sample may; tell whether it has ended, and how."""

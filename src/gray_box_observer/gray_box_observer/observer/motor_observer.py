@@ -192,7 +192,7 @@ class MotorObserver:
             return
         self._judge_prediction(deferred)
         if self.speed_choice.is_open and not self._is_frozen:
-            self._try_other_form(deferred.sample.stamp_ns)
+            self._try_other_form(deferred.sample)
 
     def _judge_prediction(self, deferred: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -207,10 +207,10 @@ class MotorObserver:
         if self._predictor is not None and prediction is not None:
             self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
 
-    def _try_other_form(self, stamp_ns: int) -> None:
+    def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
         form = self.speed_choice.step(
-            self.white_box, self.context_nodes, self._fit.assessment(0), stamp_ns
+            self.white_box, self.context_nodes, self._fit.assessment(0), sample
         )
         if form is None:
             return

@@ -24,6 +24,7 @@ from gray_box_observer.observer.motor_form import MotorForm, residual_a
 from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.safe_io.saved_state import LATEST_NS, MOST, entry, flag, group, whole
 from gray_box_observer.samples.replay_buffer import INTERVAL, check_signals
+from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box import MotorWhiteBox
 from gray_box_observer.white_box.interface import Array
 
@@ -123,7 +124,7 @@ class SpeedChoice:
         return self._make is not None
 
     def step(
-        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, stamp_ns: int
+        self, white_box: MotorWhiteBox, nodes: ContextUpdate, fit: FitAssessment, sample: Sample
     ) -> MotorForm | None:
         """Go on with the trial of the other form, or begin one where it is due.
 
@@ -131,14 +132,15 @@ class SpeedChoice:
             white_box: the physics in force.
             nodes: the rule in force.
             fit: what is known of its fit.
-            stamp_ns: stamp of the newest sample.
+            sample: the newest one.
 
         Returns:
             The other form, where the motor goes over to it.
         """
         if self._make is None:
             return None
-        self._budget.grant()
+        stamp_ns = sample.stamp_ns
+        self._budget.grant(float(sample.interval_s[0]))
         is_doubted = self._is_doubted(fit)
         if not is_doubted:
             self._refusal = ''

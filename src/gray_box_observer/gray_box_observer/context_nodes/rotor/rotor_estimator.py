@@ -233,7 +233,7 @@ class RotorUpdate:
         self.replay.append(sample.beginning() if self._resumes else sample)
         self._resumes = False
         self._place += 1
-        self._budget.grant()
+        self._budget.grant(float(sample.interval_s[0]))
 
     @property
     def is_frozen(self) -> bool:
@@ -251,10 +251,18 @@ class RotorUpdate:
         return None if self._fitting is None else (self._fitting.place, self._fitting.samples)
 
     def begin_fit(self) -> None:
-        """Begin to fit what is remembered."""
-        place = self._place
-        count = int(min(place - self._mark, self.replay.remembered()[0], WINDOW))
-        self._begin(place, self.replay.newest(count)[:, 0].copy())
+        """Begin to fit what is remembered: a window, from where the one before has ended.
+
+        Where a motor is not explained, and more samples than a window's have come, it is the newest
+        ones that tell.
+        """
+        place, remembered = self._place, int(self.replay.remembered()[0])
+        mark = max(self._mark, place - remembered)
+        if self._is_settled:
+            place = min(place, mark + WINDOW)
+        count = min(place - mark, WINDOW)
+        samples = self.replay.newest(count, until=np.array([place]))
+        self._begin(place, samples[:, 0].copy())
 
     def _begin(self, place: int, samples: Array) -> None:
         self._fitting = _Fitting(place, samples, self._fit(place, samples))
@@ -376,9 +384,10 @@ class RotorUpdate:
         """Settle when the next fit is due: with half as many more, later where nothing fits."""
         in_vain = not self._is_settled and count >= AGAIN
         self._wait = min(2 * self._wait, LONGEST_WAIT) if in_vain else AGAIN
-        self._due = place + (
-            self._wait if in_vain else min(count // (4 if count < FEW else 2), AGAIN)
-        )
+        more = min(count // (4 if count < FEW else 2), AGAIN)
+        if count < WINDOW:
+            more = min(more, WINDOW - count)
+        self._due = place + (self._wait if in_vain else more)
         if place - self._mark >= WINDOW:  # nothing fits: go on with newer samples
             self._mark = place - WINDOW // 2
 

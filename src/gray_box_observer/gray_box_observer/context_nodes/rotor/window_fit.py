@@ -68,6 +68,10 @@ OTHERS = (0.2, 0.45, 3.0)
 RIVAL = 9.0
 """Difference of chi-square up to which another optimum is as likely as not."""
 
+STUCK = 2.0
+"""Gain of chi-square that the equations promise, and no step brings, from which a search has ended
+before a kink: where a rotor turns or is held, a sample can stand in the way."""
+
 DISTINCT = 1.0
 """Standard deviations from which two ends of a search are two."""
 
@@ -159,12 +163,26 @@ def fit_window(
             ends.append(end)
     if not ends:
         return None
+    yield from _leap(min(ends, key=lambda end: _size(end.fit)), ends)
     if tries_others:
         yield from _try_others(min(ends, key=lambda end: _size(end.fit)), ends)
     noise = min(end.fit.noise_a for end in ends)
     fits = [end.fit for end in ends]
     fits.sort(key=lambda fit: fit.chi_square * (fit.noise_a / noise) ** 2 + _size(fit))
     return _with_rivals(fits, prior)
+
+
+def _leap(best: _End, ends: list[_End]) -> Pieces[None]:
+    """Search again from beyond what a search has stopped at, where it was to go on."""
+    found = best.search
+    if found.promised_gain < STUCK:
+        return
+    search = _Search(found.white_box, found.window, found.prior, found.beyond)
+    yield from search.settle()
+    if search.is_valid:
+        end = yield from search.run(ends)
+        if end is not None:
+            ends.append(end)
 
 
 def _try_others(best: _End, ends: list[_End]) -> Pieces[None]:
@@ -302,6 +320,8 @@ class _Search:
     Attributes:
         logarithms: shape (parameter,): where it stands.
         scale_a: robust standard deviation of the residual there; infinite before :meth:`settle`.
+        promised_gain: of chi-square by the last step that was tried, if all were straight.
+        beyond: shape (parameter,): where that leads.
     """
 
     def __init__(
@@ -316,6 +336,7 @@ class _Search:
             LEAST_NOISE * window.spread_a, window.quantisation_std_a, 1e-12 + 1e-9 * window.spread_a
         )
         self.logarithms = np.clip(logarithms, self._lower, self._upper)
+        self.promised_gain, self.beyond = 0.0, self.logarithms
         self._leaves_out = False
         fastest = 2.0 * window.largest_voltage_v / float(white_box.known['back_emf_constant'])
         slowest = 1e-9 * (1.0 + fastest)
@@ -436,7 +457,9 @@ class _Search:
                 return True
             precision = equations.information + self.prior.precision
             right = equations.right + self.prior.precision @ (self.prior.mean - self.logarithms)
-            left = float(right @ np.linalg.lstsq(precision, right, rcond=1e-12)[0])
+            step = np.linalg.lstsq(precision, right, rcond=1e-12)[0]
+            self.promised_gain = left = float(right @ step)
+            self.beyond = self.logarithms + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
             if left < accuracy.distance**2 * right.size:
                 return False
             before = self._total(self._at.residual_a, scale, self.logarithms, self.starts)
