@@ -80,13 +80,15 @@ class WorkBudget:
         """Do the pieces again that had been done of some work before it was saved.
 
         Raises:
-            CheckpointError: the work has not as many.
+            CheckpointError: the work has not as many, or cannot be done.
         """
         try:
             for _ in range(pieces):
                 next(work)
         except StopIteration:
             raise CheckpointError(f'the work under way has not {pieces} pieces') from None
+        except (ArithmeticError, LookupError, ValueError):
+            raise CheckpointError('the work under way cannot be done again') from None
         self.pieces = pieces
 
     @classmethod

@@ -209,9 +209,18 @@ class MotorObserver:
 
     def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        form = self.speed_choice.step(
-            self.white_box, self.context_nodes, self._fit.assessment(0), sample
-        )
+        fit = self._fit.assessment(0)
+        self._go_over(self.speed_choice.step(self.white_box, self.context_nodes, fit, sample))
+
+    def finish(self) -> None:
+        """Do what is left of a trial of another form: no samples will come."""
+        self.run_deferred()
+        if self.speed_choice.is_open and not self._is_frozen:
+            nodes, fit = self.context_nodes, self._fit.assessment(0)
+            self._go_over(self.speed_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
+
+    def _go_over(self, form: MotorForm | None) -> None:
+        """Observe the motor by another form, where there is one."""
         if form is None:
             return
         if self._predictor is not None:
@@ -518,7 +527,9 @@ class MotorObserver:
         received = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, received)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(group(plain, 'speed'), _group(arrays, 'speed'), received)
+            self.speed_choice.restore(
+                group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, received
+            )
         self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()

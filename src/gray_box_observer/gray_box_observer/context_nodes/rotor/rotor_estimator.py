@@ -189,6 +189,11 @@ class RotorUpdate:
         """Fits, windows that no fit was found for, and changes of the motor."""
         return dict(self._counts)
 
+    @property
+    def windows_without_fit(self) -> int:
+        """Windows that no fit was found for."""
+        return self._counts['windows without fit']
+
     def is_drifting(self, motor: int) -> bool:
         """Tell whether the motor is known to drift: this rule never asks."""
         return False
@@ -507,8 +512,9 @@ class RotorUpdate:
 
     def _resume(self, plain: Mapping[str, Any], arrays: dict[str, Array]) -> None:
         """Do the pieces again of a fit that was under way."""
-        check_signals('fitting', arrays.get('fitting'))
-        place = self._place + whole(plain, 'place', -MOST, 0)
+        check_signals('fitting', arrays.get('fitting'), longest=WINDOW)
+        earliest = arrays['fitting'].shape[2] - self._place
+        place = self._place + whole(plain, 'place', min(earliest, 0), 0)
         self._begin(place, arrays['fitting'][:, 0])
         assert self._fitting is not None
         with np.errstate(all='ignore'):
