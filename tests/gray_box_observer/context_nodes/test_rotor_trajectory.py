@@ -12,7 +12,12 @@ from dc_motor_sim.simulation import Simulation
 from gray_box_observer.context_nodes.native import whole_motor
 from gray_box_observer.context_nodes.rotor import rotor_trajectory
 from gray_box_observer.context_nodes.rotor.coordinates import WholeMotor, coordinates, slopes
-from gray_box_observer.context_nodes.rotor.rotor_trajectory import Run, by_knot, run
+from gray_box_observer.context_nodes.rotor.rotor_trajectory import (
+    Run,
+    by_knot,
+    current_response,
+    run,
+)
 from gray_box_observer.context_nodes.rotor.straight_motion import StraightMotion
 from gray_box_observer.white_box import MotorWhiteBox, forms
 from gray_box_observer.white_box.declaration import TERMS
@@ -246,3 +251,16 @@ def test_derivatives_by_the_knots_of_a_load_are_finite_differences(knot: int) ->
         assert np.std(slope[:, state] - by_difference[:, state]) < 1e-3 * np.std(
             by_difference[:, state]
         )
+
+
+def test_compiled_code_and_python_respond_alike_to_further_voltages() -> None:
+    if whole_motor.library() is None:
+        pytest.skip('no compiled code')
+    rng = np.random.default_rng(5)
+    transitions = free_run(THETA, steps(60)).transitions
+    gains, inputs = rng.normal(size=(60, 2)), rng.normal(size=(60, 3))
+    fast, slow = (
+        current_response(transitions, gains, inputs, compiled=compiled)
+        for compiled in (True, False)
+    )
+    np.testing.assert_allclose(fast, slow, rtol=1e-12, atol=1e-12)

@@ -181,6 +181,11 @@ class RotorUpdate:
         return np.ones(1, dtype=bool)
 
     @property
+    def noise_a(self) -> float:
+        """Standard deviation of the current's noise; 0 before the first fit."""
+        return self._noise_a
+
+    @property
     def noise_std_nm(self) -> Array:
         """Standard deviation of the torque noise in N m, shape (1,); 0 before the first fit."""
         return self._white_box.output(np.array([self._noise_a]))

@@ -172,6 +172,31 @@ def by_knot(path: Run, place: Array, knots: int, *, compiled: bool = True) -> Ar
     return result
 
 
+def current_response(
+    transitions: Array, gains: Array, inputs: Array, *, compiled: bool = True
+) -> Array:
+    """Return by how much further inputs move the current, shape (k + 1, input).
+
+    Args:
+        transitions: shape (k, state, state): of a run.
+        gains: shape (k, state): derivatives of every interval's end by an input over it.
+        inputs: shape (k, input).
+        compiled: whether compiled code is used where there is any.
+    """
+    count, columns = inputs.shape
+    result = np.zeros((count + 1, columns))
+    library = native.library() if compiled else None
+    if library is not None:
+        arrays = [np.ascontiguousarray(array) for array in (transitions, gains, inputs)]
+        library.whole_motor_respond(count, columns, *map(native.pointer, (*arrays, result)))
+        return result
+    state = np.zeros((STATES, columns))
+    for k, (transition, gain) in enumerate(zip(transitions, gains, strict=True)):
+        state = transition @ state + gain[:, None] * inputs[k]
+        result[k + 1] = state[State.CURRENT]
+    return result
+
+
 def _run(
     torque_constant: float,
     p: Array,

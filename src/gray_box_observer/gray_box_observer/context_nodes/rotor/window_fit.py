@@ -59,6 +59,9 @@ PROMISING = 3
 SHORT = 512
 """Samples of a first fit from a start that is not trusted."""
 
+LEAST_START_GAIN = 1.0
+"""Of chi-square, from which first states are moved by themselves before all else is."""
+
 RESOLVED = 2.0
 """Sample intervals in L/R up to which the current's rise has several explanations."""
 
@@ -278,7 +281,7 @@ class _Accuracy:
     gain: float
 
 
-ROUGHLY, NEARLY = _Accuracy(0.1, 0.1), _Accuracy(3e-3, 1e-2)
+ROUGHLY, NEARLY = _Accuracy(0.3, 0.3), _Accuracy(3e-3, 1e-2)
 """Of a search while outliers pull, which another one follows, and of the last one."""
 
 
@@ -387,7 +390,12 @@ class _Search:
         for _ in range(2):
             scale = self._scale(self._at.residual_a)
             equations = self._equations(self._weights(scale), scale)
-            starts = self.starts + equations.start_steps(np.zeros(self.logarithms.size))
+            steps = equations.start_steps(np.zeros(self.logarithms.size))
+            moved = zip(self._at.by_start, steps, strict=True)
+            gain = sum(float(np.sum((slope @ step) ** 2)) for slope, step in moved) / scale**2
+            if gain < LEAST_START_GAIN:
+                return
+            starts = self.starts + steps
             runs = yield from self._run(self.logarithms, starts)
             if runs is None or self._scale(runs.residual_a) > scale:
                 return
