@@ -2,8 +2,8 @@
 
 A robot with two geared wheels publishes duty cycles, a battery's voltage and joint states. Eleven
 mistakes of wiring are made on every drawn robot. One is named where what diagnostics say of some
-wheel holds its words after 10 s of data. Rightly wired robots run for hours: every verdict but a
-fit that is ``ok`` is a false flag.
+wheel holds its words after 10 s of data. Rightly wired robots run for hours, and every ten seconds
+each wheel is looked at: whatever is said of it then is a false flag.
 """
 
 from __future__ import annotations
@@ -11,12 +11,22 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from common.figures import Figure, figure_table, last_line, table
 from common.wirings.mistakes import MISTAKES, NOMINAL, Mistake, right_parameters
-from common.wirings.robot import WHEELS, Log, Published, Wheel, draw_wheel, drive, messages
+from common.wirings.robot import (
+    START_NS,
+    WHEELS,
+    Log,
+    Published,
+    Wheel,
+    draw_wheel,
+    drive,
+    messages,
+)
 from tqdm import tqdm
 
 from gray_box_observer.fit_test import FitVerdict
@@ -55,27 +65,25 @@ class Robot:
             for group in taken.groups:
                 self.observer.results(group)
 
-    def says(self) -> str:
-        """Return all that is said of the motors."""
+    def says(self, name: str) -> str:
+        """Return all that is said of a motor, and of the signals; empty where nothing is wrong."""
         lines = list(self.message_input.complaints.values())
-        for name in self.configuration.motors:
-            motor = self.observer.motors.get(name)
-            if motor is None:
-                strangers = {
-                    stranger
-                    for signal in self.message_input.signals.values()
-                    for stranger in signal.unknown_names
-                }
-                lines.append(f'names there: {", ".join(sorted(strangers))}')
-                continue
-            quantity = self.configuration['torque.quantity']
-            mixed = self.observer.mix_up(name)
-            lines += [f'{suspect.effect}: {suspect.remedy}' for suspect in motor.fit.suspects]
-            lines += [
-                contradiction(motor.configuration, motor.estimate, quantity) or '',
-                '' if mixed is None else mixed.sentence,
-            ]
-        return '\n'.join(lines)
+        motor = self.observer.motors.get(name)
+        if motor is None:
+            strangers = {
+                stranger
+                for signal in self.message_input.signals.values()
+                for stranger in signal.unknown_names
+            }
+            return '\n'.join([*lines, f'names there: {", ".join(sorted(strangers))}'])
+        if motor.fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT):
+            lines.append(motor.fit.sentence)
+        lines += [f'{suspect.effect}: {suspect.remedy}' for suspect in motor.fit.suspects]
+        quantity = self.configuration['torque.quantity']
+        lines.append(contradiction(motor.configuration, motor.estimate, quantity) or '')
+        mixed = self.observer.mix_up(name)
+        lines.append('' if mixed is None else mixed.sentence)
+        return '\n'.join(line for line in lines if line)
 
     def wrong(self, wheels: Sequence[Wheel]) -> list[str]:
         """Return the parameters that are called identified and are more than 3 std and 2 % off."""
@@ -95,22 +103,40 @@ class Robot:
         return found
 
 
-def try_mistake(place: int, seed: int) -> tuple[str, int, bool, list[str]]:
-    """Make a mistake on a robot; return whether it is named, and what is wrong and sure."""
+@dataclass(frozen=True)
+class Trial:
+    """What came of one mistake on one robot.
+
+    Attributes:
+        mistake: its name.
+        seed: of the robot.
+        named: for every motor that is wired wrongly, whether the mistake is named.
+        wrong: parameters that are called identified and are not right.
+    """
+
+    mistake: str
+    seed: int
+    named: tuple[bool, ...]
+    wrong: list[str]
+
+
+def try_mistake(place: int, seed: int) -> Trial:
+    """Make a mistake on a robot, and look what is said of it after NAMED_WITHIN_S."""
     mistake: Mistake = MISTAKES[place]
     wheels, rng = draw(seed)
     log = drive(wheels, mistake.battery, RATE_HZ, NAMED_WITHIN_S, rng)
     robot = Robot(mistake.wired(wheels))
     for one in mistake.published(log):
         robot.listen(one)
-    return mistake.name, seed, mistake.is_named(robot.says()), robot.wrong(wheels)
+    named = tuple(mistake.is_named(robot.says(motor)) for motor in mistake.motors)
+    return Trial(mistake.name, seed, named, robot.wrong(wheels))
 
 
-def false_flags(duration_s: float, seed: int) -> tuple[int, list[str]]:
-    """Let a right robot run; return the flags at all looks, and what is wrong and sure."""
+def false_flags(duration_s: float, seed: int) -> tuple[list[str], list[str]]:
+    """Let a right robot run; return what is said at all looks, and what is wrong and sure."""
     wheels, rng = draw(seed)
     robot = Robot(right_parameters(wheels))
-    flags = 0
+    flags = []
     log: Log = drive(wheels, NOMINAL, RATE_HZ, duration_s, rng)
     look_ns: int | None = None
     for one in messages(log):
@@ -118,9 +144,25 @@ def false_flags(duration_s: float, seed: int) -> tuple[int, list[str]]:
         look_ns = one.stamp_ns + round(LOOK_S * 1e9) if look_ns is None else look_ns
         if one.stamp_ns >= look_ns:
             look_ns += round(LOOK_S * 1e9)
-            fits = [motor.fit for motor in robot.observer.motors.values()]
-            flags += sum(fit.verdict in (FitVerdict.WARNING, FitVerdict.MISFIT) for fit in fits)
+            at_s = (one.stamp_ns - START_NS) * 1e-9
+            said = ((name, robot.says(name)) for name in WHEELS)
+            flags += [f'robot {seed}, {at_s:.0f} s, {name}: {text}' for name, text in said if text]
     return flags, robot.wrong(wheels)
+
+
+def _row(mistake: str, trials: Sequence[Trial]) -> list[str]:
+    """Return what came of a mistake on all robots, as a row of the table."""
+    own = [trial for trial in trials if trial.mistake == mistake]
+    misses = [str(trial.seed) for trial in own if not any(trial.named)]
+    wheels = [is_named for trial in own for is_named in trial.named]
+    wrong = sorted({name for trial in own for name in trial.wrong})
+    return [
+        mistake,
+        f'{len(own) - len(misses)} of {len(own)}',
+        f'{sum(wheels)} of {len(wheels)}',
+        ', '.join(misses),
+        ', '.join(wrong),
+    ]
 
 
 def main() -> int:
@@ -128,35 +170,38 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument('--quick', action='store_true', help='one seed, two hours')
-    parser.add_argument('--seeds', type=int, default=3, help='robots of each mistake')
+    parser.add_argument('--quick', action='store_true', help='one seed, one right robot')
+    parser.add_argument('--seeds', type=int, help='robots of each mistake (default 3)')
     parser.add_argument('--first-seed', type=int, default=0)
-    parser.add_argument('--hours', type=float, default=24.0, help='of right robots, in all')
+    parser.add_argument('--hours', type=float, help='of right robots, in all (default 24)')
     parser.add_argument('--robot-s', type=float, default=600.0, help='of each right robot')
     parser.add_argument('--processes', type=int, default=2)
     options = parser.parse_args()
-    count, hours = (1, 2.0) if options.quick else (options.seeds, options.hours)
+    count, hours = options.seeds, options.hours
+    if count is None:
+        count = 1 if options.quick else 3
+    if hours is None:
+        hours = options.robot_s / 3600.0 if options.quick else 24.0
     seeds = range(options.first_seed, options.first_seed + count)
     robots = round(hours * 3600.0 / options.robot_s)
+    hours = robots * options.robot_s / 3600.0
     with ProcessPoolExecutor(options.processes) as pool:
         jobs = [pool.submit(try_mistake, k, seed) for k in range(len(MISTAKES)) for seed in seeds]
         flag = partial(false_flags, options.robot_s)
         long_jobs = [pool.submit(flag, 10_000 + options.first_seed + k) for k in range(robots)]
         results = [job.result() for job in tqdm(jobs, unit='mistake', disable=None)]
-        runs = [job.result() for job in tqdm(long_jobs, unit='robot', disable=None)]
-    rows = []
-    for mistake in MISTAKES:
-        own = [result for result in results if result[0] == mistake.name]
-        misses = [str(seed) for _, seed, is_named, _ in own if not is_named]
-        sure = sorted({name for *_, wrong in own for name in wrong})
-        named = f'{len(own) - len(misses)} of {len(own)}'
-        rows.append([mistake.name, named, ', '.join(misses), ', '.join(sure)])
-    print(table(['mistake', 'named', 'not with seeds', 'identified and wrong'], rows), end='\n\n')
-    named = sum(is_named for _, _, is_named, _ in results)
+        runs = []
+        for job in tqdm(long_jobs, unit='robot', disable=None):
+            runs.append(job.result())
+            for line in runs[-1][0]:
+                print(line, flush=True)
+    print(table(['mistake', 'named', 'on wheels', 'not with seeds', 'identified and wrong'],
+                [_row(mistake.name, results) for mistake in MISTAKES]), end='\n\n')  # fmt: skip
+    named = sum(any(trial.named) for trial in results)
     figures = [
         Figure('mistakes named, in %', 100.0 * named / len(results), (100.0, 100.0)),
-        Figure('of these records, identified and wrong', sum(bool(r[3]) for r in results), 0.0),
-        Figure(f'false flags in {hours:g} h of right robots', sum(r[0] for r in runs), 0.0),
+        Figure('of these records, identified and wrong', sum(bool(t.wrong) for t in results), 0.0),
+        Figure(f'false flags in {hours:g} h of right robots', sum(len(r[0]) for r in runs), 0.0),
         Figure('right robots with anything wrong and sure', sum(bool(r[1]) for r in runs), 0.0),
     ]
     print(figure_table(figures))

@@ -19,6 +19,7 @@ import pytest
 
 from dc_motor_sim.plant import PlantParameters
 from dc_motor_sim.ros.parameters import NodeParameters
+from gray_box_observer.ros.watching import dashboard_command
 from gray_box_observer.settings import configuration
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -92,7 +93,8 @@ class Node:
     package: str
     executable: str
     name: str
-    parameters: list[Any]
+    parameters: list[Any] = field(default_factory=list)
+    arguments: list[str] = field(default_factory=list)
     output: str = 'log'
     namespace: Any = ''
     on_exit: Any = None
@@ -228,7 +230,7 @@ def test_the_demo_ends_with_any_of_its_nodes_of_which_none_is_managed():
     """``launch_ros`` fails when a managed node is launched and a second end is asked for."""
     _, nodes = launched(DEMO)
     assert {n.executable: (type(n), type(n.on_exit)) for n in nodes} == dict.fromkeys(
-        ('observer', 'recorder', 'motor_sim'), (Node, Shutdown)
+        ('dashboard', 'observer', 'recorder', 'motor_sim'), (Node, Shutdown)
     )
 
 
@@ -260,11 +262,39 @@ def test_the_demo_takes_a_namespace_and_a_parameter_file_for_all_of_its_nodes(tm
     mine = tmp_path / 'mine.yaml'
     mine.write_text('/**: {ros__parameters: {motors: [left, right]}}')
     _, nodes = launched(DEMO, params_file=str(mine))
-    assert [node.parameters[0] for node in nodes] == [str(mine)] * 3
+    page, *managed = nodes
+    assert page.arguments[-2:] == ['--params', str(mine)]
+    assert [node.parameters[0] for node in managed] == [str(mine)] * 3
     assert not any(
         key.startswith('motor.') for node in nodes for p in node.parameters[1:] for key in p
     )
-    assert all(node.namespace.name == 'namespace' for node in nodes)
+    _, nodes = launched(DEMO, namespace='r1')
+    assert [node.namespace for node in nodes] == ['r1'] * 4
+
+
+@pytest.mark.usefixtures('stand_ins')
+def test_the_demo_has_a_page_of_its_observer_unless_none_is_wanted():
+    def of(**arguments: str) -> tuple[list[str], int]:
+        _, nodes = launched(DEMO, **arguments)
+        words = [
+            word for node in nodes if node.executable == 'dashboard' for word in node.arguments
+        ]
+        (readers,) = [p['wait_for_subscribers'] for n in nodes for p in n.parameters
+                      if 'wait_for_subscribers' in p]  # fmt: skip
+        return words, readers
+
+    for arguments, port, observer in (
+        ({}, 0, '/gray_box_observer'),
+        ({'dashboard_port': '8080', 'namespace': '/r1'}, 8080, '/r1/gray_box_observer'),
+    ):
+        words, readers = of(**arguments)
+        options = dashboard_command.make_parser().parse_args(words)
+        assert (options.port, options.observer) == (port, [observer])
+        assert readers == 3, 'it reads torque too'
+    assert of(dashboard_port='none') == ([], 2)
+    for wrong in ('', 'all', '-1', '65536', '8080.5'):
+        with pytest.raises(Exception, match=r'^dashboard_port is .*; expected a port from 0 to'):
+            of(dashboard_port=wrong)
 
 
 @pytest.mark.usefixtures('stand_ins')

@@ -54,6 +54,7 @@ class Mistake:
         log: what is logged instead.
         stream: what comes instead.
         battery: behind the motors.
+        motors: that are wired wrongly, by the names that are configured.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Mistake:
     log: Callable[[Log], Log] | None = None
     stream: Callable[[Stream], Stream] | None = None
     battery: Battery = NOMINAL
+    motors: tuple[str, ...] = WHEELS
 
     def wired(self, wheels: Sequence[Wheel]) -> Parameters:
         """Return the parameters of the robot with this mistake."""
@@ -108,6 +110,7 @@ MISTAKES = (
         'wrong joint',
         'names there: .*left',
         {'motors': ['wheel', 'right'], 'wheel.joint': 'left_whel'},
+        motors=('wheel',),
     ),
     Mistake('stale battery', '/battery_state is', stream=_without_battery),
 )

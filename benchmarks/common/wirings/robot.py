@@ -21,6 +21,9 @@ WHEELS = ('left', 'right')
 STEPS = 5
 """Of the simulation, per sample."""
 
+START_NS = 10**18
+"""Stamp of the first message."""
+
 NOISE = 0.01
 """Of the current, as a share of its spread; readings of speed have a tenth of it."""
 
@@ -153,7 +156,7 @@ class Published:
     message: Any
 
 
-def messages(log: Log, start_ns: int = 10**18) -> Iterator[Published]:
+def messages(log: Log, start_ns: int = START_NS) -> Iterator[Published]:
     """Yield what the robot publishes: duty cycles, joint states, and the battery once a second."""
     period = max(1, round(1.0 / (log.time_s[1] - log.time_s[0])))
     for k, time_s in enumerate(log.time_s.tolist()):

@@ -1,4 +1,4 @@
-"""Simulator, observer and recorder: ``ros2 launch gray_box_observer demo.launch.py``.
+"""Simulator, observer, recorder and dashboard: ``ros2 launch gray_box_observer demo.launch.py``.
 
 Ends when one of them does, which the simulator does after its duration. The observer's first guess
 is three times off.
@@ -26,17 +26,20 @@ ARGUMENTS = {
     ),
     'params_file': (
         '',
-        "parameter file (YAML) of all three nodes, in place of the demo's motor and first guess",
+        "parameter file (YAML) of all nodes, in place of the demo's motor and first guess",
+    ),
+    'dashboard_port': (
+        '0',
+        'port of the page that shows the run, on this host only; 0: a free one; none: no page',
     ),
     'namespace': ('', 'namespace of the nodes and their topics'),
 }
 TRUTH = {'inductance': 0.5, 'resistance': 1.0, 'hysteresis': 10.0}
 FIRST_GUESS_FACTOR = 3.0
-READERS_OF_TORQUE = 2
 
 
 def make_nodes(context: LaunchContext) -> list[Node]:
-    """Make the three nodes from the launch arguments."""
+    """Make the nodes from the launch arguments."""
     files = launch_arguments.parameter_files(
         'params_file', LaunchConfiguration('params_file').perform(context)
     )
@@ -45,23 +48,38 @@ def make_nodes(context: LaunchContext) -> list[Node]:
     output = LaunchConfiguration('output').perform(context)
     motor = {f'motor.{name}': value for name, value in TRUTH.items()}
     guess = {f'motor.initial.{name}': FIRST_GUESS_FACTOR * value for name, value in TRUTH.items()}
+    port = launch_arguments.port(
+        'dashboard_port', LaunchConfiguration('dashboard_port').perform(context)
+    )
+    namespace = LaunchConfiguration('namespace').perform(context)
     bag = launch_arguments.new_folder('output', output, 'demo_bag')
     sim_parameters = {
         'excitation': ParameterValue(LaunchConfiguration('excitation'), value_type=str),
         'duration_s': launch_arguments.number('duration', duration),
         'torque_noise_relative': launch_arguments.number('torque_noise', torque_noise),
-        'wait_for_subscribers': READERS_OF_TORQUE,
+        # observer, recorder and page
+        'wait_for_subscribers': 2 if port is None else 3,
     }
 
     # Plain nodes: launch_ros ends with an error where the end is asked for twice and one of the
     # nodes is managed.
     common_arguments: dict[str, Any] = {
-        'namespace': LaunchConfiguration('namespace'),
+        'namespace': namespace,
         'output': 'screen',
         # of these nodes alone: the environment of the launch belongs to whoever includes this file
         'additional_env': discovery.default_range(context.environment),
     }
+    page = ['--port', str(port), '--observer', f'{namespace}/gray_box_observer']
+    dashboard = Node(
+        package='gray_box_observer',
+        executable='dashboard',
+        name='gray_box_dashboard',
+        arguments=[*page, *(word for file in files for word in ('--params', file))],
+        on_exit=Shutdown(reason='the dashboard has ended'),
+        **common_arguments,
+    )
     return [
+        *([] if port is None else [dashboard]),
         Node(
             package='gray_box_observer',
             executable='observer',

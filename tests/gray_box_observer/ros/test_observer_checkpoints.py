@@ -6,6 +6,7 @@ import json
 import os
 import signal
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from lifecycle_msgs.msg import Transition
@@ -16,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from gray_box_observer.checkpoints.checkpoint import capture, encode, load, save
 from gray_box_observer.observer.observer import Observer
+from gray_box_observer.ros.observer.observer_node import ObserverNode
 from gray_box_observer.settings.configuration import Configuration
 
 pytestmark = pytest.mark.system
@@ -274,3 +276,13 @@ def decode_of(core: Observer) -> tuple[dict, dict]:
     """What a checkpoint of a core would hold."""
     snapshot = capture(core)
     return json.loads(snapshot.content), dict(snapshot.arrays)
+
+
+def test_the_last_checkpoint_is_written_before_the_page_is_waited_for():
+    """Who ends a node may not wait for a page that does not end."""
+    node = Mock()
+    node._keeper.close.return_value = None
+    ObserverNode.close(node)
+    calls = [call[0] for call in node.mock_calls]
+    assert calls.index('_inputs.close') < calls.index('_keeper.close')
+    assert calls.index('_keeper.close') < calls.index('_dashboard.close')

@@ -91,3 +91,22 @@ def test_a_flood_of_names_takes_bounded_memory(
         state.add_status('/o0', f'm{k}', 0, '', {}, 0.0)
     assert len(state.observers) == observer_state.MOST_OBSERVERS
     assert len(state.observers['/o0'].motors) == 5
+
+
+@pytest.mark.parametrize('has_estimates', [True, False])
+def test_the_first_motors_have_a_course_however_many_follow(
+    state: WatchedState, monkeypatch: pytest.MonkeyPatch, has_estimates: bool
+) -> None:
+    monkeypatch.setattr(observer_state, 'MOST_HISTORIES', 3)
+    names = [f'm{k}' for k in range(6)]
+    for second in range(2):
+        if has_estimates:
+            labels = (','.join(names), 'resistance', 'value,std')
+            state.add_estimates('/o', labels, [1.0, 0.1] * 6, float(second))
+        else:
+            for name in names:
+                facts = {'resistance verdict': 'converging', 'resistance [ohm]': '1.5 +- 0.2'}
+                state.add_status('/o', name, 0, '', facts, float(second))
+    motors = state.observers['/o'].motors.values()
+    assert all(motor.has_numbers for motor in motors)
+    assert [len(motor.parameters['resistance'].history) for motor in motors] == [2] * 3 + [0] * 3

@@ -49,7 +49,11 @@ WINDOW = 4096
 """Newest samples, at most, that a test looks at."""
 
 FEWEST = 64
-"""Samples of which a test tells something."""
+"""Samples of which a test tells something: a rotor whose speed nobody measures takes so long to
+show."""
+
+FEWEST_WITH_SPEED = 32
+"""The same where the speed is measured."""
 
 SHORTEST_WAIT = 64
 """Samples between two tests of a motor, at least."""
@@ -110,6 +114,8 @@ class _Tested:
         wait: samples to the next test.
         range_v: range of the voltage in the samples that a misfit rests on.
         misfits: tests in a row that found a misfit.
+        noise_a: standard deviation in A of the current's noise, from the newest test that told; 0
+            where none did.
     """
 
     assessment: FitAssessment
@@ -120,6 +126,7 @@ class _Tested:
     wait: int
     range_v: float
     misfits: int
+    noise_a: float
 
     def outweighs(self, count: int, range_v: float) -> bool:
         """Tell whether a misfit outweighs later samples that show none but tell less."""
@@ -146,7 +153,10 @@ class FitMonitor:
         self._quantity = quantity
         self._white_boxes = white_boxes
         self._results: list[_Tested | None] = [None] * len(motors)
-        self._due = np.full(len(motors), FEWEST)
+        self._fewest = np.array(
+            [FEWEST_WITH_SPEED if box.speed_measured else FEWEST for box in white_boxes]
+        )
+        self._due = self._fewest.copy()
         self._soon = np.full(len(motors), NEVER)
         self._begin = np.full(len(motors), NEVER)
         self._limits = np.ones(len(motors), dtype=bool)
@@ -251,8 +261,9 @@ class FitMonitor:
         one = slice(motor, motor + 1)
         place, begin = int(replay.received[motor]), int(replay.begin(one)[0])
         count = int(min(replay.remembered(one)[0], WINDOW))
-        if count < FEWEST:
-            self._put_off(motor, place + FEWEST - count)
+        fewest = int(self._fewest[motor])
+        if count < fewest:
+            self._put_off(motor, place + fewest - count)
             return
         before = self._results[motor]
         samples = replay.newest(count, one)
@@ -288,7 +299,8 @@ class FitMonitor:
         sheet = doubt_of_data_sheet(self._motors[motor], estimate, self._quantity, is_duty=is_duty)
         if sheet is not None and not suspicions:
             suspicions.append(sheet)
-        clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), analysis.moving_noise_a)
+        noise_a = analysis.moving_noise_a or (0.0 if before is None else before.noise_a)
+        clipped = doubt_of_range(white_box.state(content[TORQUE, 0]), noise_a)
         if clipped is not None:
             suspicions.append(clipped)
         late = self._delay_suspect(motor, delay)
@@ -322,7 +334,15 @@ class FitMonitor:
             misfits = 1 + (0 if before is None else before.misfits) if misfit else 0
             wait = self._wait(before, judgement.verdict, count)
             self._results[motor] = _Tested(
-                assessment, judgement, theta[0].copy(), place, begin, wait, range_v, misfits
+                assessment,
+                judgement,
+                theta[0].copy(),
+                place,
+                begin,
+                wait,
+                range_v,
+                misfits,
+                noise_a,
             )
         self._follow(motor)
 
@@ -438,7 +458,7 @@ class FitMonitor:
     def forget(self) -> None:
         """Start anew: what was tested is no more."""
         self._results = [None] * len(self._motors)
-        self._due[:] = FEWEST
+        self._due[:] = self._fewest
         self._soon[:] = self._begin[:] = NEVER
         self._limits[:] = True
         self._theta[:] = np.nan
@@ -465,6 +485,7 @@ class FitMonitor:
             'wait': result.wait,
             'range_v': result.range_v,
             'misfits': result.misfits,
+            'noise_a': result.noise_a,
         }
 
     def restore(self, plain: dict[str, Any], motor: int, received_count: int) -> None:
@@ -494,6 +515,7 @@ class FitMonitor:
             plain['wait'],
             plain['range_v'],
             plain['misfits'],
+            plain.get('noise_a', 0.0),  # releases before kept none
         )
         self._follow(motor)
         self._restore_due(plain, motor, received_count)

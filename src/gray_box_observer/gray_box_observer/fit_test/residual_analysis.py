@@ -285,15 +285,20 @@ def _of_parameters(coordinates: Array) -> Array:
     return shift
 
 
+def bandwidth(count: int) -> int:
+    """Return the lags up to which correlation counts, of so many samples."""
+    return int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
+
+
 def long_run_covariance(terms: Array) -> Array:
     """Covariance of a sum of correlated terms, shape (sample, n), after Newey and West (1987)."""
     count = terms.shape[0]
-    bandwidth = int(min(count // 8, max(8.0, 2.0 * math.sqrt(count))))
-    fft_length = 1 << (count + bandwidth).bit_length()
+    width = bandwidth(count)
+    fft_length = 1 << (count + width).bit_length()
     spectrum = np.fft.rfft(terms, fft_length, axis=0)
-    lags = np.arange(bandwidth + 1)
+    lags = np.arange(width + 1)
     kernel = np.zeros(fft_length)
-    kernel[lags] = 1.0 - lags / (bandwidth + 1.0)
+    kernel[lags] = 1.0 - lags / (width + 1.0)
     kernel[-lags[1:]] = kernel[lags[1:]]
     weights = np.fft.rfft(kernel).real.copy()
     weights[1 : (fft_length + 1) // 2] *= 2.0

@@ -190,6 +190,7 @@ def _feed_all(
         for result in outcome.message_input.flush():
             ingest(outcome.observer.results(result))
         ingest(outcome.observer.flush())
+    outcome.observer.finish()
 
 
 def match_topics(configured_name: str, available: Iterable[str]) -> list[str]:

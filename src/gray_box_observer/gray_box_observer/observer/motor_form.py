@@ -72,7 +72,7 @@ class MotorForm:
         return estimate
 
     def catch_up(self, content: Array, stamp_ns: int) -> None:
-        """Take the samples that have come since those that were learnt all at once.
+        """Take samples that have come since those that were learnt all at once.
 
         Args:
             content: shape (signal, 1, n).

@@ -196,7 +196,7 @@ class MotorObserver:
             return
         self._judge_prediction(deferred)
         if not (self.speed_choice.is_idle or self._is_frozen):
-            self._try_other_form(deferred.sample.stamp_ns)
+            self._try_other_form(deferred.sample)
 
     def _judge_prediction(self, deferred: DeferredUpdate) -> None:
         """Judge and learn the prediction of a sample."""
@@ -211,11 +211,20 @@ class MotorObserver:
         if self._predictor is not None and prediction is not None:
             self._predictor.score_and_train(sample, prediction, deferred.theta, deferred.covariance)
 
-    def _try_other_form(self, stamp_ns: int) -> None:
+    def _try_other_form(self, sample: Sample) -> None:
         """Go over to another form of the physics where the choice of the speed asks for it."""
-        form = self.speed_choice.step(
-            self.white_box, self.context_nodes, self._fit.assessment(0), stamp_ns
-        )
+        fit = self._fit.assessment(0)
+        self._go_over(self.speed_choice.step(self.white_box, self.context_nodes, fit, sample))
+
+    def finish(self) -> None:
+        """Do what is left of a trial of another form: no samples will come."""
+        self.run_deferred()
+        if self.speed_choice.is_open and not self._is_frozen:
+            nodes, fit = self.context_nodes, self._fit.assessment(0)
+            self._go_over(self.speed_choice.finish(nodes, fit, nodes.estimate().stamp_ns))
+
+    def _go_over(self, form: MotorForm | None) -> None:
+        """Observe the motor by another form, where there is one."""
         if form is None:
             return
         if self._predictor is not None:
@@ -523,7 +532,9 @@ class MotorObserver:
         received = int(self.context_nodes.replay.received[motor])
         self._fit.restore(dict(group(plain, 'fit')), motor, received)
         if 'speed' in plain:  # not in files of releases that knew no choice
-            self.speed_choice.restore(group(plain, 'speed'), _group(arrays, 'speed'), received)
+            self.speed_choice.restore(
+                group(plain, 'speed'), _group(arrays, 'speed'), self.white_box, received
+            )
         self._know(self._believed(motor_slice), motor_slice)
         if self._is_frozen:  # verdicts tell it no more
             self._is_identified = self._is_identified.copy()

@@ -71,7 +71,7 @@ class SpeedTracking:
             theta: shape (parameter,): what is known of the motor now.
         """
         torque_constant = float(self._white_box.torque_constant)
-        noise_a = float(self._nodes.noise_std_nm[0]) / torque_constant
+        noise_a = self._nodes.noise_a
         interval_s, voltage_v = float(sample.interval_s[0]), float(sample.voltage_v[0])
         current_a = float(sample.torque_nm[0]) / torque_constant
         self.estimate = None

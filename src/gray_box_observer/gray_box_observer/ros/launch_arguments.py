@@ -11,7 +11,10 @@ from pathlib import Path
 
 from gray_box_observer.errors import ConfigurationError, InputError, brief
 from gray_box_observer.safe_io.bounded_yaml import read_yaml
-from gray_box_observer.safe_io.plain_number import NumberError, parse_float
+from gray_box_observer.safe_io.plain_number import NumberError, parse_float, parse_int
+
+NO_PORT = 'none'
+LAST_PORT = 65_535
 
 
 def parameter_files(name: str, text: str) -> list[str]:
@@ -47,6 +50,29 @@ def number(name: str, text: str) -> float:
         return parse_float(text)
     except NumberError:
         raise ConfigurationError(f'{name} is {brief(text)}; expected a number') from None
+
+
+def port(name: str, text: str) -> int | None:
+    """Return the port that an argument writes; None for the word ``none``.
+
+    Args:
+        name: of the argument.
+        text: its value.
+
+    Raises:
+        ConfigurationError: it is neither.
+    """
+    if text == NO_PORT:
+        return None
+    try:
+        value = parse_int(text)
+    except NumberError:
+        value = -1
+    if not 0 <= value <= LAST_PORT:
+        raise ConfigurationError(
+            f'{name} is {brief(text)}; expected a port from 0 to {LAST_PORT}, or {NO_PORT}'
+        )
+    return value
 
 
 def new_folder(name: str, text: str, default: str) -> str:

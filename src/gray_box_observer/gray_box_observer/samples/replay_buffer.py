@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gray_box_observer.errors import ConfigurationError
+from gray_box_observer.errors import CheckpointError, ConfigurationError
 from gray_box_observer.safe_io.saved_state import LARGEST_SIGNAL, ArrayRule, check_array
 from gray_box_observer.samples.sample import Sample
 from gray_box_observer.white_box.interface import Array
@@ -25,13 +25,14 @@ LONGEST_INTERVAL_S = 1e7
 """Between two samples of a signal history: more than any gap that may be set."""
 
 
-def check_signals(name: str, content: Any, motors: int = 1) -> None:
+def check_signals(name: str, content: Any, motors: int = 1, longest: int | None = None) -> None:
     """Refuse saved samples that no motor can have had; a speed may be unknown.
 
     Args:
         name: for the message.
         content: shape (signal, motor, n), see :meth:`ReplayBuffer.content`.
         motors: how many there must be.
+        longest: how many samples there may be of each, one at least; None: any number.
 
     Raises:
         CheckpointError: another shape, or a number out of range.
@@ -44,6 +45,10 @@ def check_signals(name: str, content: Any, motors: int = 1) -> None:
     )
     for signal in (VOLTAGE, TORQUE):
         check_array(f'{name}: {_NAMES[signal]}', content[signal], ArrayRule((motors, None)))
+    if longest is not None and not 1 <= content.shape[2] <= longest:
+        raise CheckpointError(
+            f'{name} holds {content.shape[2]} samples a motor, expected 1 to {longest}'
+        )
 
 
 class ReplayBuffer:

@@ -20,7 +20,7 @@ HISTORY_LENGTH = 600
 """Estimates that are remembered of a parameter: ten minutes of one a second."""
 
 MOST_HISTORIES = 1000
-"""Motors of one observer of which the course is remembered."""
+"""Motors of one observer of which the course is remembered: those that were heard of first."""
 
 MOST_MOTORS = 100_000
 """Motors of one observer that are told of at all; as many as an observer takes."""
@@ -77,6 +77,7 @@ class MotorState:
         advice: the line of its diagnostics.
         facts: their key-value pairs.
         parameters: by name.
+        has_history: whether the course of its parameters is remembered.
     """
 
     name: str
@@ -84,6 +85,7 @@ class MotorState:
     advice: str = ''
     facts: Mapping[str, str] = field(default_factory=dict)
     parameters: dict[str, ParameterState] = field(default_factory=dict)
+    has_history: bool = True
 
     @property
     def has_numbers(self) -> bool:
@@ -111,6 +113,14 @@ class ObserverState:
     motors: dict[str, MotorState] = field(default_factory=dict)
     heard_s: float = -math.inf
     has_estimates: bool = False
+
+    def motor(self, name: str) -> MotorState | None:
+        """Return a motor, a new one where it was not heard of; None where there are too many."""
+        state = self.motors.get(name)
+        if state is None and len(self.motors) < MOST_MOTORS:
+            has_history = len(self.motors) < MOST_HISTORIES
+            state = self.motors[name] = MotorState(name, has_history=has_history)
+        return state
 
     def silence_s(self, now_s: float) -> float | None:
         """Return how long nothing has come, where that is too long; else None."""
@@ -166,13 +176,9 @@ class WatchedState:
             return True
         state.has_estimates = True
         for name, row in zip(motors[:MOST_MOTORS], table, strict=False):
-            motor = state.motors.get(name)
-            if motor is None:
-                if len(state.motors) >= MOST_MOTORS:
-                    continue
-                motor = state.motors[name] = MotorState(name)
-            keeps_history = len(state.motors) <= MOST_HISTORIES
-            _update(motor, parameters, row, now_s, keeps_history=keeps_history)
+            motor = state.motor(name)
+            if motor is not None:
+                _update(motor, parameters, row, now_s)
         return True
 
     def add_status(
@@ -195,9 +201,9 @@ class WatchedState:
             now_s: the time.
         """
         state = self._observer(observer, now_s)
-        if state is None or (motor not in state.motors and len(state.motors) >= MOST_MOTORS):
+        entry = None if state is None else state.motor(motor)
+        if state is None or entry is None:
             return
-        entry = state.motors.setdefault(motor, MotorState(motor))
         entry.level = LEVELS[level] if 0 <= level < len(LEVELS) else LEVELS[-1]
         entry.advice, entry.facts = advice, facts
         for key, verdict in facts.items():
@@ -232,8 +238,6 @@ def _update(
     parameters: Sequence[str],
     row: NDArray[np.float64],
     now_s: float,
-    *,
-    keeps_history: bool,
 ) -> None:
     """Take in the estimates of one motor; a column of other motors' parameters is empty here."""
     for name, (value, std) in zip(parameters, row.tolist(), strict=True):
@@ -245,7 +249,7 @@ def _update(
             continue
         parameter = motor.parameters.setdefault(name, _new_parameter(name))
         parameter.value, parameter.std = value, std
-        if keeps_history:
+        if motor.has_history:
             parameter.history.append((now_s, value, std))
 
 
@@ -258,7 +262,8 @@ def _read_estimates(motor: MotorState, now_s: float) -> None:
         except ValueError:  # not known
             parameter.value = parameter.std = math.nan
             continue
-        parameter.history.append((now_s, parameter.value, parameter.std))
+        if motor.has_history:
+            parameter.history.append((now_s, parameter.value, parameter.std))
 
 
 def _drop_former_parameters(motor: MotorState) -> None:

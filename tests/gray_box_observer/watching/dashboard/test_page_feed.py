@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import html
 import json
 import math
+import re
+from pathlib import Path
 
 import pytest
 
+from gray_box_observer.watching.dashboard import page_feed
 from gray_box_observer.watching.dashboard.page_feed import PageFeed, PageSource
 from gray_box_observer.watching.dashboard.signal_courses import SignalCourses
 from gray_box_observer.watching.observer_state import WatchedState
@@ -77,3 +81,25 @@ def test_of_many_motors_those_with_trouble_can_be_chosen(source: PageSource) -> 
     listed = PageFeed(source).update()['observers'][0]
     assert listed['count'] == 500
     assert len(listed['motors']) == 200 and listed['motors'][0]['name'] == 'm499'
+
+
+@pytest.mark.parametrize(
+    'name', ['<b>bold</b>', '<a href="http://evil.example">here</a>', 'a&lt;b']
+)
+def test_a_name_stands_in_a_plot_as_it_is_written(source: PageSource, name: str) -> None:
+    source.state.add_estimates('/o', ('motor', name, 'value,std'), [1.0, 0.1], 0.0)
+    (told,) = PageFeed(source).update()['motor']['parameters']
+    assert told['name'] == name
+    assert html.unescape(told['label']) == name
+    assert not set('<>') & set(told['label'])
+    long, line_feed = 'n' * 10_000, 'two\nlines'
+    source.state.add_estimates('/o', ('motor', f'{long},{line_feed}', 'value,std'), [1.0] * 4, 0.0)
+    labels = [p['label'] for p in PageFeed(source).update()['motor']['parameters'][1:]]
+    assert len(labels[0]) < 100 and '\n' not in labels[1]
+
+
+def test_plots_are_given_labels_and_never_names() -> None:
+    script = (Path(page_feed.__file__).parent / 'dashboard.js').read_text(encoding='utf-8')
+    first_words = re.findall(r'\b(?:layout|line)\(([^,)]+)', script)
+    from_outside = {words for words in first_words if '.' in words}
+    assert from_outside == {'parameter.label'}

@@ -6,6 +6,8 @@ import http.client
 import json
 import re
 import socket
+import threading
+import time
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -162,6 +164,96 @@ def test_only_so_many_pages_are_served_and_a_closed_one_makes_room(server: PageS
         again.read()
         next_event(answers[0])
     assert again.status == 200
+
+
+def test_plotly_is_read_once_and_sent_once_to_who_keeps_it(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[Path] = []
+    read_bytes = Path.read_bytes
+    monkeypatch.setattr(Path, 'read_bytes', lambda path: reads.append(path) or read_bytes(path))
+    first, second = ask(server, '/plotly.js'), ask(server, '/plotly.js', 'HEAD')
+    assert [path.name for path in reads] == ['plotly.min.js']
+    assert first.headers['Etag'] == second.headers['Etag']
+    assert len(first.read()) == int(second.headers['Content-Length'])
+    again = ask(server, '/plotly.js', If_None_Match=first.headers['Etag'])
+    assert (again.status, again.read()) == (304, b'')
+    other = ask(server, '/plotly.js', If_None_Match='"other"')
+    assert other.status == 200
+    assert ask(server, '/').headers['Cache-Control'] == 'no-store'
+
+
+def test_connections_of_all_kinds_are_bounded(
+    source: PageSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_server, 'MOST_CONNECTIONS', 3)
+    server = PageServer(source)
+    server.start()
+    address = urlsplit(server.url)
+    where = (address.hostname, address.port)
+    silent = [socket.create_connection(where, timeout=TIMEOUT_S) for _ in range(2)]
+    kept = http.client.HTTPConnection(*where, timeout=TIMEOUT_S)
+    for _ in range(2):
+        kept.request('GET', '/')
+        assert kept.getresponse().read().startswith(b'<!DOCTYPE html>')
+    with pytest.raises((http.client.HTTPException, ConnectionError)):
+        ask(server, '/')
+    silent.pop().close()
+    wait_for_room(server)
+    server.stop()
+
+
+def test_who_does_not_read_makes_room_after_a_while(
+    server: PageServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page_server, 'STALLED_S', 0.2)
+    monkeypatch.setattr(page_server, 'MOST_CONNECTIONS', 1)
+    monkeypatch.setattr(page_server._Plotly, 'content', bytes(16_000_000))  # no kernel holds them
+    address = urlsplit(server.url)
+    with socket.create_connection((address.hostname, address.port), timeout=TIMEOUT_S) as slow:
+        slow.sendall(b'GET /plotly.js HTTP/1.1\r\nHost: localhost\r\n\r\n')
+        assert slow.recv(8) == b'HTTP/1.1'
+        wait_for_room(server)
+
+
+def wait_for_room(server: PageServer) -> None:
+    """Ask until the server answers."""
+    end_s = time.monotonic() + TIMEOUT_S
+    while True:
+        try:
+            assert ask(server, '/').status == 200
+            return
+        except (http.client.HTTPException, ConnectionError):
+            assert time.monotonic() < end_s, 'no room was made'
+            time.sleep(0.01)
+
+
+def test_a_thread_that_fails_is_an_error_and_no_wait_for_ever(
+    source: PageSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_source: PageSource) -> None:
+        raise OSError('too many open files')
+
+    monkeypatch.setattr(page_server, 'make_application', fail)
+    server = PageServer(source)
+    with pytest.raises(
+        ConfigurationError, match=r'cannot serve http://127\.0\.0\.1:\d+/: too many'
+    ):
+        server.start()
+    with pytest.raises(ConfigurationError, match='too many open files'):
+        server.check()
+    server.stop()
+
+
+def test_a_thread_that_does_not_begin_is_an_error_in_time(
+    source: PageSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    released = threading.Event()
+    monkeypatch.setattr(page_server, 'START_S', 0.05)
+    monkeypatch.setattr(PageServer, '_run', lambda _: released.wait(TIMEOUT_S))
+    with pytest.raises(ConfigurationError, match='has not begun to serve'):
+        PageServer(source).start()
+    released.set()
 
 
 def test_a_port_that_is_taken_is_refused_in_a_sentence(source: PageSource) -> None:

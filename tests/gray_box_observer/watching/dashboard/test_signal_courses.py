@@ -33,6 +33,16 @@ def test_a_clock_that_jumps_back_begins_the_course_anew() -> None:
     assert courses.since('', 'motor', 'torque', 1.0) == [(-7.0, 1.0)]
 
 
+def test_a_stamp_that_comes_late_clears_nothing() -> None:
+    courses = SignalCourses(jump_back_s=2.0)
+    for second in (10, 11, 12, 10, 13):
+        courses.add('', 'torque', ('motor',), (float(second),), second * SECOND_NS)
+    expected = [(0.0, 10.0), (1.0, 11.0), (2.0, 12.0), (3.0, 13.0)]
+    assert courses.since('', 'motor', 'torque', None) == expected
+    courses.add('', 'torque', ('motor',), (0.0,), 10 * SECOND_NS)
+    assert courses.since('', 'motor', 'torque', None) == [(0.0, 0.0)]
+
+
 def test_names_of_a_network_take_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(signal_courses, 'MOST_COURSES', 3)
     courses = SignalCourses()

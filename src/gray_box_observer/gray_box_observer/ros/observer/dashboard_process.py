@@ -44,9 +44,10 @@ class DashboardProcess:
         self._warn = warn
         self._is_closing = False
         command = [sys.executable, '-m', MODULE, '--of-observer']
-        command += ['--port', str(configuration['dashboard.port'])]
-        command += ['--address', configuration['dashboard.address']]
-        command += ['--observer', node.get_fully_qualified_name()]
+        # one word each: a value that begins with a dash is no option
+        command += [f'--port={configuration["dashboard.port"]}']
+        command += [f'--address={configuration["dashboard.address"]}']
+        command += [f'--observer={node.get_fully_qualified_name()}']
         resolved = {feed.topic: node.resolve_topic_name(feed.topic) for feed in configuration.feeds}
         told = {'parameters': configuration.notable(), 'resolved': resolved}
         self._process = subprocess.Popen(

@@ -183,13 +183,13 @@ class ObserverNode(LifecycleNode):
     def close(self) -> None:
         """Write the last checkpoint and end the training processes before the node goes."""
         self._inputs.close()
-        if self._dashboard is not None:
-            self._dashboard.close()
         self._sum_up()
         failure = self._keeper.close(self._observer)
         if failure is not None:
             self.get_logger().error(failure)
         self._drop_observer()
+        if self._dashboard is not None:  # last: it may take its time, whoever ends this does not
+            self._dashboard.close()
 
     @property
     def needs_source_time(self) -> bool:

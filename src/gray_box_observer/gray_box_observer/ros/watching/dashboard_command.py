@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gray_box_observer.errors import GrayBoxError
+from gray_box_observer.errors import GrayBoxError, InputError
 from gray_box_observer.ros.watching.watch_command import EXIT_USER_ERROR, part_words
 from gray_box_observer.safe_io.plain_number import parse_int
 from gray_box_observer.safe_io.printable import printable
@@ -89,11 +89,29 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
         'parameters': parameters,
     }
     if options.of_observer:
-        told = json.loads(_first_line(STDIN))
-        settings |= {'parameters': told['parameters'], 'resolved': told['resolved']}
+        settings |= _told_by_observer(_first_line(STDIN))
         threading.Thread(target=_end_with_observer, daemon=True, name='observer').start()
         _give_way()
     return settings
+
+
+def _told_by_observer(line: bytes) -> dict[str, Any]:
+    """Return parameters and resolved topics from the line that an observer writes.
+
+    Raises:
+        InputError: the line is none of an observer, or ended early.
+    """
+    try:
+        told = json.loads(line)
+    except (ValueError, RecursionError):
+        told = None
+    names = ('parameters', 'resolved')
+    if not isinstance(told, dict) or not all(isinstance(told.get(name), dict) for name in names):
+        raise InputError(
+            'the observer that started this has not said how it reads its signals: it may have '
+            'ended; --of-observer is for observers alone'
+        )
+    return {name: told[name] for name in names}
 
 
 def _first_line(descriptor: int) -> bytes:

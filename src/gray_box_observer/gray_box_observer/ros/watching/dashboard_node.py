@@ -61,7 +61,8 @@ class DashboardNode(Node):
         self._configuration = Configuration.from_flat(settings.parameters)
         self._settings = settings
         super().__init__(NODE_NAME, **WITHOUT_SERVICES)
-        self.source = PageSource(WatchedState(settings.observers), SignalCourses(), time.monotonic)
+        courses = SignalCourses(self._configuration['jump_back_s'])
+        self.source = PageSource(WatchedState(settings.observers), courses, time.monotonic)
         self._server = PageServer(self.source, settings.address, settings.port)
         self._listener = ObserverListener(
             self, self.source.state, settings.observers, time.monotonic
@@ -73,7 +74,12 @@ class DashboardNode(Node):
         print(f'dashboard: {printable(self.url)}', flush=True)
 
     def poll(self) -> float:
-        """Take what has come; return when to look again."""
+        """Take what has come; return when to look again.
+
+        Raises:
+            ConfigurationError: the page is served no more.
+        """
+        self._server.check()
         with self.source.lock:
             self._listener.poll()
             if self._signals is not None:

@@ -26,6 +26,9 @@ LOOK_ROUND_S = 0.25
 LOOK_ROUND_LATER_S = 2.0
 """Between two looks afterwards."""
 
+MOST_TAKEN = 2000
+"""Messages of one reader in one poll: a sender that never pauses must not keep it from its end."""
+
 _LEAF = ESTIMATES.name.removeprefix('~')
 _TYPE = 'std_msgs/msg/Float64MultiArray'
 _OWN_FACT = 'samples used'
@@ -116,8 +119,13 @@ def _is_name_of_node(name: str) -> bool:
 
 
 def taken(subscription: Subscription, *, raw: bool = False) -> Iterator[Any]:
-    """Yield the messages that wait in a reader; of bytes, where ``raw`` asks for them."""
-    while True:
+    """Yield the messages that wait in a reader, MOST_TAKEN at most.
+
+    Args:
+        subscription: the reader.
+        raw: whether as bytes.
+    """
+    for _ in range(MOST_TAKEN):
         with subscription.handle:
             entry = subscription.handle.take_message(subscription.msg_type, raw)
         if entry is None:

@@ -1,5 +1,6 @@
 'use strict';
-// Draws what the server tells (watching/dashboard/page_feed.py). Text goes in as text, never as markup.
+// Draws what the server tells (watching/dashboard/page_feed.py). Text goes in as text, never as markup:
+// plots get labels, in which the server has escaped what plotly.js would read as tags.
 (() => {
   const SHOWN_S = 10; // of signals
   const KEPT = 1200; // points of a signal, estimates of a parameter
@@ -62,7 +63,7 @@
     const spread = stds.slice(-recent.length);
     const low = Math.min(...recent.map((value, k) => value - BAND * spread[k]));
     const high = Math.max(...recent.map((value, k) => value + BAND * spread[k]));
-    const form = layout(parameter.name, parameter.unit);
+    const form = layout(parameter.label, parameter.unit);
     if (Number.isFinite(low) && Number.isFinite(high)) {
       const margin = Math.max(0.1 * (high - low), 1e-3 * Math.abs(high), 1e-12);
       form.yaxis = { ...form.yaxis, range: [low - margin, high + margin] };
@@ -70,7 +71,7 @@
     Plotly.react(entry.plot, [
       { ...band, y: side(-1) },
       { ...band, y: side(1), fill: 'tonexty', fillcolor: colour('estimate') + '33' },
-      line(parameter.name, [ago, values], 'estimate', 2),
+      line(parameter.label, [ago, values], 'estimate', 2),
     ], form, CONFIG);
   }
 

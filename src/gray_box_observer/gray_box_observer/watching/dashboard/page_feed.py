@@ -5,6 +5,7 @@ A page shows one motor; of the others it is told who they are and how they do.
 
 from __future__ import annotations
 
+import html
 import math
 import threading
 from collections.abc import Callable
@@ -12,11 +13,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gray_box_observer.safe_io.finite import plain
+from gray_box_observer.safe_io.printable import printable
 from gray_box_observer.watching.dashboard.signal_courses import KINDS, SignalCourses
 from gray_box_observer.watching.observer_state import MotorState, WatchedState
 
 MOST_LISTED = 200
 """Motors of each observer that a page can choose from; those with trouble come first."""
+
+LONGEST_LABEL = 60
+"""Characters of a name that stand in a plot."""
 
 FACTS = (
     'fit verdict',
@@ -134,6 +139,7 @@ class PageFeed:
                 'parameters': [
                     {
                         'name': p.name,
+                        'label': label_of(p.name),
                         'unit': p.unit,
                         'value': p.value,
                         'std': p.std,
@@ -169,3 +175,8 @@ class PageFeed:
                 )
                 return columns
         return [[], []]
+
+
+def label_of(name: str) -> str:
+    """Return a name for a plot: plotly.js reads tags and links in titles, names and hover text."""
+    return html.escape(printable(name, LONGEST_LABEL), quote=False)

@@ -7,18 +7,21 @@ events: nothing of it is written by whoever asks. See docs/SECURITY.md.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import ipaddress
 import json
 import socket
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 from tornado.httpserver import HTTPServer
-from tornado.iostream import StreamClosedError
+from tornado.iostream import IOStream, StreamClosedError
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
@@ -31,8 +34,15 @@ UPDATE_S = 0.25
 MOST_PAGES = 8
 """Open pages; each takes about a hundredth of a core."""
 
+MOST_CONNECTIONS = 64
+"""Of all kinds; a browser takes six for a page. One more is closed before it has asked."""
+
 STALLED_S = 30.0
-"""A page that does not read its updates for so long is given up."""
+"""Who does not read an answer or an update for so long is given up."""
+
+START_S = 10.0
+END_S = 5.0
+"""How long the server's thread may take to begin and to end."""
 
 MAX_HEADER_BYTES = 16_384
 IDLE_S = 60.0
@@ -44,6 +54,7 @@ FILES = {
     '/dashboard.css': ('dashboard.css', 'text/css; charset=utf-8'),
 }
 PLOTLY = '/plotly.js'
+_SCRIPT = 'text/javascript; charset=utf-8'
 
 HEADERS = {
     'Content-Security-Policy': "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -92,26 +103,52 @@ class PageServer:
         self._source = source
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ended: asyncio.Event | None = None
+        self._failure: BaseException | None = None
         self._is_ready = threading.Event()
         self._thread = threading.Thread(target=self._run, name='dashboard', daemon=True)
 
     def start(self) -> None:
-        """Begin to serve, in a thread of its own."""
+        """Begin to serve, in a thread of its own.
+
+        Raises:
+            ConfigurationError: it cannot, or does not within START_S.
+        """
         self._thread.start()
-        self._is_ready.wait()
+        if not self._is_ready.wait(START_S):
+            raise ConfigurationError(
+                f'the dashboard has not begun to serve {self.url} within {START_S:g} s'
+            )
+        self.check()
+
+    def check(self) -> None:
+        """Make sure that the page is served; nothing is asked of it once it was stopped.
+
+        Raises:
+            ConfigurationError: serving has failed.
+        """
+        if self._failure is not None:
+            reason = str(self._failure) or type(self._failure).__name__
+            raise ConfigurationError(
+                f'the dashboard cannot serve {self.url}: {reason}'
+            ) from self._failure
 
     def stop(self) -> None:
         """End; open pages are told no more."""
         if self._loop is not None and self._ended is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._ended.set)
-            self._thread.join(timeout=5.0)
+            self._thread.join(timeout=END_S)
 
     def _run(self) -> None:
-        asyncio.run(self._serve())
+        try:
+            asyncio.run(self._serve())
+        except Exception as error:
+            self._failure = error
+        finally:
+            self._is_ready.set()
 
     async def _serve(self) -> None:
         self._loop, self._ended = asyncio.get_running_loop(), asyncio.Event()
-        server = HTTPServer(
+        server = _BoundedServer(
             make_application(self._source),
             max_header_size=MAX_HEADER_BYTES,
             max_body_size=0,
@@ -126,6 +163,55 @@ class PageServer:
         await server.close_all_connections()
 
 
+class _BoundedServer(HTTPServer):
+    """Takes so many connections at a time, whatever they are for."""
+
+    def initialize(self, *args: Any, **words: Any) -> None:
+        super().initialize(*args, **words)
+        self._open_count = 0
+
+    def handle_stream(self, stream: IOStream, address: tuple[Any, ...]) -> None:
+        if self._open_count >= MOST_CONNECTIONS:
+            stream.close()
+            return
+        self._open_count += 1
+        super().handle_stream(stream, address)
+
+    def on_close(self, server_conn: object) -> None:
+        self._open_count -= 1
+        super().on_close(server_conn)
+
+
+@dataclass
+class _OwnFile:
+    """A file that lies beside this module; it is read at once."""
+
+    name: str
+    kind: str
+
+    def __post_init__(self) -> None:
+        self.content = (Path(__file__).parent / self.name).read_bytes()
+        self.validator = ''
+        self.caching = HEADERS['Cache-Control']
+
+
+class _Plotly:
+    """plotly.js: some megabytes, which are read once, when they are first asked for."""
+
+    kind = _SCRIPT
+    caching = 'private, no-cache'
+    """A browser keeps it, and asks whether it is still the same."""
+
+    @cached_property
+    def content(self) -> bytes:
+        path = resources.files('plotly') / 'package_data' / 'plotly.min.js'
+        return path.read_bytes()
+
+    @cached_property
+    def validator(self) -> str:
+        return f'"{hashlib.sha256(self.content).hexdigest()}"'
+
+
 def make_application(
     source: PageSource, host_name: Callable[[], str] = socket.gethostname
 ) -> Application:
@@ -137,15 +223,14 @@ def make_application(
     """
     shared: dict[str, Any] = {'own_names': frozenset({'localhost', host_name().lower()})}
     files = [
-        (path, _FileHandler, {**shared, 'content': _own_file(name), 'kind': kind})
+        (path, _FileHandler, {**shared, 'file': _OwnFile(name, kind)})
         for path, (name, kind) in FILES.items()
     ]
-    plotly = {**shared, 'content': None, 'kind': 'text/javascript; charset=utf-8'}
     pages: set[object] = set()
     return Application(
         [
             *files,
-            (PLOTLY, _FileHandler, plotly),
+            (PLOTLY, _FileHandler, {**shared, 'file': _Plotly()}),
             ('/events', _EventHandler, {**shared, 'source': source, 'pages': pages}),
         ],
         default_handler_class=_NothingHandler,
@@ -153,10 +238,6 @@ def make_application(
         log_function=lambda _handler: None,
         compress_response=False,
     )
-
-
-def _own_file(name: str) -> bytes:
-    return (Path(__file__).parent / name).read_bytes()
 
 
 def is_own_host(host: str, own_names: frozenset[str]) -> bool:
@@ -218,20 +299,22 @@ class _NothingHandler(_Handler):
 
 
 class _FileHandler(_Handler):
-    """Sends one file; None stands for plotly.js, which is read when it is first asked for."""
+    """Sends one file, to whoever reads it."""
 
-    def initialize(self, own_names: frozenset[str], content: bytes | None, kind: str) -> None:  # type: ignore[override]
+    def initialize(self, own_names: frozenset[str], file: _OwnFile | _Plotly) -> None:  # type: ignore[override]
         super().initialize(own_names)
-        self._content = content
-        self._kind = kind
+        self._file = file
 
-    def get(self) -> None:
-        content = self._content
-        if content is None:
-            content = (resources.files('plotly') / 'package_data' / 'plotly.min.js').read_bytes()
-            self.set_header('Cache-Control', 'private, max-age=86400')
-        self.set_header('Content-Type', self._kind)
-        self.finish(content)
+    async def get(self) -> None:
+        self.set_header('Content-Type', self._file.kind)
+        self.set_header('Cache-Control', self._file.caching)
+        try:
+            await asyncio.wait_for(self.finish(self._file.content), STALLED_S)
+        except (StreamClosedError, asyncio.TimeoutError):
+            _close(self)
+
+    def compute_etag(self) -> str | None:
+        return self._file.validator or None  # tornado's own would hash the content every time
 
     head = get
 
@@ -268,11 +351,16 @@ class _EventHandler(_Handler):
                 await asyncio.sleep(UPDATE_S)
         except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):
             # the page has gone, does not read, or the server ends
-            stream = getattr(self.request.connection, 'stream', None)
-            if stream is not None:
-                stream.close()
+            _close(self)
         finally:
             self._pages.discard(self)
 
     def on_connection_close(self) -> None:
         self._pages.discard(self)
+
+
+def _close(handler: RequestHandler) -> None:
+    """Close the connection of a request at once."""
+    stream = getattr(handler.request.connection, 'stream', None)
+    if stream is not None:
+        stream.close()

@@ -36,9 +36,15 @@ class Thinning:
 
 
 class SignalCourses:
-    """Courses by motor and kind; times in s since the first stamp of all."""
+    """Courses by motor and kind; times in s since the first stamp of all.
 
-    def __init__(self) -> None:
+    Args:
+        jump_back_s: a stamp that is so much earlier than the newest, in s, means that the clock was
+            set back, and the course begins anew. One that is less so has come late and is left out.
+    """
+
+    def __init__(self, jump_back_s: float = 1.0) -> None:
+        self._jump_back_s = jump_back_s
         self._courses: dict[tuple[str, str, str], deque[tuple[float, float]]] = {}
         self._origin_ns: int | None = None
 
@@ -64,7 +70,9 @@ class SignalCourses:
                 if len(self._courses) >= MOST_COURSES:
                     continue
                 course = self._courses[key] = deque(maxlen=_CAPACITY)
-            if course and time_s < course[-1][0]:  # the clock has jumped back
+            if course and time_s < course[-1][0]:
+                if course[-1][0] - time_s <= self._jump_back_s:
+                    continue
                 course.clear()
             course.append((time_s, float(value)))
 
